@@ -1,0 +1,62 @@
+# Python 3.11 or newer and make are enough: each target sets up what it needs in .venv first.
+
+PYTHON ?=
+export PYTHON
+
+# A sourced ROS puts its own packages and pytest plugins before ours; here everything comes from .venv.
+unexport PYTHONPATH
+unexport PYTHONHOME
+
+BIN := .venv/bin
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test check bench soak docs cli-page format picture clean
+
+help: ## Show this list.
+	@echo "Robot Runner. Python 3.11 or newer and make are enough; every target does its own set-up."
+	@echo
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1|\2/p' Makefile | awk -F '|' '{ printf "%-16s %s\n", $$1, $$2 }'
+	@echo
+	@echo "  PYTHON=python3.13 make test   chooses the Python."
+
+demo: ## Execute the paper's experiment on the embedded robot: 15 runs, in under a minute.
+	@sh scripts/set_up.sh demo
+	@$(BIN)/robot-runner demo
+
+test: ## Make every check and execute every test.
+	@sh scripts/set_up.sh test
+	@sh scripts/checks.sh all
+
+check: ## Make the quick checks only: format, lint, types, import contracts.
+	@sh scripts/set_up.sh test
+	@sh scripts/checks.sh quick
+
+bench: ## Measure the promised figures, each beside its floor (minutes; a quiet machine is best).
+	@sh scripts/set_up.sh demo
+	@$(BIN)/python -m benchmarks
+
+soak: ## Execute the long-running tests (many minutes).
+	@sh scripts/set_up.sh test
+	@$(BIN)/pytest -m soak --timeout 3600
+
+docs: ## Build the documentation into site/.
+	@sh scripts/set_up.sh test
+	@$(BIN)/mkdocs build --strict
+	@echo "Open site/index.html."
+
+cli-page: ## Write docs/cli.md anew from the program.
+	@sh scripts/set_up.sh test
+	@$(BIN)/python scripts/cli_page.py
+
+format: ## Format the code, and mend what the linter can mend by itself.
+	@sh scripts/set_up.sh test
+	@$(BIN)/ruff check --fix --quiet . || true
+	@$(BIN)/ruff format .
+
+picture: ## Record the demo into docs/images/demo.svg.
+	@sh scripts/set_up.sh test
+	@$(BIN)/python scripts/record_demo.py docs/images/demo.svg -- $(BIN)/robot-runner demo
+
+clean: ## Remove .venv and everything else that was generated.
+	@rm -rf .venv .make build dist site .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .coverage
+	@find src tests benchmarks scripts examples -name __pycache__ -type d -prune -exec rm -rf {} +

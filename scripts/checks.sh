@@ -1,0 +1,36 @@
+#!/bin/sh
+# Every check and every test, the same for a person and for CI. Usage: checks.sh quick|all
+#
+# All steps are taken, also after one has failed; the exit code is 0 only when none did.
+set -u
+cd "$(dirname "$0")/.." || exit 1
+bin=.venv/bin
+failed=
+
+# Take one step; what it says is shown when it fails.
+step() {
+    name=$1
+    shift
+    if output=$("$@" 2>&1); then
+        printf '  ok      %s\n' "$name"
+    else
+        printf '  FAILED  %s\n' "$name"
+        printf '%s\n' "$output"
+        failed="$failed, $name"
+    fi
+}
+
+step "format" "$bin/ruff" format --check .
+step "lint" "$bin/ruff" check .
+step "types" "$bin/mypy"
+step "import contracts" "$bin/lint-imports"
+if [ "${1:-all}" = all ]; then
+    step "command-line page is current" "$bin/python" scripts/cli_page.py --check
+    step "documentation" "$bin/mkdocs" build --strict --site-dir .make/site
+    "$bin/pytest" -q -n 2 -m "not soak" || failed="$failed, tests"
+fi
+if [ -n "$failed" ]; then
+    printf 'Failed: %s.\n' "${failed#, }"
+    exit 1
+fi
+printf 'Everything passed.\n'
