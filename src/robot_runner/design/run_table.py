@@ -1,0 +1,135 @@
+"""The run table as planned: all runs in the order of execution, held in columns."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import chain, repeat
+from typing import TYPE_CHECKING, overload
+
+from robot_runner.design.columns import REPETITION, numbered_run_id
+from robot_runner.design.combination import Combination, index_array
+from robot_runner.design.order import arranged
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from robot_runner.design.order import RunOrder
+    from robot_runner.design.run_table_model import RunTableModel
+
+__all__ = ["PlannedRun", "RunTable"]
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedRun:
+    """One row of the run table, before it is executed.
+
+    Attributes:
+        run_id: names the run in the table and its folder.
+        number: the place in the order of execution, from 1.
+        combination: the treatment of each factor, by the factor's name.
+        repetition: which repetition of the combination it is, from 1.
+        block: which block it belongs to, from 1; None where the design has no blocks.
+
+    Example:
+        >>> PlannedRun("r_1", 1, Combination({"Task": 0}, ("Video",)), 1).combination["Task"]
+        'Video'
+    """
+
+    run_id: str
+    number: int
+    combination: Combination
+    repetition: int
+    block: int | None = None
+
+
+class RunTable(Sequence[PlannedRun]):
+    """All runs of an experiment in the order of execution. Immutable; rows are made when asked for.
+
+    Attributes:
+        model: the model that it was made from.
+        order: how its runs were put in order, with the seed.
+
+    Example:
+        >>> from robot_runner.design.factor import Factor
+        >>> from robot_runner.design.run_table_model import RunTableModel
+        >>> table = RunTableModel([Factor("Task", ["Video", "Network"])], repetitions=2).plan()
+        >>> [(run.run_id, run.combination["Task"], run.repetition) for run in table]
+        [('r_1', 'Video', 1), ('r_2', 'Network', 1), ('r_3', 'Video', 2), ('r_4', 'Network', 2)]
+    """
+
+    def __init__(self, model: RunTableModel, combinations: tuple[array[int], ...], order: RunOrder) -> None:
+        """Put the runs in order.
+
+        Args:
+            model: whose run table it is.
+            combinations: for each factor, the place of its treatment in each combination that is executed.
+            order: how the runs are put in order.
+        """
+        self.model = model
+        self.order = order
+        self._combinations = combinations
+        self._combination_count = len(combinations[0])
+        self._places = {factor.name: place for place, factor in enumerate(model.factors)}
+        self._block_of = self._blocks(order.blocks)
+        self._order = arranged(self._combination_count * model.repetitions, self._block_of, order)
+
+    def __len__(self) -> int:
+        return len(self._order)
+
+    @overload
+    def __getitem__(self, place: int) -> PlannedRun: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> Sequence[PlannedRun]: ...
+
+    def __getitem__(self, place: int | slice) -> PlannedRun | Sequence[PlannedRun]:
+        if isinstance(place, slice):
+            return tuple(self._run(each) for each in range(len(self))[place])
+        return self._run(range(len(self))[place])
+
+    def __iter__(self) -> Iterator[PlannedRun]:
+        return map(self._run, range(len(self)))
+
+    def __repr__(self) -> str:
+        return f"<RunTable: {len(self)} runs, seed {self.order.seed}>"
+
+    @property
+    def seed(self) -> int:
+        """What its order comes from."""
+        return self.order.seed
+
+    def treatment_places(self, factor: str) -> array[int]:
+        """Return the place of the factor's treatment in each run, in the order of execution."""
+        column = self._combinations[self._places[factor]] * self.model.repetitions
+        return array(column.typecode, map(column.__getitem__, self._order))
+
+    def repetition_numbers(self) -> array[int]:
+        """Return which repetition of its combination each run is, from 1, in the order of execution."""
+        count = self._combination_count
+        return index_array(self.model.repetitions, (planned // count + 1 for planned in self._order))
+
+    def _run(self, place: int) -> PlannedRun:
+        planned = self._order[place]
+        repetition, combination = divmod(planned, self._combination_count)
+        treatments = tuple(
+            factor.treatments[column[combination]]
+            for factor, column in zip(self.model.factors, self._combinations, strict=True)
+        )
+        number = place + 1
+        block = None if self._block_of is None else self._block_of[planned] + 1
+        return PlannedRun(numbered_run_id(number), number, Combination(self._places, treatments), repetition + 1, block)
+
+    def _blocks(self, blocks: str | None) -> array[int] | None:
+        """Return the number of each run's block in the order as written, without gaps."""
+        if blocks is None:
+            return None
+        repetitions = self.model.repetitions
+        if blocks == REPETITION and repetitions > 1:
+            return index_array(
+                repetitions, chain.from_iterable(repeat(each, self._combination_count) for each in range(repetitions))
+            )
+        column = self._combinations[self._places[blocks]]
+        numbers_by_treatment = {treatment: number for number, treatment in enumerate(sorted(set(column)))}
+        return array(column.typecode, map(numbers_by_treatment.__getitem__, column)) * repetitions

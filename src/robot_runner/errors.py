@@ -1,0 +1,157 @@
+"""One tree of errors, each with problem, where and fix, and the findings that validation gathers.
+
+```
+RobotRunnerError
+├── DesignError        a factor, an exclusion, a run table that cannot be
+├── ConfigError        a config file that cannot be loaded; carries every finding
+├── PluginError        a plugin that is not installed or does not keep its promises
+├── MeasureError       a value that the run table must not take
+├── StorageError       a file or folder that cannot be read or written
+├── LinkError          a robot, host or device that cannot be reached
+└── ExecutionError     an experiment that cannot start or go on
+```
+"""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from typing import Self
+
+__all__ = [
+    "ConfigError",
+    "DesignError",
+    "ExecutionError",
+    "Finding",
+    "LinkError",
+    "MeasureError",
+    "PluginError",
+    "RobotRunnerError",
+    "Severity",
+    "StorageError",
+    "did_you_mean",
+    "nearest",
+]
+
+
+class Severity(Enum):
+    """How much a finding weighs: an error refuses the experiment, a warning only speaks."""
+
+    ERROR = "error"
+    WARNING = "warning"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that validation, or a profiler looking at its own samples, has to say.
+
+    Attributes:
+        severity: whether the experiment is refused because of it.
+        where: file, attribute, plugin or run that it is about.
+        problem: what is, with the value shown.
+        fix: one imperative sentence that mends it; empty where there is nothing to do.
+    """
+
+    severity: Severity
+    where: str
+    problem: str
+    fix: str = ""
+
+    @classmethod
+    def error(cls, where: str, problem: str, fix: str) -> Finding:
+        """Make a finding that refuses the experiment."""
+        return cls(Severity.ERROR, where, problem, fix)
+
+    @classmethod
+    def warning(cls, where: str, problem: str, fix: str = "") -> Finding:
+        """Make a finding that is shown and does not refuse."""
+        return cls(Severity.WARNING, where, problem, fix)
+
+    @property
+    def is_error(self) -> bool:
+        """Whether the experiment is refused because of it."""
+        return self.severity is Severity.ERROR
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.problem}" + (f" → {self.fix}" if self.fix else "")
+
+
+class RobotRunnerError(Exception):
+    """What every error of Robot Runner is: a problem, the place where it is, and how to mend it.
+
+    Where many can be mended at once, `findings` lists them all and the three parts are those of the first.
+
+    Example:
+        >>> str(RobotRunnerError("there is no port 'tty9'", where="Ina219", fix="Plug it in."))
+        "Ina219: there is no port 'tty9' → Plug it in."
+    """
+
+    def __init__(self, problem: str, *, where: str = "", fix: str = "", findings: Sequence[Finding] = ()) -> None:
+        super().__init__(problem)
+        self.problem = problem
+        self.where = where
+        self.fix = fix
+        self.findings = tuple(findings) or (self.as_finding(),)
+
+    @classmethod
+    def of_findings(cls, findings: Sequence[Finding]) -> Self:
+        """Make one error of several findings; the first gives its problem, place and fix."""
+        first = findings[0]
+        return cls(first.problem, where=first.where, fix=first.fix, findings=findings)
+
+    def __str__(self) -> str:
+        head = f"{self.where}: {self.problem}" if self.where else self.problem
+        return f"{head} → {self.fix}" if self.fix else head
+
+    def as_finding(self) -> Finding:
+        """Return the same three parts as an error finding, to be listed among others."""
+        return Finding.error(self.where, self.problem, self.fix)
+
+
+class DesignError(RobotRunnerError):
+    """A factor, an exclusion or a run table that cannot be."""
+
+
+class ConfigError(RobotRunnerError):
+    """A config file that cannot be loaded or executed; `findings` holds everything that was found."""
+
+
+class PluginError(RobotRunnerError):
+    """A plugin that is not installed or does not keep its promises."""
+
+
+class MeasureError(RobotRunnerError):
+    """A value that the run table must not take: undeclared, of a wrong type, or not finite."""
+
+
+class StorageError(RobotRunnerError):
+    """A file or folder that cannot be read or written."""
+
+
+class LinkError(RobotRunnerError):
+    """A robot, host or device that cannot be reached or does not answer."""
+
+
+class ExecutionError(RobotRunnerError):
+    """An experiment that cannot start or go on."""
+
+
+def nearest(name: str, candidates: Iterable[str]) -> str | None:
+    """Return the candidate that looks most like `name`, ignoring case, or None if none comes near."""
+    by_folded = {candidate.casefold(): candidate for candidate in candidates}
+    match = difflib.get_close_matches(name.casefold(), by_folded, n=1, cutoff=0.6)
+    return by_folded[match[0]] if match else None
+
+
+def did_you_mean(name: str, candidates: Iterable[str]) -> str:
+    """Return a fix that names the nearest candidate, or lists them all where none comes near."""
+    known = list(candidates)
+    near = nearest(name, known)
+    if near is not None:
+        return f"Did you mean {near!r}?"
+    return "Choose one of: " + ", ".join(map(repr, known)) + "." if known else ""
