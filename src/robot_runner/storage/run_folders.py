@@ -1,0 +1,75 @@
+"""The folders and logs of runs: each attempt begins with none, and none loses what an earlier attempt left.
+
+Making a folder or a file costs a file system more than all else that is recorded of a run. So a run has a folder only
+if something is kept in it, and what it prints goes to one log that is renamed into its folder when the run has ended.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+from robot_runner.storage.safe_write import storage_error
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from robot_runner.storage.layout import ExperimentFolder
+
+__all__ = ["keep_log", "open_log", "put_earlier_attempt_away"]
+
+
+def open_log(folder: ExperimentFolder) -> int:
+    """Return a descriptor that appends to the log of the run that is being executed.
+
+    Raises:
+        OSError: it cannot be opened.
+    """
+    return os.open(folder.current_log, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+
+
+def keep_log(folder: ExperimentFolder, run_id: str) -> None:
+    """Move what a run printed into its folder; a run that printed nothing has no log.
+
+    Raises:
+        StorageError: it cannot be moved.
+    """
+    try:
+        if _size(folder.current_log) > 0:
+            folder.run(run_id).mkdir(exist_ok=True)
+            folder.current_log.replace(folder.log(run_id))
+    except OSError as error:
+        raise storage_error(folder.log(run_id), "written", error) from error
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:
+        return 0
+
+
+def put_earlier_attempt_away(folder: ExperimentFolder, run_id: str, attempt: int) -> None:
+    """Keep the folder that an earlier attempt at a run left behind, so that the next one begins without any.
+
+    Raises:
+        StorageError: it cannot be moved.
+    """
+    left = folder.run(run_id)
+    try:
+        if left.exists():
+            kept = _free(folder.earlier_attempt(run_id, attempt))
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            left.rename(kept)
+    except OSError as error:
+        raise storage_error(left, "moved", error) from error
+
+
+def _free(wanted: Path) -> Path:
+    # The table may have been edited so that attempts are counted anew: what is kept is never overwritten.
+    number = 1
+    path = wanted
+    while path.exists():
+        number += 1
+        path = wanted.with_name(f"{wanted.name}-{number}")
+    return path
