@@ -1,0 +1,141 @@
+"""What a callback is told: the experiment, the run, and the way to hand something back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Protocol
+
+from robot_runner.events.measure import MeasureValue, Origin, PublishedMeasure
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from robot_runner.errors import Finding
+    from robot_runner.events.clock import Clock
+    from robot_runner.events.resources import Resources
+
+__all__ = ["ExperimentContext", "RobotRunnerContext", "RunBroker"]
+
+
+class RunBroker(Protocol):
+    """Where a run's context passes things on to: the event manager's side of a context."""
+
+    def publish(self, owner: str, name: str, value: object, origin: Origin) -> None:
+        """Take a measure through the one gate."""
+        ...
+
+    def share(self, owner: str, values: Mapping[str, object]) -> None:
+        """Pass key-value pairs on to whoever hears the following events."""
+        ...
+
+    def warn(self, owner: str, problem: str, fix: str) -> None:
+        """Record a warning finding about this run."""
+        ...
+
+    @property
+    def measures(self) -> Mapping[str, PublishedMeasure]:
+        """What was published so far, by column of the run table."""
+        ...
+
+    @property
+    def shared(self) -> Mapping[str, Mapping[str, object]]:
+        """The key-value pairs shared so far, by plugin."""
+        ...
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """The warnings recorded so far."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExperimentContext:
+    """What the callbacks of `before_experiment` and `after_experiment` are told.
+
+    Attributes:
+        experiment_name: as in the config.
+        experiment_folder: where everything of this experiment is kept.
+        robot: how the robot is reached (`"simulated"`, ...), or None where the config names none.
+        seed: the seed of the experiment, from which the runs' order and the runs' own seeds come.
+    """
+
+    experiment_name: str
+    experiment_folder: Path
+    robot: str | None = None
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotRunnerContext(ExperimentContext):
+    """What the callbacks of a run's events are told, and their way to hand something back.
+
+    Attributes:
+        run_id: the run's id in the run table, such as `r_1`.
+        run_number: its place in the order of execution, from 1.
+        run_count: how many runs the experiment has.
+        attempt: how often this run has been tried, this time included, from 1.
+        combination: the treatment of each factor, by the factor's name.
+        repetition: which repetition of the combination this is, from 1.
+        run_seed: a seed for this run alone, the same each time that it is executed.
+        clock: the clock to sleep on; on a simulated robot it is the simulation's.
+        resources: links and devices that the run's plugins share.
+        owner: who this context was made for: a plugin's name, or `config`.
+        run_path: where the run's folder is once something is kept in it; ask for `run_folder` to keep something.
+    """
+
+    run_id: str
+    run_number: int
+    run_count: int
+    attempt: int
+    combination: Mapping[str, Any]
+    repetition: int
+    run_seed: int
+    run_path: Path
+    clock: Clock
+    resources: Resources
+    owner: str
+    broker: RunBroker = field(repr=False)
+
+    @property
+    def run_folder(self) -> Path:
+        """The run's folder; made when first asked for."""
+        self.run_path.mkdir(parents=True, exist_ok=True)
+        return self.run_path
+
+    @property
+    def raw_data_folder(self) -> Path:
+        """The folder that is reserved for the owner's raw data; made when first asked for."""
+        folder = self.run_path / self.owner
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
+
+    @property
+    def measures(self) -> Mapping[str, MeasureValue]:
+        """The measures published so far in this run, by column of the run table."""
+        return MappingProxyType({name: published.value for name, published in self.broker.measures.items()})
+
+    @property
+    def plugin_data(self) -> Mapping[str, Mapping[str, object]]:
+        """The key-value pairs that plugins shared so far in this run, by the plugin's name."""
+        return self.broker.shared
+
+    def publish(self, name: str, value: object, *, origin: Origin = Origin.MEASURED) -> None:
+        """Publish a measure of this run; None says that there is no value.
+
+        Raises:
+            MeasureError: the name was not declared, the type is wrong, or the number is not finite.
+        """
+        self.broker.publish(self.owner, name, value, origin)
+
+    def share(self, **values: object) -> None:
+        """Pass key-value pairs on to whoever hears the following events (`plugin_data`), and to the screen.
+
+        Values are to be plain: numbers, strings, booleans, None, or lists and mappings of them.
+        """
+        self.broker.share(self.owner, values)
+
+    def warn(self, problem: str, *, fix: str = "") -> None:
+        """Say that something about this run is doubtful; it is shown at the end and kept with the run."""
+        self.broker.warn(self.owner, problem, fix)
