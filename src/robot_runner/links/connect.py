@@ -1,0 +1,193 @@
+"""Opens the links of a run by the name of its robot, and says which names there are."""
+
+from __future__ import annotations
+
+import importlib.util
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from robot_runner.errors import Finding, LinkError, nearest
+from robot_runner.events.clock import SystemClock
+
+if TYPE_CHECKING:
+    from robot_runner.events.clock import Clock
+    from robot_runner.events.context import RobotRunnerContext
+    from robot_runner.events.resources import Resources
+    from robot_runner.links.host import HostLink
+    from robot_runner.links.robot import RobotLink
+    from robot_runner.links.serial import SerialLine
+    from robot_runner.simulator.simulation import Simulation
+
+__all__ = [
+    "ROBOT_LINKS",
+    "SIMULATED",
+    "connect_host",
+    "connect_robot",
+    "link_findings",
+    "open_clock",
+    "open_serial_line",
+]
+
+SIMULATED = "simulated"
+
+#: How a robot can be reached, by the name that a config gives in `robot`.
+ROBOT_LINKS = MappingProxyType(
+    {SIMULATED: "the embedded TurtleBot3 Burger: a physics simulation with a clock of its own"}
+)
+
+_SIMULATOR_PACKAGES = ("mujoco", "numpy")
+_INSTALL = "Install the simulator: pip install 'robot-runner[sim]'."
+_SIMULATE = "Execute it on the embedded robot: --set robot=simulated."
+
+
+def link_findings(robot: str | None) -> list[Finding]:
+    """Return what stands in the way of reaching this robot; nothing is opened by asking.
+
+    Example:
+        >>> [finding.problem for finding in link_findings("simulatd")]
+        ["robot is 'simulatd', which is no link of this version"]
+    """
+    if robot is None:
+        return []
+    if robot not in ROBOT_LINKS:
+        return [_unknown(robot).as_finding()]
+    missing = [name for name in _SIMULATOR_PACKAGES if importlib.util.find_spec(name) is None]
+    return [_not_installed(missing).as_finding()] if missing else []
+
+
+def open_clock(robot: str | None, resources: Resources, seed: int) -> Clock:
+    """Return the clock of a run: the simulation's on a simulated robot, else that of this machine.
+
+    Args:
+        robot: how the robot is reached, or None where the experiment has none.
+        resources: the run's, with which the simulation is closed.
+        seed: the run's seed.
+
+    Raises:
+        LinkError: there is no link of this name, or the simulator is not installed.
+    """
+    if robot is None:
+        return SystemClock()
+    _check_simulated(robot)
+    return _simulation(resources, seed).clock
+
+
+def connect_robot(context: RobotRunnerContext, *, namespace: str = "") -> RobotLink:
+    """Return the link to the run's robot of this namespace; it is opened once and closed with the run.
+
+    Raises:
+        LinkError: the run has no robot, or it cannot be reached.
+    """
+    simulation = _simulation_of(context)
+
+    def opener() -> RobotLink:
+        from robot_runner.links.simulated import SimulatedRobotLink  # noqa: PLC0415  # it imports MuJoCo
+
+        return SimulatedRobotLink(simulation, namespace=namespace)
+
+    return context.resources.open(f"robot {_key(namespace)}", opener)
+
+
+def open_serial_line(context: RobotRunnerContext, port: str | None, *, namespace: str = "") -> SerialLine:
+    """Return the serial line at this port; it is opened once and closed with the run.
+
+    Args:
+        context: the run's.
+        port: a device file; None is the power meter of a simulated robot, which has no other.
+        namespace: whose power meter it is.
+
+    Raises:
+        LinkError: the run has no simulated robot, or a port was named on one.
+    """
+    simulation = _simulation_of(context)
+    _check_own("serial port", port)
+
+    def opener() -> SerialLine:
+        from robot_runner.links.simulated import SimulatedSerialLine  # noqa: PLC0415  # it imports MuJoCo
+
+        return SimulatedSerialLine(simulation, namespace=namespace)
+
+    return context.resources.open(f"serial {_key(namespace)}", opener)
+
+
+def connect_host(context: RobotRunnerContext, host: str | None, *, namespace: str = "") -> HostLink:
+    """Return the link to this host; it is opened once and closed with the run.
+
+    Args:
+        context: the run's.
+        host: a host's name; None is the on-board computer of the run's robot.
+        namespace: whose on-board computer it is.
+
+    Raises:
+        LinkError: the run has no simulated robot, or a host was named on one.
+    """
+    simulation = _simulation_of(context)
+    _check_own("host", host)
+
+    def opener() -> HostLink:
+        from robot_runner.links.simulated import SimulatedHost  # noqa: PLC0415  # it imports MuJoCo
+
+        return SimulatedHost(simulation, namespace=namespace)
+
+    return context.resources.open(f"host {_key(namespace)}", opener)
+
+
+def _simulation_of(context: RobotRunnerContext) -> Simulation:
+    _check_simulated(context.robot)
+    return _simulation(context.resources, context.run_seed)
+
+
+def _simulation(resources: Resources, seed: int) -> Simulation:
+    """Return the run's one simulation, whoever asks for it first."""
+
+    def opener() -> Simulation:
+        try:
+            from robot_runner.simulator.simulation import Simulation  # noqa: PLC0415  # it imports MuJoCo
+        except ModuleNotFoundError as error:
+            raise _not_installed([error.name or "mujoco"]) from error
+        return Simulation(seed)
+
+    return resources.open("simulation", opener)
+
+
+def _check_simulated(robot: str | None) -> None:
+    if robot is None:
+        raise LinkError(
+            "the experiment names no robot",
+            where="robot",
+            fix=f"Name one in the config: robot = {SIMULATED!r}. Or: --set robot={SIMULATED}.",
+        )
+    if robot not in ROBOT_LINKS:
+        raise _unknown(robot)
+
+
+def _check_own(kind: str, name: str | None) -> None:
+    if name is not None:
+        raise LinkError(
+            f"a simulated robot has no {kind} {name!r}",
+            where=f"robot = {SIMULATED!r}",
+            fix=f"Leave the {kind} out: it is the robot's own.",
+        )
+
+
+def _key(namespace: str) -> str:
+    # With `robot`, `serial` or `host` before it, the key under which a run keeps the link; the fakes of
+    # `robot_runner.testing` are put in place under the same keys.
+    return namespace.strip("/") or "/"
+
+
+def _unknown(robot: object) -> LinkError:
+    near = nearest(str(robot), ROBOT_LINKS)
+    return LinkError(
+        f"robot is {robot!r}, which is no link of this version",
+        where="robot",
+        fix=f"Did you mean {near!r}?" if near else _SIMULATE,
+    )
+
+
+def _not_installed(missing: list[str]) -> LinkError:
+    return LinkError(
+        f"robot is {SIMULATED!r}, but {' and '.join(missing)} cannot be imported",
+        where="robot",
+        fix=_INSTALL,
+    )

@@ -1,0 +1,127 @@
+"""The robot's body in motion: physics, step by step, and the trace that it leaves for encoders and power."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from robot_runner.simulator.model import burger_model
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from robot_runner.simulator.parameters import Turtlebot3Parameters
+
+    Floats = npt.NDArray[np.float64]
+
+__all__ = ["MOVING_WHEEL_SPEED", "DifferentialDrive", "Pose"]
+
+#: A wheel that turns faster than this (rad/s; 1.7 mm/s on the ground) moves.
+MOVING_WHEEL_SPEED = 0.05
+
+_SETTLING_STEPS = 200
+_INITIAL_ROWS = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where the robot truly is: metres and radians (-pi..pi) in the arena."""
+
+    x: float
+    y: float
+    yaw: float
+
+
+class DifferentialDrive:
+    """Two driven wheels and a body, advanced in steps of the simulation's grid.
+
+    Row i of each trace is the state after i steps: `wheel_angles` (rad), `wheel_speeds` (rad/s) and
+    `motor_torques` (N m), each with a column for the left and one for the right wheel.
+    """
+
+    def __init__(self, parameters: Turtlebot3Parameters, wheel_radii: tuple[float, float]) -> None:
+        self._parameters = parameters
+        self._model = mujoco.MjModel.from_xml_string(burger_model(parameters, wheel_radii))
+        self._data = mujoco.MjData(self._model)
+        self._trace = np.empty((_INITIAL_ROWS, 6))
+        self.steps = 0
+        mujoco.mj_step(self._model, self._data, nstep=_SETTLING_STEPS)
+        self._wheel_angles: Floats = self._data.qpos[7:9]
+        self._wheel_speeds: Floats = self._data.qvel[6:8]
+        self._record(0)
+
+    @property
+    def wheel_angles(self) -> Floats:
+        """The trace of the wheels' angles in rad, shape (steps + 1, 2)."""
+        return self._trace[: self.steps + 1, 0:2]
+
+    @property
+    def wheel_speeds(self) -> Floats:
+        """The trace of the wheels' speeds in rad/s, shape (steps + 1, 2)."""
+        return self._trace[: self.steps + 1, 2:4]
+
+    @property
+    def motor_torques(self) -> Floats:
+        """The trace of the motors' torques in N m, shape (steps + 1, 2)."""
+        return self._trace[: self.steps + 1, 4:6]
+
+    @property
+    def pose(self) -> Pose:
+        """The true pose after the last step."""
+        x, y, _, w, qx, qy, qz = map(float, self._data.qpos[:7])
+        return Pose(x, y, math.atan2(2 * (w * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz)))
+
+    @property
+    def orientation(self) -> tuple[float, float, float, float]:
+        """The true orientation as a quaternion: x, y, z, w (ROS' order)."""
+        w, x, y, z = map(float, self._data.qpos[3:7])
+        return x, y, z, w
+
+    @property
+    def angular_velocity(self) -> Floats:
+        """What an ideal gyroscope reads: rad/s in the robot's frame."""
+        return np.array(self._data.sensordata[0:3])
+
+    @property
+    def acceleration(self) -> Floats:
+        """What an ideal accelerometer reads: m/s² in the robot's frame, gravity included."""
+        return np.array(self._data.sensordata[3:6])
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether a wheel turns."""
+        return bool(np.abs(self._wheel_speeds).max() > MOVING_WHEEL_SPEED)
+
+    def command(self, linear: float, angular: float) -> None:
+        """Drive at these velocities (m/s, rad/s), each limited to what the robot can do, until told otherwise."""
+        limits = self._parameters
+        forward = _limited(linear, limits.max_linear_velocity)
+        turning = _limited(angular, limits.max_angular_velocity) * limits.wheel_separation / 2
+        speeds = ((forward - turning) / limits.wheel_radius, (forward + turning) / limits.wheel_radius)
+        self._data.ctrl[:] = [_limited(speed, limits.max_wheel_speed) for speed in speeds]
+
+    def advance(self, steps: int) -> None:
+        """Go on until this many steps were made since the beginning; those already made are not repeated."""
+        self._make_room(steps + 1)
+        model, data, trace = self._model, self._data, self._trace
+        for row in range(self.steps + 1, steps + 1):
+            mujoco.mj_step(model, data)
+            trace[row, 0:2] = self._wheel_angles
+            trace[row, 2:4] = self._wheel_speeds
+            trace[row, 4:6] = data.actuator_force
+        self.steps = max(self.steps, steps)
+
+    def _record(self, row: int) -> None:
+        self._trace[row] = [*self._wheel_angles, *self._wheel_speeds, *self._data.actuator_force]
+
+    def _make_room(self, rows: int) -> None:
+        while rows > len(self._trace):
+            self._trace = np.concatenate([self._trace, np.empty_like(self._trace)])
+
+
+def _limited(value: float, limit: float) -> float:
+    return max(-limit, min(limit, value))

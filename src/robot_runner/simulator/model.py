@@ -1,0 +1,101 @@
+"""The TurtleBot3 Burger and its room as a MuJoCo model (MJCF)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from robot_runner.simulator.arena import ARENA, WALL_HEIGHT, Wall
+from robot_runner.simulator.clock import STEPS_PER_SECOND
+
+if TYPE_CHECKING:
+    from robot_runner.simulator.parameters import Turtlebot3Parameters
+
+__all__ = ["burger_model"]
+
+# Contacts as stiff as the time step allows (MuJoCo: at least two steps), so that the wheels roll on
+# their true radius instead of sinking in. With priority these count, and not their mean with the floor's.
+_STIFF = 'priority="1" solref="0.01 1" solimp="0.98 0.99 0.0005"'
+
+# Half the width of the tyre (ROBOTIS' URDF: 18 mm wide).
+_TYRE_HALF_WIDTH = 0.009
+
+_CASTER_RADIUS = 0.005
+_CASTER_X = -0.081  # ROBOTIS' URDF: caster_back_joint
+
+# The body stands over a plate whose centre is 32 mm behind the axle (ROBOTIS' URDF: base_link).
+_BODY_X = -0.032
+_BODY_MASS_HEIGHT = 0.03  # above the axle; the battery and both boards are low
+_BODY_INERTIA = "0.0022124 0.0021194 0.0020064"  # ROBOTIS' URDF: base_link, principal axes
+_IMU_HEIGHT = 0.045  # above the axle (ROBOTIS' URDF: imu_joint)
+_GROUND_CLEARANCE = 0.01
+
+
+def burger_model(parameters: Turtlebot3Parameters, wheel_radii: tuple[float, float]) -> str:
+    """Return the MJCF of the robot at the origin of the arena, looking along x.
+
+    Args:
+        parameters: the robot's figures.
+        wheel_radii: the true radii of the left and the right wheel in metres.
+    """
+    left, right = wheel_radii
+    return f"""
+<mujoco model="turtlebot3_burger">
+  <option timestep="{1 / STEPS_PER_SECOND}" integrator="implicitfast"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="0 0 1" friction="{parameters.floor_friction} 0.005 0.0001"/>
+    {"".join(_wall(wall) for wall in ARENA)}
+    <body name="base" pos="0 0 {max(wheel_radii)}">
+      <freejoint/>
+      {_body(parameters)}
+      {_caster(parameters)}
+      {_wheel("left", left, parameters.wheel_separation / 2, parameters)}
+      {_wheel("right", right, -parameters.wheel_separation / 2, parameters)}
+    </body>
+  </worldbody>
+  <actuator>{_motor("left", parameters)}{_motor("right", parameters)}</actuator>
+  <sensor><gyro site="imu"/><accelerometer site="imu"/></sensor>
+</mujoco>"""
+
+
+def _wall(wall: Wall) -> str:
+    size = f"{wall.half_x} {wall.half_y} {WALL_HEIGHT / 2}"
+    return f'<geom type="box" pos="{wall.x} {wall.y} {WALL_HEIGHT / 2}" size="{size}"/>'
+
+
+def _body(parameters: Turtlebot3Parameters) -> str:
+    half_height = (parameters.body_height - _GROUND_CLEARANCE) / 2
+    height = _GROUND_CLEARANCE + half_height - parameters.wheel_radius
+    return f"""
+      <inertial pos="{_BODY_X} 0 {_BODY_MASS_HEIGHT}" mass="{parameters.mass - 2 * parameters.wheel_mass}"
+        diaginertia="{_BODY_INERTIA}"/>
+      <geom name="body" type="box" pos="{_BODY_X} 0 {height}"
+        size="{parameters.body_length / 2} {parameters.body_width / 2} {half_height}"/>
+      <site name="imu" pos="{_BODY_X} 0 {_IMU_HEIGHT}"/>"""
+
+
+def _caster(parameters: Turtlebot3Parameters) -> str:
+    # Of two touching geoms of the same priority the larger friction counts, so the caster would drag with
+    # the floor's: with a higher priority its own counts, and condim 1 means none at all.
+    return f"""
+      <geom name="caster" type="sphere" size="{_CASTER_RADIUS}" condim="1" {_STIFF}
+        pos="{_CASTER_X} 0 {_CASTER_RADIUS - parameters.wheel_radius}"/>"""
+
+
+def _wheel(side: str, radius: float, y: float, parameters: Turtlebot3Parameters) -> str:
+    # An ellipsoid touches the floor in one point below the hub; a cylinder touches along its width and
+    # scrubs when the robot turns in place.
+    return f"""
+      <body name="{side} wheel" pos="0 {y} 0">
+        <joint name="{side}" axis="0 1 0" armature="0.0002"/>
+        <geom type="ellipsoid" euler="90 0 0" size="{radius} {radius} {_TYRE_HALF_WIDTH}" {_STIFF}
+          mass="{parameters.wheel_mass}" friction="{parameters.floor_friction} 0.005 0.0001"/>
+      </body>"""
+
+
+def _motor(side: str, parameters: Turtlebot3Parameters) -> str:
+    # A velocity servo whose set point follows the command with a lag: torque = gain * (set point - speed).
+    gain, torque = parameters.servo_gain, parameters.motor_stall_torque
+    return f"""
+      <general joint="{side}" dyntype="filterexact" dynprm="{parameters.servo_time_constant}"
+        gaintype="fixed" gainprm="{gain}" biastype="affine" biasprm="0 0 {-gain}"
+        forcerange="{-torque} {torque}"/>"""

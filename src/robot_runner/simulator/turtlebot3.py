@@ -1,0 +1,153 @@
+"""One simulated TurtleBot3 Burger: topics, services, power meter, on-board computer, and the truth about it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from robot_runner.simulator.battery import Battery
+from robot_runner.simulator.drive import DifferentialDrive, Pose
+from robot_runner.simulator.ina219 import Ina219Meter
+from robot_runner.simulator.odometry import WheelOdometry
+from robot_runner.simulator.onboard import OnboardComputer, Utilisation
+from robot_runner.simulator.power import PowerModel
+from robot_runner.simulator.randomness import NoiseStreams
+from robot_runner.simulator.sensors import SensorBoard, published_topics
+from robot_runner.simulator.supply import PowerSupply
+from robot_runner.simulator.tasks import Task, TaskRunner
+
+if TYPE_CHECKING:
+    from robot_runner.simulator.clock import SimulatedClock
+    from robot_runner.simulator.parameters import Turtlebot3Parameters
+
+__all__ = ["COMMAND_TOPICS", "SERVICES", "SimulatedTurtlebot3"]
+
+#: The topics that the robot hears, with their types.
+COMMAND_TOPICS = {"cmd_vel": "geometry_msgs/Twist"}
+
+#: The services that the robot offers, with their types.
+SERVICES = {
+    "task/stop": "std_srvs/Trigger",
+    **{f"task/{task.value}/{verb}": "std_srvs/Trigger" for task in Task for verb in ("start", "stop")},
+}
+
+
+class SimulatedTurtlebot3:
+    """A robot in its own copy of the arena; it shares nothing with other robots but the clock.
+
+    Physics and power are computed when somebody looks, up to the clock's time and each step once.
+
+    Attributes:
+        namespace: its name in the simulation: empty, or `/alice`.
+        parameters: the figures that it is made of.
+        topics: the topics that it publishes, by name within its namespace.
+
+    Example:
+        >>> from robot_runner.simulator.simulation import Simulation
+        >>> simulation = Simulation(seed=1)
+        >>> robot = simulation.turtlebot3()
+        >>> robot.drive(0.2, 0.0)
+        >>> simulation.clock.sleep(5.0)
+        >>> round(robot.pose.x, 1), robot.is_moving
+        (1.0, True)
+        >>> simulation.close()
+    """
+
+    def __init__(self, namespace: str, clock: SimulatedClock, seed: int, parameters: Turtlebot3Parameters) -> None:
+        streams = NoiseStreams(seed, namespace)
+        self.namespace = namespace
+        self.parameters = parameters
+        self._clock = clock
+        self._tasks = TaskRunner(streams.named("tasks"), deviation=parameters.task_power_deviation)
+        self._drive = DifferentialDrive(parameters, _wheel_radii(parameters, streams))
+        model = PowerModel(parameters, self._drive, self._tasks, streams)
+        self._supply = PowerSupply(model, Battery(parameters), shunt=parameters.meter_shunt)
+        self._computer = OnboardComputer(parameters, self._drive, self._tasks, streams.named("onboard"))
+        self._meter_noise = streams.named("ina219")
+        left, right = streams.named("encoders").random(2).tolist()
+        board = SensorBoard(
+            parameters,
+            clock,
+            self._drive,
+            WheelOdometry(parameters, self._drive, (left, right)),
+            self._supply,
+            streams.named("imu"),
+            streams.named("scan"),
+        )
+        self.topics = published_topics(board)
+
+    @property
+    def pose(self) -> Pose:
+        """The true pose."""
+        self._reach(self._clock.step)
+        return self._drive.pose
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether a wheel truly turns."""
+        self._reach(self._clock.step)
+        return self._drive.is_moving
+
+    @property
+    def running_task(self) -> Task | None:
+        """The task that the on-board computer executes, if any."""
+        return self._tasks.running
+
+    @property
+    def energy(self) -> float:
+        """The energy in joules that the robot has truly drawn since the simulation began."""
+        self._extend(self._clock.step)
+        return float(self._supply.energy[-1])
+
+    def drive(self, linear: float, angular: float) -> None:
+        """Drive at these velocities (m/s, rad/s), limited to what the robot can do, until told otherwise."""
+        self._reach(self._clock.step)
+        self._drive.command(linear, angular)
+
+    def call(self, service: str) -> dict[str, bool | str]:
+        """Call one of `SERVICES` and return its response: `success` and `message`."""
+        _, *name, verb = service.split("/")
+        if not name:
+            return _response(stopped=self._tasks.stop(step=self._next_step))
+        return self._start(Task(name[0])) if verb == "start" else self._stop(Task(name[0]))
+
+    def open_power_meter(self) -> Ina219Meter:
+        """Switch the power meter on and return it."""
+        return Ina219Meter(self.parameters, self._clock, self._supply, reach=self._extend, noise=self._meter_noise)
+
+    def utilisation(self, *, start_ns: int, stop_ns: int, rate: float) -> list[Utilisation]:
+        """Return what the on-board computer sampled `rate` times a second (200 at most) between two past moments."""
+        self._reach(self._clock.step)
+        return self._computer.samples(start_ns=start_ns, stop_ns=stop_ns, rate=rate)
+
+    @property
+    def _next_step(self) -> int:
+        # What changes now shows from the next step on: this one's power may have been read already.
+        return self._clock.step + 1
+
+    def _start(self, task: Task) -> dict[str, bool | str]:
+        if self._tasks.start(task, step=self._next_step):
+            return {"success": True, "message": f"{task.value} started"}
+        running = self._tasks.running
+        return {"success": False, "message": f"{running.value if running else 'a task'} is running already"}
+
+    def _stop(self, task: Task) -> dict[str, bool | str]:
+        if self._tasks.running is not task:
+            return {"success": False, "message": f"{task.value} is not running"}
+        return _response(stopped=self._tasks.stop(step=self._next_step))
+
+    def _reach(self, step: int) -> None:
+        self._drive.advance(step)
+
+    def _extend(self, step: int) -> None:
+        self._drive.advance(step)
+        self._supply.extend(step)
+
+
+def _response(*, stopped: Task | None) -> dict[str, bool | str]:
+    return {"success": True, "message": f"{stopped.value} stopped" if stopped else "nothing was running"}
+
+
+def _wheel_radii(parameters: Turtlebot3Parameters, streams: NoiseStreams) -> tuple[float, float]:
+    noise = parameters.wheel_radius_deviation * streams.named("wheels").standard_normal(2)
+    left, right = (parameters.wheel_radius + noise).tolist()
+    return left, right

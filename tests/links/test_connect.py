@@ -1,0 +1,193 @@
+"""Links are opened by the name of the robot, once a run, and never silently on another robot."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from robot_runner.errors import LinkError
+from robot_runner.events.clock import SystemClock
+from robot_runner.events.context import RobotRunnerContext
+from robot_runner.events.resources import Resources
+from robot_runner.links.connect import (
+    ROBOT_LINKS,
+    connect_host,
+    connect_robot,
+    link_findings,
+    open_clock,
+    open_serial_line,
+)
+from robot_runner.simulator.clock import SimulatedClock
+
+
+@pytest.fixture
+def resources():
+    opened = Resources()
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def context(resources, tmp_path):
+    return context_of("simulated", resources, tmp_path)
+
+
+def context_of(robot, resources, folder=Path()):
+    return RobotRunnerContext(
+        experiment_name="test",
+        experiment_folder=folder,
+        robot=robot,
+        run_id="r_1",
+        run_number=1,
+        run_count=1,
+        attempt=1,
+        combination={},
+        repetition=1,
+        run_seed=5,
+        run_path=folder,
+        clock=open_clock(robot if robot in ROBOT_LINKS else None, resources, 5),
+        resources=resources,
+        owner="test",
+        broker=None,
+    )
+
+
+CONNECTIONS = (
+    connect_robot,
+    lambda context: open_serial_line(context, None),
+    lambda context: connect_host(context, None),
+)
+
+
+def test_without_a_robot_the_clock_is_the_machine_s(resources):
+    assert isinstance(open_clock(None, resources, 1), SystemClock)
+
+
+def test_a_simulated_robot_has_the_simulation_s_clock(resources):
+    clock = open_clock("simulated", resources, 1)
+    assert isinstance(clock, SimulatedClock)
+    assert open_clock("simulated", resources, 1) is clock
+
+
+def test_links_of_a_run_live_by_the_run_s_clock(context):
+    heard = []
+    connect_robot(context).subscribe("odom", "nav_msgs/Odometry", heard.append)
+    line = open_serial_line(context, None)
+    sampler = connect_host(context, None).sample_utilisation(10)
+    context.clock.sleep(1)
+    assert len(heard) == 30
+    assert sum(len(chunk.data) for chunk in line.drain()) > 3000
+    assert len(sampler.stop()) == 10
+
+
+@pytest.mark.parametrize("connect", CONNECTIONS)
+def test_a_link_is_opened_once_a_run(context, connect):
+    assert connect(context) is connect(context)
+
+
+def test_a_link_is_opened_once_a_namespace(context):
+    assert connect_robot(context, namespace="alice") is connect_robot(context, namespace="/alice")
+    assert connect_robot(context, namespace="alice") is not connect_robot(context, namespace="bob")
+    assert open_serial_line(context, None, namespace="alice") is not open_serial_line(context, None)
+    assert connect_host(context, None, namespace="alice") is not connect_host(context, None)
+
+
+def test_the_seed_of_the_run_is_the_seed_of_the_simulation(tmp_path):
+    def data(seed):
+        opened = Resources()
+        clock = open_clock("simulated", opened, seed)
+        line = open_serial_line(context_of("simulated", opened, tmp_path), None)
+        clock.sleep(0.5)
+        data = b"".join(chunk.data for chunk in line.drain())
+        opened.close()
+        return data
+
+    assert data(1) == data(1) != data(2)
+
+
+def test_the_end_of_the_run_closes_its_links(context, resources):
+    link = connect_robot(context)
+    line = open_serial_line(context, None)
+    resources.close()
+    with pytest.raises(LinkError, match="closed"):
+        link.publish("cmd_vel", "geometry_msgs/Twist", {})
+    with pytest.raises(LinkError, match="closed"):
+        line.drain()
+
+
+@pytest.mark.parametrize("connect", CONNECTIONS)
+def test_without_a_robot_there_is_no_link(resources, connect):
+    with pytest.raises(LinkError, match="names no robot") as caught:
+        connect(context_of(None, resources))
+    assert "--set robot=simulated" in caught.value.fix
+
+
+@pytest.mark.parametrize("connect", CONNECTIONS)
+def test_the_simulator_is_never_a_silent_fallback(resources, connect):
+    with pytest.raises(LinkError, match="'ros1'") as caught:
+        connect(context_of("ros1", resources))
+    assert "--set robot=simulated" in caught.value.fix
+    with pytest.raises(LinkError, match="'ros1'"):
+        open_clock("ros1", resources, 1)
+
+
+def test_a_simulated_robot_has_no_other_port_or_host_than_its_own(context):
+    with pytest.raises(LinkError, match="/dev/ttyUSB0"):
+        open_serial_line(context, "/dev/ttyUSB0")
+    with pytest.raises(LinkError, match=r"pi@robot\.local"):
+        connect_host(context, "pi@robot.local")
+
+
+def test_known_names_have_nothing_in_their_way():
+    for name in (None, *ROBOT_LINKS):
+        assert link_findings(name) == []
+
+
+def test_each_known_name_is_described_in_one_line():
+    assert "simulated" in ROBOT_LINKS
+    assert all(text and "\n" not in text for text in ROBOT_LINKS.values())
+
+
+@pytest.mark.parametrize(
+    ("robot", "fix"),
+    [("Simulated", "'simulated'"), ("simulatd", "'simulated'"), ("ros1", "--set robot=simulated"), ("", "--set")],
+)
+def test_an_unknown_name_is_a_finding_with_a_way_out(robot, fix):
+    [finding] = link_findings(robot)
+    assert finding.is_error
+    assert repr(robot) in finding.problem
+    assert fix in finding.fix
+    assert finding.where == "robot"
+
+
+def test_a_simulator_that_is_not_installed_is_a_finding_that_names_the_extra(monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *rest: None if name == "mujoco" else find(name, *rest)
+    )
+    [finding] = link_findings("simulated")
+    assert "mujoco" in finding.problem
+    assert "pip install 'robot-runner[sim]'" in finding.fix
+
+
+def test_a_simulator_that_is_not_installed_cannot_be_opened(monkeypatch, resources):
+    for module in [name for name in sys.modules if name.startswith("robot_runner.simulator")]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(LinkError, match="mujoco") as caught:
+        open_clock("simulated", resources, 1)
+    assert "robot-runner[sim]" in caught.value.fix
+
+
+def test_importing_the_door_to_the_links_imports_nothing_heavy():
+    program = (
+        "import sys, robot_runner.links.connect as connect\n"
+        "assert connect.link_findings('simulated') == []\n"
+        "print([name for name in ('mujoco', 'numpy', 'robot_runner.simulator') if name in sys.modules])"
+    )
+    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    assert answer.stdout.strip() == "[]"

@@ -1,0 +1,68 @@
+"""The battery: voltage falls with charge and with load."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_runner.simulator.battery import Battery
+from robot_runner.simulator.parameters import Turtlebot3Parameters
+from robot_runner.simulator.simulation import Simulation
+
+PARAMETERS = Turtlebot3Parameters()
+BATTERY = Battery(PARAMETERS)
+CAPACITY = 11.1 * 1.8 * 3600
+
+
+def current(power, energy=0.0):
+    return float(BATTERY.current(np.array([power]), np.array([energy]))[0])
+
+
+def test_it_holds_the_published_energy():
+    assert PARAMETERS.battery_energy == pytest.approx(19.98 * 3600)
+    assert float(BATTERY.charge(CAPACITY / 4)) == pytest.approx(0.75)
+
+
+def test_its_voltage_is_that_of_three_lithium_polymer_cells():
+    full, half, empty = BATTERY.open_circuit_voltage(np.array([1.0, 0.5, 0.0])).tolist()
+    assert full == pytest.approx(12.6)
+    assert half == pytest.approx(11.3, abs=0.1)
+    assert empty == pytest.approx(9.0)
+
+
+@given(st.floats(0, CAPACITY), st.floats(0, CAPACITY))
+def test_the_voltage_never_rises_while_energy_is_drawn(one, other):
+    less, more = sorted((one, other))
+    voltages = BATTERY.open_circuit_voltage(BATTERY.charge(np.array([less, more])))
+    assert voltages[1] <= voltages[0]
+
+
+@given(power=st.floats(0.1, 30), energy=st.floats(0, 2 * CAPACITY))
+def test_the_load_gets_the_power_that_it_asks_for(power, energy):
+    amperes = current(power, energy)
+    open_circuit = float(BATTERY.open_circuit_voltage(BATTERY.charge(np.array([energy])))[0])
+    bus = open_circuit - amperes * (PARAMETERS.battery_resistance + PARAMETERS.meter_shunt)
+    assert bus * amperes == pytest.approx(power)
+
+
+def test_a_larger_load_lowers_the_terminal_voltage_over_the_inner_resistance():
+    energy = np.array([0.0])
+    small, large = np.array([current(7.6)]), np.array([current(10.5)])
+    drop = BATTERY.terminal_voltage(small, energy) - BATTERY.terminal_voltage(large, energy)
+    assert drop == pytest.approx((large - small) * PARAMETERS.battery_resistance)
+    assert drop > 0
+
+
+def test_a_robot_that_is_on_for_five_minutes_has_lost_a_thirtieth_of_its_charge():
+    simulation = Simulation(seed=3)
+    states = []
+    simulation.clock.sleep(300)
+    simulation.turtlebot3().topics["battery_state"].listen(states.append)
+    simulation.clock.sleep(0.04)
+    [state] = states
+    assert state["percentage"] == pytest.approx(1 - 7.6 * 300 / CAPACITY, abs=0.001)
+    assert state["charge"] == pytest.approx(1.8 * state["percentage"])
+    assert state["voltage"] == pytest.approx(12.4, abs=0.1)
+    assert state["current"] == pytest.approx(-7.6 / state["voltage"], rel=0.15)

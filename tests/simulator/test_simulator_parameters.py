@@ -1,0 +1,41 @@
+"""The robot's figures: sane, and documented with value and source."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from robot_runner.errors import LinkError
+from robot_runner.simulator.parameters import Turtlebot3Parameters
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "simulator.md"
+
+
+def documented():
+    rows = re.findall(r"^\| `(\w+)` \| ([\d.]+) \| [^|]+ \| ([^|]+) \|$", DOCUMENT.read_text("utf-8"), re.MULTILINE)
+    return {name: (float(value), source.strip()) for name, value, source in rows}
+
+
+def test_value_and_source_of_every_parameter_are_documented():
+    rows = documented()
+    assert {name: value for name, (value, _) in rows.items()} == {
+        parameter.name: parameter.default for parameter in fields(Turtlebot3Parameters)
+    }
+    assert all(source for _, source in rows.values())
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("mass", 0), ("asleep_power", -1), ("meter_rate", 0), ("video_power", math.nan)]
+)
+def test_figures_that_cannot_be_are_refused(name, value):
+    with pytest.raises(LinkError, match=name):
+        Turtlebot3Parameters(**{name: value})
+
+
+@pytest.mark.parametrize("name", ["initial_charge", "sample_power_deviation", "cpu_idle", "memory_video"])
+def test_noise_and_load_may_be_zero(name):
+    assert getattr(Turtlebot3Parameters(**{name: 0}), name) == 0
