@@ -1,0 +1,1 @@
+"""The class that a user writes, its loading, and its validation."""

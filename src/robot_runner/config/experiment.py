@@ -1,0 +1,73 @@
+"""An experiment, ready to be executed: what the config file says, checked and resolved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.events.columns import CONFIG_OWNER, MeasureColumns
+from robot_runner.events.manager import EventManager
+from robot_runner.events.subscription import OwnerKind
+from robot_runner.plugins.api.plugin import Plugin, System
+from robot_runner.storage.layout import ExperimentFolder
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from robot_runner.config.loader import LoadedConfig
+    from robot_runner.config.parameters import Parameters
+    from robot_runner.design.run_table_model import RunTableModel
+
+__all__ = ["Experiment", "event_manager_for", "experiment_folder"]
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """One config, found to be well formed, with everything that executing it needs.
+
+    Attributes:
+        config_path: the config file, absolute.
+        overrides: static parameters that were set from outside: deviations from the file.
+        folder: where everything of this experiment is kept.
+        columns: the measures that runs may yield, and which of them the run table has columns for.
+    """
+
+    config_path: Path
+    class_name: str
+    config: Any
+    parameters: Parameters
+    plugins: tuple[Plugin, ...]
+    events: EventManager
+    model: RunTableModel
+    columns: MeasureColumns
+    overrides: Mapping[str, str]
+    local_modules: tuple[Path, ...]
+    folder: ExperimentFolder
+
+    @property
+    def systems(self) -> tuple[System, ...]:
+        """The plugins that operate robots."""
+        return tuple(plugin for plugin in self.plugins if isinstance(plugin, System))
+
+
+def experiment_folder(parameters: Parameters, config_path: Path) -> ExperimentFolder:
+    """Return where everything of an experiment is kept; a relative results path begins where the config file is."""
+    root = (config_path.parent / parameters.results_output_path.expanduser()).resolve()
+    return ExperimentFolder(root / parameters.experiment_name)
+
+
+def event_manager_for(loaded: LoadedConfig, plugins: tuple[Plugin, ...]) -> EventManager:
+    """Subscribe plugins, then the config: its explicit subscriptions first, then its methods named like events.
+
+    Raises:
+        ConfigError: a callback's signature does not fit.
+    """
+    manager = EventManager()
+    for plugin in plugins:
+        kind = OwnerKind.SYSTEM if isinstance(plugin, System) else OwnerKind.PROFILER
+        manager.subscribe_methods(plugin, owner=plugin.name, kind=kind)
+    for request in loaded.subscriptions:
+        manager.subscribe(request.event, request.callback, owner=CONFIG_OWNER, kind=OwnerKind.CONFIG)
+    manager.subscribe_methods(loaded.config, owner=CONFIG_OWNER, kind=OwnerKind.CONFIG)
+    return manager

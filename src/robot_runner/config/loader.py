@@ -1,0 +1,151 @@
+"""From a config file to a config object, with what it subscribed and which plugins its imports activated."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import traceback
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType, ModuleType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.config.overrides import apply_overrides
+from robot_runner.config.plugin_imports import activating_imports
+from robot_runner.config.source import ConfigSource, read_source
+from robot_runner.errors import ConfigError, Finding, RobotRunnerError
+from robot_runner.events.subscription import RequestedSubscription, recorded_subscriptions
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from robot_runner.plugins.api.plugin import Plugin
+
+__all__ = ["LoadedConfig", "load_config", "place_in", "raised_in"]
+
+_MODULE_NAME = "robot_runner_config"
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedConfig:
+    """A config file that was executed and whose class was instantiated.
+
+    Attributes:
+        config: the instance of the config class.
+        subscriptions: what it subscribed explicitly.
+        activated: the plugins that import lines such as `import plugins.profilers.Ina219` asked for.
+        overrides: the static parameters that were set from outside, by name.
+        local_modules: the modules beside the config file that it imported.
+    """
+
+    source: ConfigSource
+    config: Any
+    subscriptions: tuple[RequestedSubscription, ...]
+    activated: tuple[type[Plugin], ...]
+    overrides: Mapping[str, str]
+    local_modules: tuple[Path, ...]
+
+    @property
+    def where(self) -> str:
+        """The file and class, for findings."""
+        return f"{self.source.path.name}, {self.source.class_name}"
+
+
+def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({})) -> LoadedConfig:
+    """Execute a config file and instantiate its config class.
+
+    Raises:
+        ConfigError: the file cannot be read, parsed or executed, has no config class, or a parameter that is to be
+            set does not exist.
+    """
+    source = read_source(path)
+    with (
+        _importable(source.path.parent),
+        activating_imports() as activated,
+        recorded_subscriptions() as subscriptions,
+        raised_in(source.path, "while it was loaded"),
+    ):
+        before = set(sys.modules)
+        module = _execute(source)
+        config_class = getattr(module, source.class_name)
+        values = apply_overrides(config_class, overrides)
+        config = config_class()
+        for name, value in values.items():
+            if name in getattr(config, "__dict__", {}):
+                setattr(config, name, value)
+        local_modules = _local_modules(source.path, set(sys.modules) - before)
+    return LoadedConfig(source, config, tuple(subscriptions), tuple(activated), dict(overrides), local_modules)
+
+
+@contextmanager
+def raised_in(path: Path, when: str) -> Iterator[None]:
+    """Turn what the code of a config file raises into a ConfigError that names the line.
+
+    Raises:
+        ConfigError: something was raised.
+    """
+    try:
+        yield
+    except RobotRunnerError as error:
+        raise ConfigError.of_findings(_placed(path, error)) from error
+    except (Exception, SystemExit) as error:
+        raise ConfigError(
+            f"it raised {type(error).__name__} {when}: {error}",
+            where=place_in(path, error),
+            fix=_missing_module_fix(error) or "Mend this line.",
+        ) from error
+
+
+def place_in(path: Path, error: BaseException) -> str:
+    """Return the last line of the file `path` that `error` passed through, as `file:line`."""
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename) == path]
+    return f"{path}:{lines[-1]}" if lines else str(path)
+
+
+def _placed(path: Path, error: RobotRunnerError) -> tuple[Finding, ...]:
+    place = place_in(path, error)
+    return tuple(
+        replace(finding, where=finding.where if _says_where(finding) else f"{place}, {finding.where}".rstrip(", "))
+        for finding in error.findings
+    )
+
+
+def _says_where(finding: Finding) -> bool:
+    return finding.where.startswith("--set")
+
+
+def _missing_module_fix(error: BaseException) -> str:
+    if isinstance(error, ModuleNotFoundError) and error.name:
+        return f"Install the package that brings {error.name!r}, or mend the name."
+    return ""
+
+
+@contextmanager
+def _importable(folder: Path) -> Iterator[None]:
+    # The folder stays importable: callbacks may import their neighbours when they are called.
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+    yield
+
+
+def _execute(source: ConfigSource) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(_MODULE_NAME, source.path)
+    if spec is None or spec.loader is None:
+        raise ConfigError("it cannot be imported", where=str(source.path), fix="Give it a name that ends in .py.")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[_MODULE_NAME] = module
+    exec(compile(source.text, str(source.path), "exec"), module.__dict__)  # noqa: S102 - a config file is code
+    return module
+
+
+def _local_modules(config: Path, names: set[str]) -> tuple[Path, ...]:
+    files = {getattr(sys.modules.get(name), "__file__", None) for name in names}
+    paths = {Path(file) for file in files if file}
+    return tuple(
+        sorted(
+            path
+            for path in paths
+            if path != config and config.parent in path.parents and "site-packages" not in path.parts
+        )
+    )

@@ -1,0 +1,220 @@
+"""The static parameters of a config: what each may be, its default, and how it is read from the command line."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.config.choices import FailurePolicy, OperationType, RunProcess
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from enum import Enum
+
+__all__ = ["PARAMETERS", "PARAMETERS_BY_NAME", "REQUIRED", "Parameter", "Parameters"]
+
+#: The default of a parameter that has none.
+REQUIRED: Any = object()
+
+_NAME = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9 ._-]{0,126}[A-Za-z0-9_-])?")
+_ROS_VERSIONS = (1, 2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parameters:
+    """The static parameters of a config that was found to be well formed. See `PARAMETERS` for their meaning."""
+
+    experiment_name: str
+    required_ros_version: int | str | None
+    required_ros_distro: str | None
+    operation_type: OperationType
+    results_output_path: Path
+    time_between_runs_in_ms: int
+    robot: str | None
+    on_failure: FailurePolicy
+    attempts: int
+    run_deadline_in_s: float | None
+    event_deadline_in_s: float | None
+    grace_in_s: float
+    run_process: RunProcess
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One static parameter.
+
+    Attributes:
+        accepts: says whether a value is well formed.
+        expected: completes the sentence "it must be ...".
+        normalise: makes the value that `Parameters` holds from one that is accepted.
+        from_text: reads a value of the command line; raises ValueError.
+    """
+
+    name: str
+    type_name: str
+    default: Any
+    description: str
+    accepts: Callable[[Any], bool]
+    expected: str
+    from_text: Callable[[str], Any]
+    normalise: Callable[[Any], Any] = lambda value: value
+
+
+def _is_integer(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _is_seconds(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < float("inf")
+
+
+def _is_any(value: Any) -> bool:
+    return value is any or (isinstance(value, str) and value.casefold() == "any")
+
+
+def _without_any(value: Any) -> Any:
+    return "any" if _is_any(value) else value
+
+
+def _optional(read: Callable[[str], Any]) -> Callable[[str], Any]:
+    return lambda text: None if text.casefold() == "none" else read(text)
+
+
+def _number_or_word(text: str) -> int | str:
+    return int(text) if text.lstrip("-").isdigit() else text
+
+
+def _choice(name: str, choices: type[Enum], default: Enum, description: str) -> Parameter:
+    names = ", ".join(f"{choices.__name__}.{choice.name}" for choice in choices)
+    return Parameter(
+        name,
+        choices.__name__,
+        default,
+        description,
+        accepts=lambda value: isinstance(value, choices),
+        expected=f"one of {names}",
+        from_text=lambda text: choices(text.casefold().rpartition(".")[2]),
+    )
+
+
+def _deadline(name: str, description: str) -> Parameter:
+    return Parameter(
+        name,
+        "float | None",
+        None,
+        description,
+        accepts=lambda value: value is None or _is_seconds(value),
+        expected="a positive number of seconds, or None",
+        from_text=_optional(float),
+    )
+
+
+PARAMETERS = (
+    Parameter(
+        "experiment_name",
+        "str",
+        REQUIRED,
+        "Names the experiment and its folder.",
+        accepts=lambda value: isinstance(value, str) and _NAME.fullmatch(value) is not None,
+        expected="a name that can name a folder: letters, digits, blanks, '.', '_' and '-', 128 at most",
+        from_text=str,
+    ),
+    Parameter(
+        "results_output_path",
+        "Path",
+        Path("experiments"),
+        "The folder in which the experiment's folder is made; `~` is the home folder, and a relative path begins "
+        "where the config file is.",
+        accepts=lambda value: isinstance(value, str | Path) and "\0" not in str(value) and str(value) != "",
+        expected="a path, such as Path('~/results')",
+        from_text=Path,
+        normalise=Path,
+    ),
+    _choice(
+        "operation_type",
+        OperationType,
+        OperationType.AUTO,
+        "AUTO starts each run by itself; SEMI waits after each run until the user says to go on.",
+    ),
+    Parameter(
+        "time_between_runs_in_ms",
+        "int",
+        0,
+        "How long the robot rests between two runs, in milliseconds.",
+        accepts=lambda value: _is_integer(value) and value >= 0,
+        expected="a whole number of milliseconds, 0 or more",
+        from_text=int,
+    ),
+    Parameter(
+        "robot",
+        "str | None",
+        None,
+        'How the robot is reached: "simulated" is the embedded TurtleBot3. It is never chosen silently.',
+        accepts=lambda value: value is None or (isinstance(value, str) and value != ""),
+        expected='the name of a robot link, such as "simulated", or None',
+        from_text=_optional(str),
+    ),
+    Parameter(
+        "required_ros_version",
+        "int | None",
+        None,
+        "The ROS generation that the experiment needs: 1, 2, `any`, or None for none at all.",
+        accepts=lambda value: value is None or _is_any(value) or (_is_integer(value) and value in _ROS_VERSIONS),
+        expected="1, 2, any or None",
+        from_text=_optional(_number_or_word),
+        normalise=_without_any,
+    ),
+    Parameter(
+        "required_ros_distro",
+        "str | None",
+        None,
+        'The ROS distribution that the experiment needs, such as "noetic"; `any` or None where it does not matter.',
+        accepts=lambda value: value is None or _is_any(value) or (isinstance(value, str) and value.strip() != ""),
+        expected='the name of a ROS distribution, such as "noetic", any or None',
+        from_text=_optional(str),
+        normalise=_without_any,
+    ),
+    _choice(
+        "on_failure",
+        FailurePolicy,
+        FailurePolicy.CONTINUE,
+        "What follows a run that failed: CONTINUE with the next one, or STOP the experiment.",
+    ),
+    Parameter(
+        "attempts",
+        "int",
+        1,
+        "How often a run is tried before it counts as failed.",
+        accepts=lambda value: _is_integer(value) and value >= 1,
+        expected="a whole number, 1 or more",
+        from_text=int,
+    ),
+    _deadline("run_deadline_in_s", "How long a run may take, in seconds of real time; None for no limit."),
+    _deadline(
+        "event_deadline_in_s", "How long one event of a run may take, in seconds of real time; None for no limit."
+    ),
+    Parameter(
+        "grace_in_s",
+        "float",
+        10.0,
+        "How long a run that is told to end may take to stop its robot and close its profilers before it is killed, "
+        "in seconds.",
+        accepts=_is_seconds,
+        expected="a positive number of seconds",
+        from_text=float,
+    ),
+    _choice(
+        "run_process",
+        RunProcess,
+        RunProcess.FORK,
+        "Where a run is executed: in a process that is forked (FORK), in a fresh interpreter (SPAWN), or in the "
+        "orchestrator itself (IN_PROCESS).",
+    ),
+)
+
+PARAMETERS_BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
+
+if set(PARAMETERS_BY_NAME) != {field.name for field in fields(Parameters)}:  # pragma: no cover - a slip of ours
+    raise AssertionError("PARAMETERS and Parameters differ")
