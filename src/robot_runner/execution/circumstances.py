@@ -1,0 +1,97 @@
+"""What is written down beside the results, so that others can judge and repeat them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.errors import ExecutionError
+from robot_runner.plugins.registry import installed_plugins
+from robot_runner.storage.journal import utc_now
+from robot_runner.storage.manifest import describe_host, describe_software
+from robot_runner.storage.safe_write import storage_error
+
+if TYPE_CHECKING:
+    from robot_runner.config.experiment import Experiment
+    from robot_runner.plugins.api.plugin import Plugin
+
+__all__ = ["keep_config", "manifest_of", "resumed_manifest"]
+
+
+def manifest_of(experiment: Experiment) -> dict[str, Any]:
+    """Return the manifest of an experiment that is executed for the first time."""
+    model = experiment.model
+    by_hand = experiment.folder.run_table.exists()
+    return {
+        "experiment_name": experiment.parameters.experiment_name,
+        "config": {"file": experiment.config_path.name, "class": experiment.class_name},
+        # What was set from outside the config file: whoever repeats the experiment has to know.
+        "deviations": dict(experiment.overrides),
+        "robot": experiment.parameters.robot,
+        "design": {
+            "source": "run_table.csv" if by_hand else "config",
+            "factors": {factor.name: list(factor.texts) for factor in model.factors},
+            "repetitions": model.repetitions,
+            "shuffle": model.shuffle,
+            "blocks": model.blocks,
+        },
+        "seed": model.seed,
+        "seed_is_given": model.seed_is_given,
+        "plugins": [_described(plugin) for plugin in experiment.plugins],
+        "host": describe_host(),
+        "software": describe_software(),
+        "executions": [_execution(experiment)],
+    }
+
+
+def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[str, Any]:
+    """Return the manifest of an experiment that goes on.
+
+    Raises:
+        ExecutionError: the folder holds another experiment.
+    """
+    if "executions" not in manifest or "seed" not in manifest:
+        raise ExecutionError(
+            "its manifest is not one of ours",
+            where=str(experiment.folder.manifest),
+            fix="Choose another experiment_name or results_output_path.",
+        )
+    manifest["executions"].append(_execution(experiment))
+    return manifest
+
+
+def keep_config(experiment: Experiment) -> None:
+    """Copy the config file and the local modules that it imported, as executed, unless that was done before.
+
+    Raises:
+        StorageError: the copy cannot be written.
+    """
+    kept = experiment.folder.config
+    if kept.exists():
+        return
+    root = experiment.config_path.parent
+    try:
+        for source in (experiment.config_path, *experiment.local_modules):
+            target = kept / source.relative_to(root)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, target)
+    except OSError as error:
+        raise storage_error(kept, "written", error) from error
+
+
+def _execution(experiment: Experiment) -> dict[str, Any]:
+    return {"started_at": utc_now(), "pid": os.getpid(), "deviations": dict(experiment.overrides)}
+
+
+def _described(plugin: Plugin) -> dict[str, Any]:
+    kind = type(plugin)
+    name = f"{kind.__module__}:{kind.__qualname__}"
+    announced = next((each for each in installed_plugins() if each.entry_point.value == name), None)
+    return {
+        "name": plugin.name,
+        "class": name,
+        "package": announced.package if announced else None,
+        "version": announced.version if announced else None,
+        "measures": [measure.name for measure in plugin.measures],
+    }

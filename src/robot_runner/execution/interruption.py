@@ -1,0 +1,124 @@
+"""How a run and an orchestrator are told to end: by signals, at moments when nothing is lost by it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Self
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from types import FrameType
+
+__all__ = ["InterruptGate", "Interruption", "RunInterrupted"]
+
+
+class RunInterrupted(BaseException):
+    """Raised in a run's callback when the run is told to end. A BaseException, so that callbacks do not swallow it."""
+
+    def __init__(self) -> None:
+        super().__init__("the run was told to end")
+
+
+class InterruptGate:
+    """Lets a signal end a callback, and never the closing of what callbacks opened."""
+
+    def __init__(self) -> None:
+        self._armed = False
+        self._requested = False
+
+    def listen(self) -> None:
+        """Take SIGTERM as the word to end. Call it in the main thread of the run's process."""
+        signal.signal(signal.SIGTERM, self._request)
+
+    @contextmanager
+    def armed(self, arm: bool) -> Iterator[None]:
+        """While this lasts (and `arm` is true), the word to end is raised; before and after, it waits.
+
+        Raises:
+            RunInterrupted: the word was said, now or before.
+        """
+        if not arm:
+            yield
+            return
+        self._armed = True
+        try:
+            if self._requested:
+                self._raise()
+            yield
+        finally:
+            self._armed = False
+
+    def _request(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self._requested = True
+        if self._armed:
+            self._raise()
+
+    def _raise(self) -> None:
+        self._armed = False  # once: what comes now is the closing
+        raise RunInterrupted
+
+
+class Interruption:
+    """What the orchestrator was told by signals: Ctrl-C once ends cleanly, twice at once.
+
+    A context manager: while it lasts, SIGINT, SIGTERM and SIGHUP are counted instead of raised, and wake whoever
+    polls `descriptor`.
+    """
+
+    SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._last = 0.0
+        self.first_signal: int | None = None
+
+    @property
+    def is_requested(self) -> bool:
+        """Whether the experiment is to end cleanly."""
+        return self._count > 0
+
+    @property
+    def is_urgent(self) -> bool:
+        """Whether the experiment is to end at once."""
+        return self._count > 1
+
+    @property
+    def descriptor(self) -> int:
+        """Readable once a signal came."""
+        return self._reader
+
+    def __enter__(self) -> Self:
+        self._reader, self._writer = os.pipe()
+        os.set_blocking(self._writer, False)
+        os.set_blocking(self._reader, False)
+        self._earlier_wakeup = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
+        self._earlier = {number: signal.signal(number, self._count_signal) for number in self.SIGNALS}
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        for number, handler in self._earlier.items():
+            signal.signal(number, handler)
+        signal.set_wakeup_fd(self._earlier_wakeup)
+        os.close(self._reader)
+        os.close(self._writer)
+
+    def forget_wakeups(self) -> None:
+        """Empty the descriptor, so that the next poll waits again."""
+        try:
+            os.read(self._reader, 4096)
+        except BlockingIOError:
+            return
+
+    def _count_signal(self, number: int, frame: FrameType | None) -> None:
+        del frame
+        # A terminal that closes sends SIGHUP twice in a row, and some shells repeat SIGTERM: that is one word, not two.
+        now = time.monotonic()
+        if self._count and number != signal.SIGINT and now - self._last < 1.0:
+            return
+        self._last = now
+        self._count += 1
+        self.first_signal = self.first_signal or number
