@@ -1,0 +1,223 @@
+"""What holds for every plugin, as tests for its author to inherit."""
+
+from __future__ import annotations
+
+import math
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.errors import Finding
+from robot_runner.events.event import RobotRunnerEvents
+from robot_runner.events.manager import EventManager
+from robot_runner.events.subscription import OwnerKind
+from robot_runner.links.connect import SIMULATED
+from robot_runner.plugins.api.plugin import Circumstances, Plugin
+from robot_runner.testing.clock import FakeClock
+from robot_runner.testing.context import make_context
+from robot_runner.testing.rehearsal import Rehearsal
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+    from robot_runner.events.context import RobotRunnerContext
+    from robot_runner.events.measure import MeasureValue
+    from robot_runner.testing.context import FakeLinks
+
+__all__ = ["MissionFailed", "PluginContract", "require"]
+
+
+#: Time between two closings of the same, s, so that a plugin that closes anew would notice.
+_BETWEEN_CLOSINGS = 0.2
+
+
+class MissionFailed(Exception):  # noqa: N818 - it is what a mission of a test raises, not an error of ours
+    """Raised by a contract in the middle of a mission, to see what a plugin does then."""
+
+
+def require(claim: object, otherwise: str) -> None:
+    """Fail the test with a sentence unless the claim holds."""
+    if not claim:
+        raise AssertionError(otherwise)
+
+
+class PluginContract:
+    """What `ProfilerContract` and `SystemContract` share; inherit from one of those.
+
+    Attributes:
+        robot: how the robot is reached in the tests.
+        combination: the treatments of the run, by factor.
+        is_repeatable: whether two runs under equal conditions yield equal values, as on simulated robots.
+    """
+
+    robot: ClassVar[str | None] = SIMULATED
+    combination: ClassVar[Mapping[str, Any]] = {}
+    is_repeatable: ClassVar[bool] = True
+
+    def make_plugin(self) -> Plugin:
+        """Return a new plugin, the same at each call; for the author to write."""
+        raise NotImplementedError
+
+    def make_links(self, clock: FakeClock) -> FakeLinks | None:
+        """Return what stands in for the robot's links; None, as here, uses the robot that `robot` names."""
+        del clock
+        return None
+
+    def make_context(self, folder: Path, plugin: Plugin, *, run_seed: int = 1) -> RobotRunnerContext:
+        """Return the context of a run; to be overridden where `robot` and `make_links` are not enough."""
+        clock = FakeClock()
+        links = self.make_links(clock)
+        return make_context(
+            folder,
+            plugin,
+            robot=self.robot,
+            links=links,
+            clock=clock if links is not None else None,
+            combination=self.combination,
+            run_seed=run_seed,
+        )
+
+    def mission(self, context: RobotRunnerContext) -> None:
+        """Do what happens while profilers measure."""
+
+    @contextmanager
+    def rehearsal(
+        self, folder: Path, plugin: Plugin, *, run_seed: int = 1
+    ) -> Iterator[tuple[RobotRunnerContext, Rehearsal]]:
+        """Open a run for the plugin; what it has opened is closed with it."""
+        context = self.make_context(folder, plugin, run_seed=run_seed)
+        try:
+            yield context, Rehearsal(context, plugin)
+        finally:
+            context.resources.close()
+
+    def execute(self, folder: Path, plugin: Plugin) -> Mapping[str, MeasureValue]:
+        """Execute a whole run and return what was published."""
+        with self.rehearsal(folder, plugin) as (context, rehearsal):
+            rehearsal.execute(lambda: self.mission(context))
+            return dict(context.measures)
+
+    def test_its_name_can_be_that_of_a_folder(self) -> None:
+        """Hold that the name is one that a plugin may have."""
+        plugin = self.make_plugin()
+        require(isinstance(plugin, Plugin), f"{plugin!r} does not derive from System or Profiler")
+        require(hasattr(plugin, "name"), "it has no name: call super().__init__(name=name) in __init__")
+        Plugin(name=plugin.name)
+
+    def test_its_measures_have_names_of_their_own_and_a_description(self) -> None:
+        """Hold that the run table's schema can be written from the measures."""
+        names = [measure.name for measure in self.make_plugin().measures]
+        require(len(set(names)) == len(names), f"two measures have one name: {names}")
+        for measure in self.make_plugin().measures:
+            require(measure.name.strip(), "a measure has an empty name")
+            require(measure.description.strip(), f"measure {measure.name!r} has no description")
+
+    def test_its_callbacks_can_be_called(self) -> None:
+        """Hold that it hears an event, and that each callback takes a context or nothing."""
+        manager, plugin = EventManager(), self.make_plugin()
+        manager.subscribe_methods(plugin, owner=plugin.name, kind=OwnerKind.PROFILER)
+        hears = [event for event in RobotRunnerEvents if manager.subscribers(event)]
+        require(hears, "it hears no event: name its methods like events")
+
+    def test_its_check_finds_nothing_wrong_where_it_works(self) -> None:
+        """Hold that validation passes under the circumstances of these tests, and speaks in findings elsewhere."""
+        factors = {name: [treatment] for name, treatment in self.combination.items()}
+        found = list(self.make_plugin().check(Circumstances(robot=self.robot, factors=factors)))
+        errors = [str(finding) for finding in found if finding.is_error]
+        require(not errors, f"its check refuses the circumstances of these tests: {errors}")
+        for finding in self.make_plugin().check(Circumstances()):
+            require(isinstance(finding, Finding), f"its check returned {finding!r}, which is no Finding")
+            require(finding.fix or not finding.is_error, f"a finding offers no fix: {finding}")
+
+    def test_a_good_run_publishes_every_measure(self, tmp_path: Path) -> None:
+        """Hold that each declared measure gets a value or None, and that numbers are finite and have a unit."""
+        plugin = self.make_plugin()
+        published = self.execute(tmp_path, plugin)
+        missing = {measure.name for measure in plugin.measures} - set(published)
+        require(not missing, f"it did not publish {sorted(missing)}; publish None where there is no value")
+        for measure in plugin.measures:
+            value = published[measure.name]
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                require(math.isfinite(value), f"measure {measure.name!r} is {value}")
+                require(measure.unit, f"measure {measure.name!r} is the number {value} and declares no unit")
+
+    def test_it_writes_nothing_outside_its_folder(self, tmp_path: Path, monkeypatch: Any) -> None:
+        """Hold that raw data go to `context.raw_data_folder` only."""
+        (elsewhere := tmp_path / "elsewhere").mkdir()
+        monkeypatch.chdir(elsewhere)
+        plugin = self.make_plugin()
+        self.execute(tmp_path / "experiment", plugin)
+        reserved = tmp_path / "experiment" / "runs" / "r_1" / plugin.name
+        stray = [path for path in _files(tmp_path) if reserved not in path.parents]
+        require(not stray, f"it wrote outside its folder: {[str(path) for path in stray]}")
+
+    def test_two_of_its_kind_keep_their_raw_data_apart(self, tmp_path: Path) -> None:
+        """Hold that a second instance with another name leaves the files of the first alone."""
+        first, second = self.make_plugin(), self.make_plugin()
+        second.name = f"{first.name}-2"
+        self.execute(tmp_path, first)
+        before = {path: path.read_bytes() for path in _files(tmp_path)}
+        self.execute(tmp_path, second)
+        changed = [str(path) for path, content in before.items() if path.read_bytes() != content]
+        require(not changed, f"an instance named {second.name!r} changed files of {first.name!r}: {changed}")
+
+    def test_closing_what_was_never_opened_does_no_harm(self, tmp_path: Path) -> None:
+        """Hold that the closing events may come without the opening ones."""
+        with self.rehearsal(tmp_path, self.make_plugin()) as (_, rehearsal):
+            rehearsal.emit(RobotRunnerEvents.STOP_MEASUREMENT)
+            rehearsal.emit(RobotRunnerEvents.STOP_RUN)
+
+    def test_closing_twice_does_no_harm(self, tmp_path: Path) -> None:
+        """Hold that a second closing changes nothing about the results."""
+        plugin = self.make_plugin()
+        with self.rehearsal(tmp_path / "twice", plugin) as (context, rehearsal):
+            for event in (
+                RobotRunnerEvents.START_RUN,
+                RobotRunnerEvents.START_MEASUREMENT,
+                RobotRunnerEvents.LAUNCH_MISSION,
+            ):
+                rehearsal.emit(event)
+            self.mission(context)
+            for event in (RobotRunnerEvents.STOP_MEASUREMENT, RobotRunnerEvents.STOP_RUN):
+                rehearsal.emit(event)
+                context.clock.sleep(_BETWEEN_CLOSINGS)
+                rehearsal.emit(event)
+            rehearsal.emit(RobotRunnerEvents.POPULATE_RUN_DATA)
+            published = dict(context.measures)
+        self._require_equal(published, self.execute(tmp_path / "once", self.make_plugin()))
+
+    def test_a_second_run_does_not_depend_on_the_first(self, tmp_path: Path) -> None:
+        """Hold that an instance that has executed a run yields what a new one would."""
+        used = self.make_plugin()
+        with self.rehearsal(tmp_path / "first", used, run_seed=2) as (context, rehearsal):
+
+            def longer() -> None:
+                self.mission(context)
+                self.mission(context)
+
+            rehearsal.execute(longer)
+        second = self.execute(tmp_path / "second", used)
+        self._require_equal(second, self.execute(tmp_path / "new", self.make_plugin()))
+
+    def test_a_mission_that_fails_is_closed(self, tmp_path: Path) -> None:
+        """Hold that after an exception the closing events do their work, and the next run goes well."""
+        plugin = self.make_plugin()
+        with self.rehearsal(tmp_path / "failed", plugin) as (context, rehearsal):
+
+            def fail() -> None:
+                self.mission(context)
+                raise MissionFailed
+
+            try:
+                rehearsal.execute(fail)
+            except MissionFailed as error:
+                require(error.__context__ is None, f"closing raised {error.__context__!r}")
+        self._require_equal(self.execute(tmp_path / "next", plugin), self.execute(tmp_path / "new", self.make_plugin()))
+
+    def _require_equal(self, ours: Mapping[str, MeasureValue], those: Mapping[str, MeasureValue]) -> None:
+        same = ours == those if self.is_repeatable else ours.keys() == those.keys()
+        require(same, f"it published {dict(ours)}, where a new instance published {dict(those)}")
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file())

@@ -1,0 +1,52 @@
+from __future__ import annotations
+
+import importlib
+import json
+import subprocess
+import sys
+
+import pytest
+
+DOORS = [
+    "robot_runner.plugins",
+    "robot_runner.plugins.profilers",
+    "robot_runner.plugins.systems",
+    "robot_runner.testing",
+]
+
+each_door = pytest.mark.parametrize("door", DOORS)
+
+
+def modules_after(statement: str) -> set[str]:
+    """Return the names of all modules that a fresh interpreter holds after a statement."""
+    script = f"import json, sys; {statement}; print(json.dumps(list(sys.modules)))"
+    answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+    return set(json.loads(answer.stdout))
+
+
+@each_door
+def test_every_name_that_a_door_promises_is_behind_it(door):
+    module = importlib.import_module(door)
+    assert module.__all__ == sorted(module.__all__, key=lambda name: (name.islower(), name))
+    for name in module.__all__:
+        assert getattr(module, name).__name__ == name
+    assert set(module.__all__) <= set(dir(module))
+
+
+@each_door
+def test_a_name_that_is_not_behind_a_door_is_an_attribute_error(door):
+    with pytest.raises(AttributeError, match="has no attribute 'Nonesuch'"):
+        _ = importlib.import_module(door).Nonesuch
+
+
+@each_door
+def test_opening_a_door_imports_nothing_of_ours_behind_it(door):
+    imported = {name for name in modules_after(f"import {door}") if name.startswith("robot_runner")}
+    assert imported <= {"robot_runner", "robot_runner.plugins", door}
+
+
+@pytest.mark.parametrize("plugin", ["systems.BasicTurtlebot3", "profilers.Ina219", "profilers.PsUtil"])
+def test_a_built_in_plugin_needs_neither_numpy_nor_mujoco(plugin):
+    kind, name = plugin.split(".")
+    imported = modules_after(f"from robot_runner.plugins.{kind} import {name}; {name}()")
+    assert imported & {"numpy", "mujoco", "pytest"} == set()

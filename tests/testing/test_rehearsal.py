@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import pytest
+
+from robot_runner.errors import ConfigError
+from robot_runner.events.measure import Measure
+from robot_runner.plugins import Profiler, System
+from robot_runner.testing import make_context, rehearse
+
+EVENTS = ("start_run", "start_measurement", "launch_mission", "stop_measurement", "stop_run", "populate_run_data")
+
+
+def recorder(kind, name, journal, fails_at=None):
+    """Return a plugin that notes each event that it hears, and may fail at one."""
+
+    def callback(event):
+        def hear(self, context):
+            journal.append((self.name, event))
+            if event == fails_at:
+                raise RuntimeError(event)
+
+        return hear
+
+    methods = {event: callback(event) for event in EVENTS}
+    if kind is System:
+        methods["make_safe"] = lambda self, context: journal.append((self.name, "make_safe"))
+    return type(name.title(), (kind,), methods)(name=name)
+
+
+def test_events_come_in_order_and_closing_ones_in_reverse(tmp_path):
+    journal = []
+    profiler, system = recorder(Profiler, "meter", journal), recorder(System, "robot", journal)
+    rehearse(make_context(tmp_path, profiler, system, robot=None), profiler, system)
+    assert [event for name, event in journal if name == "robot"] == list(EVENTS)
+    assert [name for name, event in journal if event == "start_run"] == ["robot", "meter"]
+    assert [name for name, event in journal if event == "stop_run"] == ["meter", "robot"]
+
+
+@pytest.mark.parametrize("event", EVENTS[:3])
+def test_whatever_fails_is_closed_and_made_safe_before_it_is_raised(tmp_path, event):
+    journal = []
+    robot = recorder(System, "robot", journal, fails_at=event)
+    with pytest.raises(RuntimeError, match=event):
+        rehearse(make_context(tmp_path, robot, robot=None), robot)
+    heard = [each for _, each in journal]
+    assert heard[-2:] == ["stop_run", "make_safe"]
+    assert ("stop_measurement" in heard) == (event != "start_run")
+    assert "populate_run_data" not in heard
+
+
+def test_the_mission_happens_between_start_and_stop_of_the_measurement(tmp_path):
+    journal = []
+    meter = recorder(Profiler, "meter", journal)
+    context = make_context(tmp_path, meter, robot=None)
+    rehearse(context, meter, mission=lambda: journal.append(("mission", "mission")))
+    assert [event for _, event in journal][1:5] == [
+        "start_measurement",
+        "launch_mission",
+        "mission",
+        "stop_measurement",
+    ]
+
+
+def test_what_was_published_is_returned(tmp_path):
+    class Scale(Profiler):
+        measures = (Measure("Mass", "kg", "Mass of the robot."),)
+
+        def populate_run_data(self, context):
+            context.publish("Mass", 1.0)
+
+    scale = Scale()
+    assert dict(rehearse(make_context(tmp_path, scale, robot=None), scale)) == {"Mass": 1.0}
+
+
+def test_a_callback_with_a_wrong_signature_is_refused(tmp_path):
+    class Odd(Profiler):
+        def start_run(self, context, extra): ...
+
+    with pytest.raises(ConfigError, match="cannot be called with a context"):
+        rehearse(make_context(tmp_path, Odd(), robot=None), Odd())
