@@ -84,8 +84,20 @@ def main() -> None:
     print_table(
         "Orchestration, empty callbacks, each run flushed to disk",
         [
-            Row("fresh process a run, 300 runs", f"{forked * 1e3:.2f} ms a run", f"{lowest * 1e3:.2f} ms", f"{ratio:.2f}", "2"),
-            Row("at 10,000 runs, beside 100 runs", f"{thousands * 1e3:.2f} ms a run", f"{hundred * 1e3:.2f} ms", f"{thousands / hundred:.2f}", "1.2"),
+            Row(
+                "fresh process a run, 300 runs",
+                f"{forked * 1e3:.2f} ms a run",
+                f"{lowest * 1e3:.2f} ms",
+                f"{ratio:.2f}",
+                "2",
+            ),
+            Row(
+                "at 10,000 runs, beside 100 runs",
+                f"{thousands * 1e3:.2f} ms a run",
+                f"{hundred * 1e3:.2f} ms",
+                f"{thousands / hundred:.2f}",
+                "1.2",
+            ),
             Row("in-process, 1,000 runs", f"{in_process * 1e3:.3f} ms a run", "", "", "0.3 ms"),
         ],
     )

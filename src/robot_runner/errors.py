@@ -8,7 +8,8 @@ RobotRunnerError
 ├── MeasureError       a value that the run table must not take
 ├── StorageError       a file or folder that cannot be read or written
 ├── LinkError          a robot, host or device that cannot be reached
-└── ExecutionError     an experiment that cannot start or go on
+├── ExecutionError     an experiment that cannot start or go on
+└── AnalysisError      results that cannot be read, adopted or analysed
 ```
 """
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from typing import Self
 
 __all__ = [
+    "AnalysisError",
     "ConfigError",
     "DesignError",
     "ExecutionError",
@@ -139,6 +141,10 @@ class LinkError(RobotRunnerError):
 
 class ExecutionError(RobotRunnerError):
     """An experiment that cannot start or go on."""
+
+
+class AnalysisError(RobotRunnerError):
+    """Results that cannot be read, adopted or analysed."""
 
 
 def nearest(name: str, candidates: Iterable[str]) -> str | None:

@@ -210,3 +210,18 @@ def test_findings_of_every_kind_come_together(write_config: Write) -> None:
     body = "attempts = 0\nrobot = 'simulatd'\ndef lunch_mission(self): pass\ndef stop_run(self, a, b, c): pass"
     table = "    def create_run_table(self): return RunTableModel([])\n"
     assert len(findings_of(write_config(body, table=table))) >= 4
+
+
+def test_a_disk_too_small_for_what_will_be_kept_is_refused_with_both_figures(write_config: Write) -> None:
+    head = """\
+from robot_runner import *
+from robot_runner.plugins import Profiler
+class Camera(Profiler):
+    bytes_per_run = 10**18
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "x"
+    plugins = [Camera()]
+"""
+    (finding,) = findings_of(write_config(head=head))
+    assert finding.problem.startswith("4 runs will keep about 4,000,000,000,000.02 MB, and ")
+    assert " MB are free in " in finding.problem

@@ -27,6 +27,24 @@ class Nameless:
     """An object that shows where it lies in memory."""
 
 
+class Vector:
+    """An array of another library: it compares element by element and has no truth value."""
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __init__(self, *elements: float) -> None:
+        self.elements = elements
+
+    def __eq__(self, other: object) -> Vector:  # type: ignore[override]
+        return self
+
+    def __bool__(self) -> bool:
+        raise ValueError("the truth value of an array is ambiguous")
+
+    def __str__(self) -> str:
+        return str(self.elements)
+
+
 class Broken:
     def __str__(self) -> str:
         raise RuntimeError("no text")
@@ -182,6 +200,12 @@ def test_a_value_means_a_treatment_by_type_first_and_then_by_equality(
 
 def test_an_object_is_recognised_by_its_text() -> None:
     assert Factor("Speed", [Speed(0.1), Speed(0.2)]).position_of(Speed(0.2)) == 1
+
+
+def test_an_array_is_recognised_by_its_text() -> None:
+    factor = Factor("Goal", [Vector(0, 1), Vector(2, 3)])
+    assert factor.position_of(Vector(2, 3)) == 1
+    assert factor.position_of(Vector(4, 5)) is None
 
 
 def test_the_nearest_treatment_is_suggested_or_all_are_listed() -> None:

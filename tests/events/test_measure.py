@@ -11,7 +11,13 @@ from robot_runner.errors import MeasureError
 from robot_runner.events.measure import as_measure_value
 
 
-@given(st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text())
+@given(
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**1000), 2**1000)
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | st.text()
+)
 def test_plain_values_stay_what_they_are(value: object) -> None:
     taken = as_measure_value("Energy", value, where="config")
     assert taken == value
@@ -53,3 +59,9 @@ def test_an_array_of_several_numbers_is_refused() -> None:
 def test_a_decimal_is_refused_rather_than_rounded() -> None:
     with pytest.raises(MeasureError, match="Decimal"):
         as_measure_value("Energy", Decimal("0.1"), where="config")
+
+
+@pytest.mark.parametrize(("value", "problem"), [("a\ud800", "UTF-8"), (1 << 1025, "1026 bits")])
+def test_what_no_file_could_hold_is_refused(value: object, problem: str) -> None:
+    with pytest.raises(MeasureError, match=problem):
+        as_measure_value("Energy", value, where="config")

@@ -64,7 +64,6 @@ def test_statuses_are_counted_as_they_change() -> None:
     rows.record("r_3", status=RunStatus.DONE)
     assert [rows.count(status) for status in RunStatus] == [2, 0, 1, 1]
     assert [rows.status(place) for place in (1, 2)] == [RunStatus.FAILED, RunStatus.DONE]
-    assert list(rows.statuses.places(RunStatus.TODO)) == [0, 3]
 
 
 def test_what_is_not_recorded_stays() -> None:

@@ -10,6 +10,8 @@ from robot_runner.events.manager import EventManager
 from robot_runner.events.subscription import OwnerKind
 from robot_runner.plugins.api.plugin import Plugin, System
 from robot_runner.storage.layout import ExperimentFolder
+from robot_runner.storage.table_layout import TableLayout
+from robot_runner.storage.table_spelling import OWN_SPELLING, TableSpelling
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -31,6 +33,7 @@ class Experiment:
         overrides: static parameters that were set from outside: deviations from the file.
         folder: where everything of this experiment is kept.
         columns: the measures that runs may yield, and which of them the run table has columns for.
+        spelling: how the run table's file spells headings and statuses.
     """
 
     config_path: Path
@@ -44,6 +47,15 @@ class Experiment:
     overrides: Mapping[str, str]
     local_modules: tuple[Path, ...]
     folder: ExperimentFolder
+    spelling: TableSpelling = OWN_SPELLING
+
+    def table_layout(self, types: Mapping[str, str] | None = None) -> TableLayout:
+        """Return the columns of the run table; `types` are those in its schema, where there is one already.
+
+        Raises:
+            DesignError: a measure is called like a factor.
+        """
+        return TableLayout.of_model(self.model, self.columns.names, types, self.spelling)
 
     @property
     def systems(self) -> tuple[System, ...]:
@@ -51,9 +63,11 @@ class Experiment:
         return tuple(plugin for plugin in self.plugins if isinstance(plugin, System))
 
 
-def experiment_folder(parameters: Parameters, config_path: Path) -> ExperimentFolder:
+def experiment_folder(parameters: Parameters, loaded: LoadedConfig) -> ExperimentFolder:
     """Return where everything of an experiment is kept; a relative results path begins where the config file is."""
-    root = (config_path.parent / parameters.results_output_path.expanduser()).resolve()
+    if loaded.folder is not None:
+        return loaded.folder
+    root = (loaded.source.path.parent / parameters.results_output_path.expanduser()).resolve()
     return ExperimentFolder(root / parameters.experiment_name)
 
 

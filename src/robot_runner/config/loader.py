@@ -14,15 +14,25 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.config.overrides import apply_overrides
 from robot_runner.config.plugin_imports import activating_imports
 from robot_runner.config.source import ConfigSource, read_source
-from robot_runner.errors import ConfigError, Finding, RobotRunnerError
+from robot_runner.errors import ConfigError, Finding, RobotRunnerError, nearest
 from robot_runner.events.subscription import RequestedSubscription, recorded_subscriptions
+from robot_runner.storage.table_spelling import OWN_SPELLING, TableSpelling
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from robot_runner.plugins.api.plugin import Plugin
+    from robot_runner.storage.layout import ExperimentFolder
 
-__all__ = ["LoadedConfig", "load_config", "place_in", "raised_in"]
+__all__ = [
+    "LoadedConfig",
+    "execute_source",
+    "importable",
+    "load_config",
+    "local_modules_among",
+    "place_in",
+    "raised_in",
+]
 
 _MODULE_NAME = "robot_runner_config"
 
@@ -37,6 +47,9 @@ class LoadedConfig:
         activated: the plugins that import lines such as `import plugins.profilers.Ina219` asked for.
         overrides: the static parameters that were set from outside, by name.
         local_modules: the modules beside the config file that it imported.
+        findings: what was found while it was loaded.
+        folder: where everything of the experiment is kept, where the static parameters do not say it alone.
+        spelling: how its run table's file spells headings and statuses.
     """
 
     source: ConfigSource
@@ -45,6 +58,9 @@ class LoadedConfig:
     activated: tuple[type[Plugin], ...]
     overrides: Mapping[str, str]
     local_modules: tuple[Path, ...]
+    findings: tuple[Finding, ...] = ()
+    folder: ExperimentFolder | None = None
+    spelling: TableSpelling = OWN_SPELLING
 
     @property
     def where(self) -> str:
@@ -61,20 +77,20 @@ def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({}))
     """
     source = read_source(path)
     with (
-        _importable(source.path.parent),
+        importable(source.path.parent),
         activating_imports() as activated,
         recorded_subscriptions() as subscriptions,
         raised_in(source.path, "while it was loaded"),
     ):
         before = set(sys.modules)
-        module = _execute(source)
+        module = execute_source(source)
         config_class = getattr(module, source.class_name)
         values = apply_overrides(config_class, overrides)
         config = config_class()
         for name, value in values.items():
             if name in getattr(config, "__dict__", {}):
                 setattr(config, name, value)
-        local_modules = _local_modules(source.path, set(sys.modules) - before)
+        local_modules = local_modules_among(source.path, set(sys.modules) - before)
     return LoadedConfig(source, config, tuple(subscriptions), tuple(activated), dict(overrides), local_modules)
 
 
@@ -93,7 +109,7 @@ def raised_in(path: Path, when: str) -> Iterator[None]:
         raise ConfigError(
             f"it raised {type(error).__name__} {when}: {error}",
             where=place_in(path, error),
-            fix=_missing_module_fix(error) or "Mend this line.",
+            fix=_fix_of(error) or "Mend this line.",
         ) from error
 
 
@@ -115,21 +131,32 @@ def _says_where(finding: Finding) -> bool:
     return finding.where.startswith("--set")
 
 
-def _missing_module_fix(error: BaseException) -> str:
+def _fix_of(error: BaseException) -> str:
     if isinstance(error, ModuleNotFoundError) and error.name:
         return f"Install the package that brings {error.name!r}, or mend the name."
+    if isinstance(error, AttributeError) and error.name and error.obj is not None:
+        near = nearest(error.name, dir(error.obj))
+        return f"Did you mean {near!r}?" if near else ""
     return ""
 
 
 @contextmanager
-def _importable(folder: Path) -> Iterator[None]:
-    # The folder stays importable: callbacks may import their neighbours when they are called.
+def importable(folder: Path) -> Iterator[None]:
+    """Let modules in this folder be imported.
+
+    The folder stays importable: callbacks may import their neighbours when they are called.
+    """
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))
     yield
 
 
-def _execute(source: ConfigSource) -> ModuleType:
+def execute_source(source: ConfigSource) -> ModuleType:
+    """Execute a config file as a module of its own.
+
+    Raises:
+        ConfigError: it cannot be imported; what its code raises is raised as it is.
+    """
     spec = importlib.util.spec_from_file_location(_MODULE_NAME, source.path)
     if spec is None or spec.loader is None:
         raise ConfigError("it cannot be imported", where=str(source.path), fix="Give it a name that ends in .py.")
@@ -139,7 +166,8 @@ def _execute(source: ConfigSource) -> ModuleType:
     return module
 
 
-def _local_modules(config: Path, names: set[str]) -> tuple[Path, ...]:
+def local_modules_among(config: Path, names: set[str]) -> tuple[Path, ...]:
+    """Return the files of those imported modules that stand beside or below the config file."""
     files = {getattr(sys.modules.get(name), "__file__", None) for name in names}
     paths = {Path(file) for file in files if file}
     return tuple(

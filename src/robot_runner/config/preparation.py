@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from robot_runner.config.checks.names import check_names
 from robot_runner.config.checks.parameters import read_parameters
 from robot_runner.config.checks.plugins import check_plugins, gather_plugins
-from robot_runner.config.checks.results import check_results_path
+from robot_runner.config.checks.results import check_disk_space, check_results_path
 from robot_runner.config.checks.robot import check_robot
 from robot_runner.config.checks.run_table import create_model
 from robot_runner.config.experiment import Experiment, event_manager_for, experiment_folder
@@ -19,14 +21,14 @@ from robot_runner.events.columns import MeasureColumns, resolve_columns
 from robot_runner.events.manager import EventManager
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
     from robot_runner.config.parameters import Parameters
     from robot_runner.design.run_table_model import RunTableModel
     from robot_runner.plugins.api.plugin import Plugin
 
-__all__ = ["Preparation", "prepare", "prepare_or_refuse"]
+__all__ = ["Loader", "Preparation", "prepare", "prepare_or_refuse"]
+
+#: From a config file and what is set from outside to a config object; raises ConfigError.
+Loader = Callable[[Path, Mapping[str, str]], LoadedConfig]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +44,21 @@ class Preparation:
     findings: tuple[Finding, ...]
 
 
-def prepare(path: Path, overrides: Mapping[str, str] = MappingProxyType({})) -> Preparation:
-    """Load and validate a config file; all findings at once, and nothing on disk is touched."""
+def prepare(
+    path: Path, overrides: Mapping[str, str] = MappingProxyType({}), load: Loader = load_config
+) -> Preparation:
+    """Load and validate a config file; all findings at once, and nothing on disk is touched.
+
+    Args:
+        path: the config file.
+        overrides: static parameters to set, by name.
+        load: how the file becomes a config object.
+    """
     try:
-        loaded = load_config(path, overrides)
+        loaded = load(path, overrides)
     except ConfigError as error:
         return Preparation(None, error.findings)
-    findings = check_names(loaded)
+    findings = [*loaded.findings, *check_names(loaded)]
     parameters, parameter_findings = read_parameters(loaded)
     plugins, plugin_findings = gather_plugins(loaded)
     model, model_findings = create_model(loaded)
@@ -57,20 +67,27 @@ def prepare(path: Path, overrides: Mapping[str, str] = MappingProxyType({})) -> 
     columns = _columns(model, plugins, findings)
     findings += check_plugins(plugins, model, getattr(loaded.config, "robot", None))
     if parameters is not None:
-        findings += [*check_robot(loaded, parameters), *check_results_path(loaded, parameters)]
+        runs = len(model.plan()) if model is not None else 0
+        findings += [
+            *check_robot(loaded, parameters),
+            *check_results_path(loaded, parameters),
+            *check_disk_space(loaded, parameters, plugins, runs),
+        ]
     ordered = tuple(sorted(findings, key=lambda finding: not finding.is_error))
     if any(finding.is_error for finding in ordered) or parameters is None or model is None:
         return Preparation(None, ordered)
     return Preparation(_experiment(loaded, parameters, plugins, events, model, columns), ordered)
 
 
-def prepare_or_refuse(path: Path, overrides: Mapping[str, str] = MappingProxyType({})) -> Experiment:
-    """Load and validate a config file.
+def prepare_or_refuse(
+    path: Path, overrides: Mapping[str, str] = MappingProxyType({}), load: Loader = load_config
+) -> Experiment:
+    """Load and validate a config file, as `prepare` does.
 
     Raises:
         ConfigError: it is refused; carries every finding.
     """
-    preparation = prepare(path, overrides)
+    preparation = prepare(path, overrides, load)
     if preparation.experiment is None:
         raise ConfigError.of_findings(preparation.findings)
     return preparation.experiment
@@ -110,5 +127,6 @@ def _experiment(
         columns=columns,
         overrides=loaded.overrides,
         local_modules=loaded.local_modules,
-        folder=experiment_folder(parameters, loaded.source.path),
+        folder=experiment_folder(parameters, loaded),
+        spelling=loaded.spelling,
     )

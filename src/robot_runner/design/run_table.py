@@ -100,6 +100,11 @@ class RunTable(Sequence[PlannedRun]):
         """What its order comes from."""
         return self.order.seed
 
+    @property
+    def run_ids(self) -> Sequence[str] | None:
+        """The ids of the runs in the order of execution; None where runs are numbered in that order."""
+        return None
+
     def treatment_places(self, factor: str) -> array[int]:
         """Return the place of the factor's treatment in each run, in the order of execution."""
         column = self._combinations[self._places[factor]] * self.model.repetitions

@@ -46,10 +46,9 @@ def treatment_findings(where: str, treatments: Sequence[Any]) -> Iterator[Findin
     by_text: dict[str, Any] = {}
     by_value: dict[tuple[type, Hashable], Any] = {}
     for treatment in treatments:
-        text, finding = _text_or_finding(where, treatment)
-        if text is None:
-            if finding is not None:
-                yield finding
+        text = _text_or_finding(where, treatment)
+        if isinstance(text, Finding):
+            yield text
         elif text in by_text:
             yield _same_text(where, by_text[text], treatment, text)
         else:
@@ -57,33 +56,25 @@ def treatment_findings(where: str, treatments: Sequence[Any]) -> Iterator[Findin
             yield from _same_value(where, by_value, treatment)
 
 
-def _text_or_finding(where: str, treatment: Any) -> tuple[str | None, Finding | None]:
-    if isinstance(treatment, str):
-        problem, fix = _text_problem(treatment)
-        return (None, Finding.error(where, problem, fix)) if problem else (treatment, None)
+def _text_or_finding(where: str, treatment: Any) -> str | Finding:
     kind = type(treatment).__name__
     try:
         text = treatment_text(treatment)
     except Exception as error:  # noqa: BLE001 - a user's __str__ may raise anything
         problem = f"a treatment of type {kind} has no text: its str() raised {type(error).__name__}: {error}"
-        return None, Finding.error(where, problem, "Mend the __str__ of its class.")
-    if _ADDRESS.search(text):
-        problem = f"treatment {text} shows a memory address, so it could not be recognised when resuming"
-        return None, Finding.error(where, problem, f"Give its class a __str__ ({kind}).")
-    if isinstance(treatment, set | frozenset) and len(treatment) > 1:
-        problem = f"treatment {text} is a set: its elements are written in another order by each process"
-        return None, Finding.error(where, problem, "Give a tuple or a sorted list.")
-    problem, fix = _text_problem(text)
-    return (None, Finding.error(where, problem, fix)) if problem else (text, None)
-
-
-def _text_problem(text: str) -> tuple[str, str]:
+        return Finding.error(where, problem, "Mend the __str__ of its class.")
     try:
         text.encode()
     except UnicodeEncodeError as error:
-        odd = text[error.start : error.end]
-        return f"treatment {text!r} holds {odd!r}, which UTF-8 cannot hold", "Leave it out."
-    return "", ""
+        problem = f"treatment {text!r} holds {text[error.start : error.end]!r}, which UTF-8 cannot hold"
+        return Finding.error(where, problem, "Leave it out.")
+    if not isinstance(treatment, str) and _ADDRESS.search(text):
+        problem = f"treatment {text} shows a memory address, so it could not be recognised when resuming"
+        return Finding.error(where, problem, f"Give its class a __str__ ({kind}).")
+    if isinstance(treatment, set | frozenset) and len(treatment) > 1:
+        problem = f"treatment {text} is a set: its elements are written in another order by each process"
+        return Finding.error(where, problem, "Give a tuple or a sorted list.")
+    return text
 
 
 def _same_text(where: str, earlier: Any, later: Any, text: str) -> Finding:

@@ -14,6 +14,9 @@ __all__ = ["Measure", "MeasureValue", "Origin", "PublishedMeasure", "as_measure_
 #: What a cell of the run table can hold. None is a missing value: an empty cell.
 MeasureValue = int | float | bool | str | None
 
+#: A larger number is a slip, and no table reader could take it.
+_MOST_BITS = 1024
+
 
 class Origin(Enum):
     """Where a value comes from, so that no simulated or estimated value passes for a measured one."""
@@ -61,14 +64,18 @@ def as_measure_value(name: str, value: object, *, where: str) -> MeasureValue:
     Raises:
         MeasureError: it is not a number, a bool, a string or None, or it is not finite.
     """
-    if value is None or isinstance(value, bool | str):
+    if value is None or isinstance(value, bool):
         return value
+    if isinstance(value, str):
+        return _writable(name, value, where)
     item = getattr(value, "item", None)  # a numpy scalar, without importing numpy
     plain = item() if callable(item) and getattr(value, "shape", None) == () else value
-    if isinstance(plain, bool | str):
+    if isinstance(plain, bool):
         return plain
+    if isinstance(plain, str):
+        return _writable(name, plain, where)
     if isinstance(plain, Integral):
-        return int(plain)
+        return _bounded(name, int(plain), where)
     if isinstance(plain, Real):
         return _finite(name, float(plain), where)
     raise MeasureError(
@@ -86,3 +93,20 @@ def _finite(name: str, number: float, where: str) -> float:
         where=where,
         fix="Give None where there is no value.",
     )
+
+
+def _writable(name: str, text: str, where: str) -> str:
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        odd = text[error.start : error.end]
+        problem = f"measure {name!r} got text that holds {odd!r}, which UTF-8 cannot hold"
+        raise MeasureError(problem, where=where, fix="Leave it out.") from error
+    return text
+
+
+def _bounded(name: str, number: int, where: str) -> int:
+    if number.bit_length() <= _MOST_BITS:
+        return number
+    problem = f"measure {name!r} got a whole number of {number.bit_length()} bits"
+    raise MeasureError(problem, where=where, fix=f"Give one of {_MOST_BITS} bits at most, or a float.")

@@ -7,12 +7,15 @@ import shutil
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.errors import ExecutionError
+from robot_runner.execution.changes import config_files
 from robot_runner.plugins.registry import installed_plugins
 from robot_runner.storage.journal import utc_now
 from robot_runner.storage.manifest import describe_host, describe_software
 from robot_runner.storage.safe_write import storage_error
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from robot_runner.config.experiment import Experiment
     from robot_runner.plugins.api.plugin import Plugin
 
@@ -62,22 +65,34 @@ def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[s
 
 
 def keep_config(experiment: Experiment) -> None:
-    """Copy the config file and the local modules that it imported, as executed, unless that was done before.
+    """Copy the config file and the local modules that it imported, as executed; changed ones replace earlier copies.
+
+    Earlier copies are kept beside, numbered in the order in which they were executed.
 
     Raises:
         StorageError: the copy cannot be written.
     """
     kept = experiment.folder.config
-    if kept.exists():
-        return
-    root = experiment.config_path.parent
+    files = config_files(experiment)
     try:
-        for source in (experiment.config_path, *experiment.local_modules):
-            target = kept / source.relative_to(root)
+        if kept.exists() and all(_is_same(source, target) for source, target in files.items()):
+            return
+        if kept.exists():
+            kept.rename(_free(experiment.folder.earlier_configs))
+        for source, target in files.items():
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, target)
     except OSError as error:
         raise storage_error(kept, "written", error) from error
+
+
+def _is_same(source: Path, target: Path) -> bool:
+    return target.exists() and source.read_bytes() == target.read_bytes()
+
+
+def _free(folder: Path) -> Path:
+    folder.mkdir(exist_ok=True)
+    return folder / str(1 + sum(1 for _ in folder.iterdir()))
 
 
 def _execution(experiment: Experiment) -> dict[str, Any]:

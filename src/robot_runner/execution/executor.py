@@ -7,42 +7,26 @@ import sys
 import threading
 import warnings
 from contextlib import AbstractContextManager, redirect_stderr, redirect_stdout
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, Self
 
 from robot_runner.config.choices import RunProcess
 from robot_runner.execution.child import execute_in_child, settle_child
 from robot_runner.execution.guardian import Guardian
+from robot_runner.execution.interruption import InterruptGate
 from robot_runner.execution.records import FINISHED
 from robot_runner.execution.run import execute_run
 from robot_runner.execution.spawning import WORKER, describe_task
-from robot_runner.execution.supervision import Limits, RunProcessHandle, supervise
+from robot_runner.execution.supervision import Limits, RunProcessHandle, Watch, supervise
 from robot_runner.storage.run_folders import open_log
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from robot_runner.config.experiment import Experiment
-    from robot_runner.execution.interruption import Interruption
     from robot_runner.execution.outcome import OutcomeBuilder
-    from robot_runner.execution.task import Report, RunOutcome, RunTask
+    from robot_runner.execution.task import RunOutcome, RunTask
 
-__all__ = ["Executor", "Watch", "executor_for"]
-
-
-@dataclass(frozen=True, slots=True)
-class Watch:
-    """What the orchestrator wants to know and do while a run is executed.
-
-    Attributes:
-        report: takes each record as it arrives.
-        refresh: called every `refresh_interval` seconds; never where that is None.
-    """
-
-    interruption: Interruption
-    report: Report
-    refresh: Callable[[], None]
-    refresh_interval: float | None
+__all__ = ["Executor", "executor_for"]
 
 
 class Executor(AbstractContextManager["Executor"], Protocol):
@@ -91,17 +75,9 @@ class _ProcessExecutor:
         finally:
             os.close(records_end)
         try:
-            return supervise(
-                process,
-                builder,
-                limits=self._limits,
-                interruption=watch.interruption,
-                report=watch.report,
-                refresh=watch.refresh,
-                refresh_interval=watch.refresh_interval,
-            )
+            return supervise(process, builder, limits=self._limits, watch=watch)
         finally:
-            process.close()
+            process.end(self._limits.grace)  # still alive only if we cannot go on ourselves: the disk is full, say
             self._guardian.run_has_ended()
 
 
@@ -161,6 +137,8 @@ class _InProcessExecutor:
             redirect_stdout(log),
             redirect_stderr(log),
         ):
-            execute_run(self._experiment, task, report)
+            gate = InterruptGate()
+            with watch.interruption.passed_on(gate):
+                execute_run(self._experiment, task, report, gate)
         report(FINISHED, {})
         return builder.outcome(interrupted=watch.interruption.is_requested)

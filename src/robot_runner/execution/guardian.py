@@ -46,13 +46,18 @@ class Guardian:
         os.waitpid(self._pid, 0)
 
     def run_has_ended(self) -> None:
-        """Say that there is no run to guard."""
-        os.write(self.line, _NO_RUN.to_bytes(_PID_BYTES, "big"))
+        """Say that there is no run to guard. A guardian that was killed is replaced: the next run is guarded again."""
+        try:
+            os.write(self.line, _NO_RUN.to_bytes(_PID_BYTES, "big"))
+        except BrokenPipeError:
+            self.__exit__()
+            self.__enter__()
 
 
 def register_with_guardian(line: int) -> None:
     """Say, from the run's own process, whom to guard; the line is closed: it breaks when the orchestrator dies."""
-    os.write(line, os.getpid().to_bytes(_PID_BYTES, "big"))
+    with suppress(BrokenPipeError):  # it was killed: the orchestrator replaces it once this run has ended
+        os.write(line, os.getpid().to_bytes(_PID_BYTES, "big"))
     os.close(line)
 
 

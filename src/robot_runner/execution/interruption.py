@@ -31,7 +31,7 @@ class InterruptGate:
 
     def listen(self) -> None:
         """Take SIGTERM as the word to end. Call it in the main thread of the run's process."""
-        signal.signal(signal.SIGTERM, self._request)
+        signal.signal(signal.SIGTERM, self._heard)
 
     @contextmanager
     def armed(self, arm: bool) -> Iterator[None]:
@@ -51,11 +51,19 @@ class InterruptGate:
         finally:
             self._armed = False
 
-    def _request(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
+    def request(self, *, at_once: bool = False) -> None:
+        """Say the word to end; `at_once` does not even wait for the closing.
+
+        Raises:
+            RunInterrupted: a callback is being executed (or anything is, with `at_once`).
+        """
         self._requested = True
-        if self._armed:
+        if self._armed or at_once:
             self._raise()
+
+    def _heard(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.request()
 
     def _raise(self) -> None:
         self._armed = False  # once: what comes now is the closing
@@ -74,6 +82,7 @@ class Interruption:
     def __init__(self) -> None:
         self._count = 0
         self._last = 0.0
+        self._gate: InterruptGate | None = None
         self.first_signal: int | None = None
 
     @property
@@ -106,6 +115,15 @@ class Interruption:
         os.close(self._reader)
         os.close(self._writer)
 
+    @contextmanager
+    def passed_on(self, gate: InterruptGate) -> Iterator[None]:
+        """While this lasts, the word to end is passed on to callbacks that this process executes itself."""
+        self._gate = gate
+        try:
+            yield
+        finally:
+            self._gate = None
+
     def forget_wakeups(self) -> None:
         """Empty the descriptor, so that the next poll waits again."""
         try:
@@ -122,3 +140,5 @@ class Interruption:
         self._last = now
         self._count += 1
         self.first_signal = self.first_signal or number
+        if self._gate is not None:
+            self._gate.request(at_once=self._count > 1)

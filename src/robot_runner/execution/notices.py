@@ -17,6 +17,7 @@ __all__ = [
     "AttemptStarted",
     "ExperimentFinished",
     "ExperimentStarted",
+    "InterruptionNoticed",
     "Notice",
     "Observer",
     "RunRecord",
@@ -79,6 +80,13 @@ class WaitingForUser:
 
 
 @dataclass(frozen=True, slots=True)
+class InterruptionNoticed:
+    """The user asked for the end: the run is being closed; asked once more, it is killed."""
+
+    run_id: str
+
+
+@dataclass(frozen=True, slots=True)
 class ExperimentFinished:
     """The experiment has ended.
 
@@ -104,7 +112,15 @@ class ExperimentFinished:
     seconds: float = 0.0
 
 
-Notice = ExperimentStarted | AttemptStarted | RunRecord | AttemptFinished | WaitingForUser | ExperimentFinished
+Notice = (
+    ExperimentStarted
+    | AttemptStarted
+    | RunRecord
+    | AttemptFinished
+    | WaitingForUser
+    | InterruptionNoticed
+    | ExperimentFinished
+)
 
 
 class Observer(Protocol):

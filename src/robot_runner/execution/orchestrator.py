@@ -12,28 +12,32 @@ from robot_runner.errors import ExecutionError
 from robot_runner.events.clock import SystemClock
 from robot_runner.events.context import ExperimentContext
 from robot_runner.events.event import RobotRunnerEvents
+from robot_runner.events.manager import CallbackFailure, Emission
 from robot_runner.events.resources import Resources
-from robot_runner.execution.executor import Executor, Watch, executor_for
-from robot_runner.execution.interruption import Interruption
+from robot_runner.execution.executor import Executor, executor_for
+from robot_runner.execution.interruption import InterruptGate, Interruption, RunInterrupted
 from robot_runner.execution.notices import (
     AttemptFinished,
     AttemptStarted,
     ExperimentFinished,
     ExperimentStarted,
+    InterruptionNoticed,
     Notice,
     Observer,
     RunRecord,
     WaitingForUser,
 )
 from robot_runner.execution.outcome import OutcomeBuilder
-from robot_runner.execution.pause import rest, wait_for_user
+from robot_runner.execution.pause import Patience, rest, wait_for_user
 from robot_runner.execution.progress_manager import PendingRun, ProgressManager
+from robot_runner.execution.resumption import Resumption
 from robot_runner.execution.run import failure_fields, run_contexts
+from robot_runner.execution.supervision import Watch
 from robot_runner.execution.task import AttemptStatus, RunOutcome, RunTask
 from robot_runner.storage.journal import utc_now
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from typing import Any
 
     from robot_runner.config.experiment import Experiment
@@ -45,7 +49,11 @@ _log = logging.getLogger(__name__)
 
 
 def execute_experiment(
-    experiment: Experiment, observer: Observer, *, findings: Sequence[Finding] = ()
+    experiment: Experiment,
+    observer: Observer,
+    *,
+    findings: Sequence[Finding] = (),
+    resumption: Resumption | None = None,
 ) -> ExperimentFinished:
     """Execute every run that is not done, and return how the experiment ended.
 
@@ -55,14 +63,15 @@ def execute_experiment(
         experiment: a config that was found to be well formed.
         observer: is told what happens.
         findings: what validation had to say; said again at the end.
+        resumption: what to execute again, and whether to go on though something changed.
 
     Raises:
         RobotRunnerError: the experiment cannot start (it is being executed by somebody else, its folder cannot be
-            written, the run table on disk differs from the plan) or cannot go on (the disk is full).
+            written, the config or the run table on disk changed) or cannot go on (the disk is full).
     """
     with (
         Interruption() as interruption,
-        ProgressManager(experiment) as progress,
+        ProgressManager(experiment, resumption or Resumption()) as progress,
         executor_for(experiment) as executor,
     ):
         return _Orchestrator(experiment, progress, executor, interruption, observer).execute(findings)
@@ -140,9 +149,15 @@ class _Orchestrator:
             report(kind, fields)
 
         self._emit_to_run(RobotRunnerEvents.BEFORE_RUN, task, report_own)
-        if builder.has_failed:
-            return builder.outcome()
-        watch = Watch(self._interruption, report, self._refresh, self._observer.refresh_interval)
+        if builder.has_failed or self._interruption.is_requested:
+            return builder.outcome(interrupted=self._interruption.is_requested)
+        watch = Watch(
+            interruption=self._interruption,
+            report=report,
+            refresh=self._refresh,
+            refresh_interval=self._observer.refresh_interval,
+            noticed_interruption=lambda: self._notice(InterruptionNoticed(task.run_id)),
+        )
         return self._executor.execute(task, builder, watch)
 
     def _pause(self, finished: PendingRun, following: PendingRun) -> None:
@@ -150,9 +165,12 @@ class _Orchestrator:
             folder = self._experiment.folder
             self._progress.note("waiting", next_run=following.run_id)
             self._notice(WaitingForUser(folder.root, following.number, self._progress.run_count))
-            wait_for_user(folder.control, self._interruption, self._observer)
+            wait_for_user(folder.control, self._observer.user_input, self._patience())
             self._progress.note("continued")
-        rest(self._parameters.time_between_runs_in_ms / 1000, self._interruption, self._observer)
+        rest(self._parameters.time_between_runs_in_ms / 1000, self._patience())
+
+    def _patience(self) -> Patience:
+        return Patience(self._interruption, self._refresh, self._observer.refresh_interval)
 
     def _user_has_continued(self, finished: PendingRun) -> bool:
         """Emit `continue`; a callback that returns True has asked the user itself."""
@@ -161,7 +179,7 @@ class _Orchestrator:
 
         def report(kind: str, fields: dict[str, Any]) -> None:
             self._progress.record(task, kind, fields)
-            if kind == "failure":
+            if kind == "failure" and not self._interruption.is_requested:
                 raise ExecutionError(
                     fields["problem"], where=f"continue of {fields['owner']}", fix="Mend this callback, and resume."
                 )
@@ -175,12 +193,24 @@ class _Orchestrator:
         context_for = run_contexts(self._experiment, task, clock=SystemClock(), resources=resources, report=report)
         try:
             report("event", {"event": event.value, "at": utc_now(), "clock": time.monotonic()})
-            emission = self._experiment.events.emit(event, context_for)
+            emission = self._emit(event, context_for)
             for failure in emission.failures:
                 report("failure", {"event": event.value, "owner": failure.owner, **failure_fields(failure.error)})
             return [returned for _, returned in emission.returned]
         finally:
             resources.close()
+
+    def _emit(self, event: RobotRunnerEvents, context_for: Callable[[str], object]) -> Emission:
+        """Emit an event in this process; Ctrl-C ends the callback that is being executed."""
+        gate = InterruptGate()
+        try:
+            with (
+                self._interruption.passed_on(gate),
+                gate.armed(event is not RobotRunnerEvents.AFTER_EXPERIMENT),
+            ):
+                return self._experiment.events.emit(event, context_for)
+        except RunInterrupted as error:  # between two callbacks
+            return Emission((), (), (CallbackFailure(event, "", error),))
 
     def _emit_to_experiment(self, event: RobotRunnerEvents) -> None:
         """Emit an event of the whole experiment.
@@ -195,7 +225,9 @@ class _Orchestrator:
             seed=self._progress.seed,
         )
         self._progress.note("event", event=event.value)
-        for failure in self._experiment.events.emit(event, lambda _: context).failures:
+        for failure in self._emit(event, lambda _: context).failures:
+            if isinstance(failure.error, RunInterrupted):
+                return
             fields = failure_fields(failure.error)
             self._progress.note("failure", event=event.value, owner=failure.owner, problem=fields["problem"])
             raise ExecutionError(

@@ -5,46 +5,59 @@ from __future__ import annotations
 import os
 import select
 import time
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from robot_runner.storage.control import Command, forget_command, take_command
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from robot_runner.execution.interruption import Interruption
-    from robot_runner.execution.notices import Observer
 
-__all__ = ["rest", "wait_for_user"]
+__all__ = ["Patience", "rest", "wait_for_user"]
 
 #: How often a second terminal is listened to, in seconds.
 _LISTEN = 0.2
 
 
-def rest(seconds: float, interruption: Interruption, observer: Observer) -> None:
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """What goes on while the orchestrator waits.
+
+    Attributes:
+        refresh: called every `refresh_interval` seconds; never where that is None.
+    """
+
+    interruption: Interruption
+    refresh: Callable[[], None]
+    refresh_interval: float | None
+
+    def wait(self, seconds: float, user_input: int | None = None) -> bytes | None:
+        """Wait this long at most, for the user's interruption or input; return the latter, or None."""
+        descriptors = [self.interruption.descriptor, *([] if user_input is None else [user_input])]
+        readable, _, _ = select.select(descriptors, [], [], min(seconds, self.refresh_interval or seconds))
+        if self.interruption.descriptor in readable:
+            self.interruption.forget_wakeups()
+        if self.refresh_interval is not None:
+            self.refresh()
+        return os.read(user_input, 4096) if user_input is not None and user_input in readable else None
+
+
+def rest(seconds: float, patience: Patience) -> None:
     """Let this much real time go by, or less if the user interrupts."""
     end = time.monotonic() + seconds
-    while not interruption.is_requested and (left := end - time.monotonic()) > 0:
-        _wait(min(left, observer.refresh_interval or left), interruption, None)
-        observer.refresh()
+    while not patience.interruption.is_requested and (left := end - time.monotonic()) > 0:
+        patience.wait(left)
 
 
-def wait_for_user(control: Path, interruption: Interruption, observer: Observer) -> None:
-    """Wait for a line on the observer's input, for `robot-runner continue` from elsewhere, or for an interruption."""
+def wait_for_user(control: Path, user_input: int | None, patience: Patience) -> None:
+    """Wait for a line on `user_input`, for `robot-runner continue` from elsewhere, or for an interruption."""
     forget_command(control)
-    user_input = observer.user_input
-    while not interruption.is_requested:
-        said = _wait(min(_LISTEN, observer.refresh_interval or _LISTEN), interruption, user_input)
+    while not patience.interruption.is_requested:
+        said = patience.wait(_LISTEN, user_input)
         if said == b"":  # the end of the input: nobody sits there any more
             user_input = None
         elif said is not None or take_command(control) is Command.CONTINUE:
             return
-        observer.refresh()
-
-
-def _wait(seconds: float, interruption: Interruption, user_input: int | None) -> bytes | None:
-    descriptors = [interruption.descriptor] if user_input is None else [interruption.descriptor, user_input]
-    readable, _, _ = select.select(descriptors, [], [], seconds)
-    if interruption.descriptor in readable:
-        interruption.forget_wakeups()
-    return os.read(user_input, 4096) if user_input is not None and user_input in readable else None

@@ -8,14 +8,16 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
-from robot_runner.errors import Finding
+from robot_runner.errors import ExecutionError, Finding
+from robot_runner.execution.changes import config_changes
 from robot_runner.execution.circumstances import keep_config, manifest_of, resumed_manifest
 from robot_runner.execution.recovery import RecoveredTable, recover_table
+from robot_runner.execution.resumption import Resumption, selected_places
 from robot_runner.execution.task import AttemptStatus, RunOutcome, RunTask
 from robot_runner.storage.journal import Journal, utc_now
 from robot_runner.storage.lock import ExperimentLock
 from robot_runner.storage.manifest import read_manifest, write_manifest
-from robot_runner.storage.run_folders import keep_log, put_earlier_attempt_away
+from robot_runner.storage.run_folders import keep_log, keep_refused, put_earlier_attempt_away
 from robot_runner.storage.run_status import RunStatus
 from robot_runner.storage.run_table_file import write_run_table
 from robot_runner.storage.safe_write import fsync_folder, storage_error
@@ -56,9 +58,10 @@ class ProgressManager:
             run table that is there cannot be read or differs from the plan.
     """
 
-    def __init__(self, experiment: Experiment) -> None:
+    def __init__(self, experiment: Experiment, resumption: Resumption) -> None:
         self._experiment = experiment
         self._folder = experiment.folder
+        self._resumption = resumption
         self._failed: dict[str, str] = {}
         self._findings: list[Finding] = []
         self._resources = ExitStack()
@@ -71,10 +74,12 @@ class ProgressManager:
             self._make_folder()
             opened.enter_context(ExperimentLock(self._folder.lock))
             self._manifest = self._load_manifest()
-            recovered = recover_table(self._experiment, self._manifest)
+            recovered = recover_table(self._experiment, self._manifest, accept_changes=self._resumption.accept_changes)
+            self._selected = selected_places(recovered.rows, self._resumption)
             self._take(recovered)
             if recovered.unfinished is not None:  # the orchestrator died: what the run printed is still its log
                 keep_log(self._folder, recovered.unfinished)
+                self._left_behind.add(recovered.unfinished)
             self._journal = opened.enter_context(Journal(self._folder.journal))
             keep_config(self._experiment)
             write_manifest(self._folder.manifest, self._manifest)
@@ -121,10 +126,9 @@ class ProgressManager:
         return tuple(self._findings)
 
     def pending(self) -> Iterator[PendingRun]:
-        """Yield the runs that are to be executed, in order: those that are to do, and those that failed before."""
-        for place in range(len(self._rows)):
-            if self._rows.status(place) is not RunStatus.DONE:
-                yield PendingRun(self._rows.run_id(place), place)
+        """Yield the runs to execute, in order: those to do, those that failed, those asked for again."""
+        for place in self._selected:
+            yield PendingRun(self._rows.run_id(place), place)
 
     def task_of(self, run: PendingRun) -> RunTask:
         """Return the attempt at a run that was begun last."""
@@ -157,6 +161,8 @@ class ProgressManager:
         """Keep what a run reports while it is executed."""
         if kind in _KEPT:
             self._journal.append(kind, run=task.run_id, attempt=task.attempt, **fields)
+        if kind == "refused":
+            keep_refused(self._folder, task.run_id, fields)
         if kind == "event" and fields["event"] == "continue":
             self._rows.record(task.run_id, stamps={"continue_at": fields["at"]})
             self._refresh_table()
@@ -170,7 +176,9 @@ class ProgressManager:
         self._findings += [*outcome.findings, *self._missing_measures(task, outcome)]
         if outcome.status is AttemptStatus.FAILED and is_last:
             self._failed[task.run_id] = str(outcome.failure)
-        self._table.take_outcome(task.run_id, outcome)
+        if self._table.take_outcome(task.run_id, outcome):
+            # From here on the schema tells the types: without it a text such as "1" would come back as a number.
+            self._table.write_schema(self._folder.schema)
         self._refresh_table()
 
     def note(self, kind: str, *, flush: bool = False, **fields: Any) -> None:
@@ -197,6 +205,8 @@ class ProgressManager:
 
     def _load_manifest(self) -> dict[str, Any]:
         if self._folder.manifest.exists():
+            if not self._resumption.accept_changes and (changes := config_changes(self._experiment)):
+                raise ExecutionError.of_findings(changes)
             return resumed_manifest(self._experiment, read_manifest(self._folder.manifest))
         return manifest_of(self._experiment)
 

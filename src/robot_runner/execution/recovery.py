@@ -6,15 +6,15 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.design.columns import REPETITION
 from robot_runner.errors import ExecutionError, Finding
+from robot_runner.execution.changes import table_differences
 from robot_runner.execution.task import AttemptStatus, RunOutcome
 from robot_runner.storage.journal import read_journal
 from robot_runner.storage.run_status import RunStatus
 from robot_runner.storage.run_table_reading import read_run_table
 from robot_runner.storage.run_table_rows import RunTableRows
 from robot_runner.storage.table_description import describe_columns
-from robot_runner.storage.table_layout import ColumnRole, TableLayout
+from robot_runner.storage.table_layout import ColumnRole
 from robot_runner.storage.table_schema import ColumnDescription, read_schema, write_schema
 
 if TYPE_CHECKING:
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.config.experiment import Experiment
-    from robot_runner.design.run_table import RunTable
 
 __all__ = ["RecoveredTable", "recover_table"]
 
@@ -49,16 +48,21 @@ class RecoveredTable:
     unfinished: str | None = None
     findings: tuple[Finding, ...] = ()
     origins: defaultdict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
+    _kinds: set[tuple[str, type]] = field(default_factory=set)
     doubts: defaultdict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
 
-    def take_outcome(self, run_id: str, outcome: RunOutcome) -> None:
-        """Bring the row of a run up to date with how its attempt ended."""
+    def take_outcome(self, run_id: str, outcome: RunOutcome) -> bool:
+        """Bring the row of a run up to date with how its attempt ended; returns whether a measure's type is new."""
         for measure in outcome.measures.values():
             self.origins[measure.name].add(measure.origin.value)
         for finding in outcome.findings:
             self.doubts[finding.where.partition(", ")[2]].add(f"{run_id}: {finding.problem}")
         values = {name: measure.value for name, measure in outcome.measures.items()}
         self._record(run_id, outcome.status.value, outcome.stamps, values)
+        kinds = {(name, type(value)) for name, value in values.items() if value is not None}
+        has_new = not kinds <= self._kinds
+        self._kinds |= kinds
+        return has_new
 
     def take_record(self, record: Mapping[str, Any]) -> None:
         """Bring the row of a run up to date with how the journal says that its attempt ended."""
@@ -96,26 +100,33 @@ class RecoveredTable:
         }
 
 
-def recover_table(experiment: Experiment, manifest: Mapping[str, Any]) -> RecoveredTable:
+def recover_table(
+    experiment: Experiment, manifest: Mapping[str, Any], *, accept_changes: bool = False
+) -> RecoveredTable:
     """Return the run table: planned anew, or as it stands in the folder with what the journal knows better.
 
     The journal is flushed at the end of each run, the file is only brought up to date now and then: runs that ended
     after the file was written last are taken from the journal. What a user changed in the file counts.
 
+    Args:
+        experiment: what is to be executed.
+        manifest: as written when the experiment was first executed.
+        accept_changes: let the table on disk count where it differs from the plan.
+
     Raises:
         StorageError: the table cannot be read; every problem is named.
-        ExecutionError: it differs from the plan.
+        ExecutionError: it differs from the plan; every cell is named.
     """
     folder = experiment.folder
     plan = experiment.model.plan(manifest["seed"])
     types = {column.name: column.type for column in read_schema(folder.schema)} if folder.schema.exists() else None
-    layout = TableLayout.of_model(experiment.model, experiment.columns.names, types)
+    layout = experiment.table_layout(types)
     if not folder.run_table.exists():
         recovered = RecoveredTable(experiment, RunTableRows.of_plan(plan, layout))
     else:
         rows = read_run_table(folder.run_table, layout)
-        if manifest["design"]["source"] == "config":
-            _refuse_differences(folder.run_table, plan, rows)
+        if manifest["design"]["source"] == "config" and not accept_changes:
+            _refuse(table_differences(folder.run_table, plan, rows))
         recovered = RecoveredTable(experiment, rows, findings=rows.warnings)
     _replay(recovered, folder.journal)
     return recovered
@@ -152,30 +163,12 @@ def _settle(recovered: RecoveredTable, reasons: Mapping[str, str]) -> None:
             recovered.failed[run_id] = reasons.get(run_id, "")
 
 
-def _refuse_differences(path: Path, plan: RunTable, rows: RunTableRows) -> None:
-    differences = list(_differences(path, plan, rows))
-    if not differences:
-        return
-    more = len(differences) - _MOST_DIFFERENCES
+def _refuse(differences: Iterable[Finding]) -> None:
+    listed = list(differences)
+    more = len(listed) - _MOST_DIFFERENCES
     if more > 0:
-        differences[_MOST_DIFFERENCES:] = [Finding.error(str(path), f"there are {more:,} more differences", "")]
-    raise ExecutionError.of_findings(differences)
-
-
-def _differences(path: Path, plan: RunTable, rows: RunTableRows) -> Iterable[Finding]:
-    fix = "Undo the change in the config or in the table, or choose another experiment_name."
-    planned = {run.run_id: run for run in plan}
-    for place in range(len(rows)):
-        run_id = rows.run_id(place)
-        run = planned.pop(run_id, None)
-        if run is None:
-            yield Finding.error(f"{path}, run {run_id}", "the plan has no such run", fix)
-            continue
-        expected = {**run.combination, REPETITION: run.repetition} if rows.layout.has_repetition else run.combination
-        for name, value in expected.items():
-            found = rows.factors[name].value(place)
-            if found is not value and found != value:
-                where = f"{path}, run {run_id}, column {name!r}"
-                yield Finding.error(where, f"the table has {found!r}, the plan {value!r}", fix)
-    for run_id in planned:
-        yield Finding.error(f"{path}, run {run_id}", "the table lacks this run of the plan", fix)
+        listed[_MOST_DIFFERENCES:] = [
+            Finding.error(listed[0].where, f"there are {more:,} more differences", listed[0].fix)
+        ]
+    if listed:
+        raise ExecutionError.of_findings(listed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -16,7 +17,7 @@ from robot_runner.events.manager import CallbackFailure, Emission
 from robot_runner.events.measure import Origin
 from robot_runner.events.resources import Resources
 from robot_runner.execution.interruption import InterruptGate, RunInterrupted
-from robot_runner.links.connect import open_clock
+from robot_runner.links.connect import is_simulated, open_clock
 from robot_runner.storage.journal import utc_now
 
 if TYPE_CHECKING:
@@ -150,7 +151,9 @@ class _Run:
 
     def _record(self, event: str, owner: str, error: BaseException) -> None:
         self._failed = True
-        self._report("failure", {"event": event, "owner": owner, **failure_fields(error)})
+        fields = failure_fields(error)
+        sys.stderr.write(f"{event} of {owner} failed\n{fields['traceback']}")  # into the run's log
+        self._report("failure", {"event": event, "owner": owner, **fields})
 
 
 def failure_fields(error: BaseException) -> dict[str, str]:
@@ -181,10 +184,19 @@ def publish_returned(context: RobotRunnerContext, returned: object) -> None:
 
 
 def _refused(context: RobotRunnerContext, name: Any, value: object) -> MeasureError | None:
-    earlier = context.broker.measures.get(name)
     try:
-        # A value that overrides a plugin's keeps saying where it came from: it was computed from the same samples.
-        context.publish(name, value, origin=earlier.origin if earlier else Origin.MEASURED)
+        context.publish(name, value, origin=_origin_of_returned(context, name))
     except MeasureError as error:
         return error
     return None
+
+
+def _origin_of_returned(context: RobotRunnerContext, name: object) -> Origin:
+    """Return where a returned value comes from: what was computed from simulated samples does not pass for measured."""
+    published = context.broker.measures
+    if isinstance(name, str) and name in published:
+        return published[name].origin
+    if is_simulated(context.robot):
+        return Origin.SIMULATED
+    origins = {measure.origin for measure in published.values()}
+    return origins.pop() if len(origins) == 1 else Origin.MEASURED

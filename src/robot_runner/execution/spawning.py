@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.config.preparation import prepare_or_refuse
+from robot_runner.dialects.preparation import prepare_or_refuse
 from robot_runner.execution.child import execute_in_child, settle_child
 from robot_runner.execution.task import RunTask
 from robot_runner.storage.run_folders import open_log

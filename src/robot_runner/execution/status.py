@@ -57,7 +57,7 @@ def read_status(folder: Path) -> ExperimentStatus:
     Raises:
         StorageError: there is no experiment in this folder, or it cannot be read.
     """
-    files = ExperimentFolder(folder)
+    files = ExperimentFolder.found_at(folder)
     manifest = read_manifest(files.manifest)
     history = _History()
     history.read(files)
@@ -100,6 +100,7 @@ class _History:
         self.started_at: str | None = None
         self.finished_at: str | None = None
         self._since_table: dict[str, RunStatus] = {}
+        self._ends: dict[str, RunStatus] = {}
 
     def read(self, files: ExperimentFolder) -> None:
         # The journal comes first: a table written meanwhile is newer than what the journal adds to it, never older.
@@ -108,8 +109,11 @@ class _History:
             if take is not None:
                 take(record)
         if files.run_table.exists() and files.schema.exists():
-            rows = read_run_table(files.run_table, TableLayout.of_schema(read_schema(files.schema)))
+            layout = TableLayout.of_schema(read_schema(files.schema))
+            rows = read_run_table(files.run_table, layout)
             self.statuses = {rows.run_id(place): rows.status(place) for place in range(len(rows))}
+            if not layout.spelling.tells_apart(RunStatus.TODO, RunStatus.FAILED):
+                self.statuses |= {run: self._ends[run] for run in self._ends if run in self.statuses}
         self.statuses |= self._since_table
 
     def _take_experiment_started(self, record: Mapping[str, Any]) -> None:
@@ -128,7 +132,7 @@ class _History:
 
     def _take_attempt_finished(self, record: Mapping[str, Any]) -> None:
         ends = {"done": RunStatus.DONE, "failed": RunStatus.FAILED}
-        self._since_table[record["run"]] = ends.get(record["status"], RunStatus.TODO)
+        self._ends[record["run"]] = self._since_table[record["run"]] = ends.get(record["status"], RunStatus.TODO)
         self.failures[record["run"]] = record["failure"] or ""
         self.current_run = self.current_event = None
 

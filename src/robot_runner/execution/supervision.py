@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from robot_runner.execution.outcome import OutcomeBuilder
     from robot_runner.execution.task import Report, RunOutcome
 
-__all__ = ["Limits", "RunProcessHandle", "supervise"]
+__all__ = ["Limits", "RunProcessHandle", "Watch", "supervise"]
 
 #: Without pidfd (not Linux) the death of the process is looked for this often, in seconds.
 _POLL_WITHOUT_PIDFD = 0.02
@@ -33,6 +33,23 @@ class Limits:
     run: float | None
     event: float | None
     grace: float
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """What the orchestrator wants to know and do while a run is executed.
+
+    Attributes:
+        report: takes each record as it arrives.
+        refresh: called every `refresh_interval` seconds; never where that is None.
+        noticed_interruption: called once the user's wish to end has reached the run.
+    """
+
+    interruption: Interruption
+    report: Report
+    refresh: Callable[[], None]
+    refresh_interval: float | None
+    noticed_interruption: Callable[[], None]
 
 
 class RunProcessHandle:
@@ -78,9 +95,20 @@ class RunProcessHandle:
             with suppress(ProcessLookupError):
                 os.kill(self.pid, signal.SIGKILL)
 
-    def close(self) -> None:
-        """Let go of the process, which is dead, and of whoever it left behind."""
-        with suppress(ProcessLookupError, PermissionError):
+    def end(self, grace: float) -> None:
+        """Let go of the process: whatever it started and left behind is killed.
+
+        Where it is still alive it is told to end first, and has `grace` seconds to close what it opened.
+        """
+        if not self.has_ended():
+            self.tell_to_end()
+            deadline = time.monotonic() + grace
+            while not self.has_ended() and time.monotonic() < deadline:
+                time.sleep(_POLL_WITHOUT_PIDFD)
+        while not self.has_ended():
+            self.kill_group()
+            time.sleep(_POLL_WITHOUT_PIDFD)
+        with suppress(ProcessLookupError, PermissionError):  # the usual case: nobody is left
             os.killpg(self.pid, signal.SIGKILL)
         os.close(self.records)
         if self._pidfd is not None:
@@ -92,17 +120,14 @@ def supervise(
     builder: OutcomeBuilder,
     *,
     limits: Limits,
-    interruption: Interruption,
-    report: Report,
-    refresh: Callable[[], None],
-    refresh_interval: float | None,
+    watch: Watch,
 ) -> RunOutcome:
     """Follow a run's process until it is dead, whatever becomes of it, and return how the run went.
 
     A deadline that passes and an interruption have the same consequence: the run is told to end, and is killed with
     everything it started when it has not ended after the grace period.
     """
-    return _Supervision(process, builder, limits, interruption, report).follow(refresh, refresh_interval)
+    return _Supervision(process, builder, limits, watch).follow()
 
 
 class _Supervision:
@@ -111,30 +136,32 @@ class _Supervision:
         process: RunProcessHandle,
         builder: OutcomeBuilder,
         limits: Limits,
-        interruption: Interruption,
-        report: Report,
+        watch: Watch,
     ) -> None:
         self._process = process
         self._builder = builder
         self._limits = limits
-        self._interruption = interruption
-        self._report = report
+        self._interruption = watch.interruption
+        self._report = watch.report
+        self._noticed_interruption = watch.noticed_interruption
+        self._refresh = watch.refresh
+        self._refresh_interval = watch.refresh_interval
         self._reader = RecordReader(process.records)
         self._started = self._event_started = time.monotonic()
         self._kill_at: float | None = None
         self._because = ""
         self._interrupted = False
         self._poll = select.poll()
-        for descriptor in (process.records, process.pidfd, interruption.descriptor):
+        for descriptor in (process.records, process.pidfd, watch.interruption.descriptor):
             if descriptor is not None:
                 self._poll.register(descriptor, _READABLE)
 
-    def follow(self, refresh: Callable[[], None], refresh_interval: float | None) -> RunOutcome:
+    def follow(self) -> RunOutcome:
         has_pidfd = self._process.pidfd is not None
         may_have_ended = True
         while not (may_have_ended and self._process.has_ended()):
             may_have_ended = not has_pidfd
-            for descriptor, _ in self._poll.poll(self._milliseconds(refresh_interval)):
+            for descriptor, _ in self._poll.poll(self._milliseconds()):
                 if descriptor == self._process.records:
                     self._take_records()
                 elif descriptor == self._process.pidfd:
@@ -142,8 +169,8 @@ class _Supervision:
                 else:
                     self._interruption.forget_wakeups()
             self._enforce()
-            if refresh_interval is not None:
-                refresh()
+            if self._refresh_interval is not None:
+                self._refresh()
         self._take_records()  # what it said before it died
         return self._builder.outcome(ended_because=self._end(), interrupted=self._interrupted)
 
@@ -158,11 +185,11 @@ class _Supervision:
             with suppress(KeyError):
                 self._poll.unregister(self._process.records)
 
-    def _milliseconds(self, refresh_interval: float | None) -> float | None:
+    def _milliseconds(self) -> float | None:
         now = time.monotonic()
         waits = [deadline - now for deadline in self._deadlines() if deadline is not None]
-        if refresh_interval is not None:
-            waits.append(refresh_interval)
+        if self._refresh_interval is not None:
+            waits.append(self._refresh_interval)
         if self._process.pidfd is None:
             waits.append(_POLL_WITHOUT_PIDFD)
         return max(0.0, min(waits)) * 1000 + 1 if waits else None
@@ -187,6 +214,7 @@ class _Supervision:
                 self._kill_at = now + self._limits.grace
         elif self._interruption.is_requested:
             self._interrupted = True
+            self._noticed_interruption()
             self._end_run("the user interrupted the experiment")
         else:
             self._enforce_deadlines(now)

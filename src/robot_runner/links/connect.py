@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.errors import Finding, LinkError, nearest
 from robot_runner.events.clock import SystemClock
+from robot_runner.links.robot_name import RobotName, simulation_options
 
 if TYPE_CHECKING:
     from robot_runner.events.clock import Clock
@@ -23,6 +24,7 @@ __all__ = [
     "SIMULATED",
     "connect_host",
     "connect_robot",
+    "is_simulated",
     "link_findings",
     "open_clock",
     "open_serial_line",
@@ -49,17 +51,34 @@ def link_findings(robot: str | None) -> list[Finding]:
     """
     if robot is None:
         return []
-    if robot not in ROBOT_LINKS:
-        return [_unknown(robot).as_finding()]
-    missing = [name for name in _SIMULATOR_PACKAGES if importlib.util.find_spec(name) is None]
-    return [_not_installed(missing).as_finding()] if missing else []
+    try:
+        name = _known(robot)
+        missing = [package for package in _SIMULATOR_PACKAGES if importlib.util.find_spec(package) is None]
+        if missing:
+            return [_not_installed(missing).as_finding()]
+        if name.options:
+            simulation_options(name.options)
+    except LinkError as error:
+        return [error.as_finding()]
+    return []
+
+
+def is_simulated(robot: str | None) -> bool:
+    """Whether a robot of this name is the embedded one, whatever its options.
+
+    Example:
+        >>> is_simulated("simulated:task_power_factor=1.1")
+        True
+    """
+    return robot is not None and robot.partition(":")[0].strip() == SIMULATED
 
 
 def open_clock(robot: str | None, resources: Resources, seed: int) -> Clock:
     """Return the clock of a run: the simulation's on a simulated robot, else that of this machine.
 
     Args:
-        robot: how the robot is reached, or None where the experiment has none.
+        robot: how the robot is reached, or None where the experiment has none; an option such as
+            `simulated:initial_charge=40` sets a figure of `Turtlebot3Parameters`.
         resources: the run's, with which the simulation is closed.
         seed: the run's seed.
 
@@ -68,8 +87,7 @@ def open_clock(robot: str | None, resources: Resources, seed: int) -> Clock:
     """
     if robot is None:
         return SystemClock()
-    _check_simulated(robot)
-    return _simulation(resources, seed).clock
+    return _simulation(resources, seed, _simulated(robot)).clock
 
 
 def connect_robot(context: RobotRunnerContext, *, namespace: str = "") -> RobotLink:
@@ -133,11 +151,10 @@ def connect_host(context: RobotRunnerContext, host: str | None, *, namespace: st
 
 
 def _simulation_of(context: RobotRunnerContext) -> Simulation:
-    _check_simulated(context.robot)
-    return _simulation(context.resources, context.run_seed)
+    return _simulation(context.resources, context.run_seed, _simulated(context.robot))
 
 
-def _simulation(resources: Resources, seed: int) -> Simulation:
+def _simulation(resources: Resources, seed: int, name: RobotName) -> Simulation:
     """Return the run's one simulation, whoever asks for it first."""
 
     def opener() -> Simulation:
@@ -145,20 +162,27 @@ def _simulation(resources: Resources, seed: int) -> Simulation:
             from robot_runner.simulator.simulation import Simulation  # noqa: PLC0415  # it imports MuJoCo
         except ModuleNotFoundError as error:
             raise _not_installed([error.name or "mujoco"]) from error
-        return Simulation(seed)
+        options = simulation_options(name.options)
+        return Simulation(seed, parameters=options.parameters, real_time_factor=options.real_time_factor)
 
     return resources.open("simulation", opener)
 
 
-def _check_simulated(robot: str | None) -> None:
+def _simulated(robot: str | None) -> RobotName:
     if robot is None:
         raise LinkError(
             "the experiment names no robot",
             where="robot",
             fix=f"Name one in the config: robot = {SIMULATED!r}. Or: --set robot={SIMULATED}.",
         )
-    if robot not in ROBOT_LINKS:
+    return _known(robot)
+
+
+def _known(robot: str) -> RobotName:
+    name = RobotName.parse(robot)
+    if name.link not in ROBOT_LINKS:
         raise _unknown(robot)
+    return name
 
 
 def _check_own(kind: str, name: str | None) -> None:
@@ -176,8 +200,8 @@ def _key(namespace: str) -> str:
     return namespace.strip("/") or "/"
 
 
-def _unknown(robot: object) -> LinkError:
-    near = nearest(str(robot), ROBOT_LINKS)
+def _unknown(robot: str) -> LinkError:
+    near = nearest(robot.partition(":")[0], ROBOT_LINKS)
     return LinkError(
         f"robot is {robot!r}, which is no link of this version",
         where="robot",

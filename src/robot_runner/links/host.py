@@ -1,11 +1,42 @@
-"""What a link to a computer can do: sample its utilisation on board, and hand the samples over afterwards."""
+"""What a link to a computer can do: sample its utilisation or its files on board, and hand the samples over."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-__all__ = ["HostLink", "UtilisationSample", "UtilisationSampler"]
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from robot_runner.links.clock_offset import ClockRecord
+
+__all__ = [
+    "FileHost",
+    "FileSample",
+    "FileSampler",
+    "HostLink",
+    "ProcessHost",
+    "ProcessUtilisation",
+    "ReportingSampler",
+    "SamplingReport",
+    "UtilisationSample",
+    "UtilisationSampler",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessUtilisation:
+    """CPU and memory of the processes that one selector matched, at one moment.
+
+    Attributes:
+        count: how many processes there were.
+        cpu: their share of all cores together since the sample before, 0..100 %; None where there is no sample before.
+        memory: their share of the physical memory (resident, shared pages counted for each), 0..100 %.
+    """
+
+    count: int
+    cpu: float | None
+    memory: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,21 +45,76 @@ class UtilisationSample:
 
     Attributes:
         time: seconds on the run's clock.
-        cpu: share of all cores that was busy since the sample before, 0..100 %.
+        cpu: share of all cores that was busy since the sample before, 0..100 %; None where there is no sample before.
         memory: share of the physical memory in use, 0..100 %.
+        cores: the same as `cpu` for each core; empty where the computer does not tell.
+        processes: one for each selector that was asked for.
+        host_time: seconds on the computer's own steady clock, as it stamped the sample; None where it has none.
     """
 
     time: float
-    cpu: float
+    cpu: float | None
     memory: float
+    cores: tuple[float | None, ...] = ()
+    processes: tuple[ProcessUtilisation, ...] = ()
+    host_time: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FileSample:
+    """The first line of each of some files at one moment; None for a file that could not be read.
+
+    Attributes:
+        time: seconds on the run's clock.
+    """
+
+    time: float
+    lines: tuple[str | None, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SamplingReport:
+    """What a sampler says of itself once it was stopped.
+
+    Attributes:
+        rate: how often it sampled, Hz; a computer that cannot keep up with the rate asked for may take a lower one.
+        problems: what went wrong, one sentence each, such as a connection that was lost.
+        clock: how the computer's clock stands to the run's; None where they are one.
+        cpu_seconds: CPU time that sampling took on the computer itself, s; None if not known.
+        form: how the samples were taken, in words.
+    """
+
+    rate: float
+    problems: tuple[str, ...] = ()
+    clock: ClockRecord | None = None
+    cpu_seconds: float | None = None
+    form: str = ""
 
 
 @runtime_checkable
 class UtilisationSampler(Protocol):
     """A small loop on the computer that samples utilisation until it is stopped."""
 
-    def stop(self) -> list[UtilisationSample]:
+    def stop(self) -> Sequence[UtilisationSample]:
         """End the loop and return its samples, oldest first; a second call returns the same."""
+        ...
+
+
+@runtime_checkable
+class FileSampler(Protocol):
+    """A small loop on the computer that reads files until it is stopped."""
+
+    def stop(self) -> Sequence[FileSample]:
+        """End the loop and return its samples, oldest first; a second call returns the same."""
+        ...
+
+
+@runtime_checkable
+class ReportingSampler(Protocol):
+    """A sampler that knows more than its samples."""
+
+    def report(self) -> SamplingReport:
+        """Say how it went; to be asked after `stop`."""
         ...
 
 
@@ -47,4 +133,39 @@ class HostLink(Protocol):
 
     def close(self) -> None:
         """End all samplers and leave; closing twice does nothing."""
+        ...
+
+
+@runtime_checkable
+class ProcessHost(HostLink, Protocol):
+    """A computer that tells of its processes, too, and may send its samples while it takes them."""
+
+    def sample_processes(
+        self, rate: float, processes: Sequence[str], *, is_streamed: bool = False
+    ) -> UtilisationSampler:
+        """Begin to sample the utilisation of the computer and of processes.
+
+        Args:
+            rate: samples a second.
+            processes: what to look for: `pid:123`, `name:talker` or `node:/talker` (a ROS node, by the name that it
+                was given on its command line).
+            is_streamed: whether samples are sent at once, or kept on the computer until they are fetched.
+        """
+        ...
+
+
+@runtime_checkable
+class FileHost(Protocol):
+    """A computer whose one-line files can be read, such as those of Linux's /sys."""
+
+    def list_files(self, pattern: str) -> list[str]:
+        """Return the paths that match a pattern of the shell, sorted, such as `/sys/class/hwmon/*/name`."""
+        ...
+
+    def read_files(self, paths: Sequence[str]) -> list[str | None]:
+        """Return the first line of each file, without the line's end; None for one that cannot be read."""
+        ...
+
+    def sample_files(self, rate: float, paths: Sequence[str], *, is_streamed: bool = False) -> FileSampler:
+        """Begin to read the first line of each file `rate` times a second."""
         ...

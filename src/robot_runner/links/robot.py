@@ -49,9 +49,7 @@ class RobotLink(Protocol):
         """
         ...
 
-    def call(
-        self, service: str, service_type: str, request: Message | None = None, *, timeout: float = 5.0
-    ) -> Message:
+    def call(self, service: str, service_type: str, request: Message | None = None, *, timeout: float = 5.0) -> Message:
         """Call a service and return its response; `timeout` is in seconds.
 
         Raises:

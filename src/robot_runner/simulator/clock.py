@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import time
 from typing import TYPE_CHECKING
 
 from robot_runner.errors import LinkError
@@ -17,6 +18,8 @@ STEP_NS = 5_000_000
 STEPS_PER_SECOND = 200
 
 _SECOND_NS = 1_000_000_000
+#: In real time the simulation is at most this far ahead.
+_PACE_NS = 20_000_000
 
 
 def tick_time(number: int, rate: int) -> int:
@@ -44,10 +47,27 @@ class Ticker:
         self.is_closed = True
 
 
+class _PeriodTicker(Ticker):
+    """Something that happens once a period, counted from now, wherever on the grid that falls."""
+
+    def __init__(self, period: float, callback: Callable[[], None], *, now_ns: int) -> None:
+        super().__init__(1, callback, now_ns=0)
+        self._begun_ns = now_ns
+        self._period = period
+        self._number = 1
+
+    def due_after(self, now_ns: int) -> int:
+        """Move on to the first tick after this moment and return its time in ns."""
+        while (due := self._begun_ns + round(self._number * self._period * _SECOND_NS)) <= now_ns:
+            self._number += 1
+        return due
+
+
 class SimulatedClock:
     """A clock that starts at 0 s and is moved on by sleeping on it; what is due in between happens on the way.
 
-    Times are whole nanoseconds inside, so that many short sleeps add up exactly.
+    Times are whole nanoseconds inside, so that many short sleeps add up exactly. With a `real_time_factor` a sleep
+    takes as long as it says (1.0), half as long (2.0), and so on; without one it takes as long as the physics needs.
 
     Example:
         >>> clock = SimulatedClock()
@@ -56,7 +76,8 @@ class SimulatedClock:
         1.5
     """
 
-    def __init__(self) -> None:
+    def __init__(self, real_time_factor: float | None = None) -> None:
+        self._real_time_factor = real_time_factor
         self._now_ns = 0
         self._due: list[tuple[int, int, Ticker]] = []
         self._scheduled = 0
@@ -90,7 +111,11 @@ class SimulatedClock:
             )
         self._is_moving_on = True
         try:
-            self._move_to(self._now_ns + max(0, round(seconds * _SECOND_NS)))
+            target_ns = self._now_ns + max(0, round(seconds * _SECOND_NS))
+            if self._real_time_factor is None:
+                self._move_to(target_ns)
+            else:
+                self._move_in_pace(target_ns, self._real_time_factor)
         finally:
             self._is_moving_on = False
 
@@ -99,6 +124,20 @@ class SimulatedClock:
         ticker = Ticker(rate, callback, now_ns=self._now_ns)
         self._schedule(ticker)
         return ticker
+
+    def call_every(self, period: float, callback: Callable[[], None]) -> Ticker:
+        """Have `callback` called every `period` seconds from now on, while somebody sleeps."""
+        ticker = _PeriodTicker(period, callback, now_ns=self._now_ns)
+        self._schedule(ticker)
+        return ticker
+
+    def _move_in_pace(self, target_ns: int, factor: float) -> None:
+        began, began_ns = time.monotonic(), self._now_ns
+        while self._now_ns < target_ns:
+            self._move_to(min(self._now_ns + _PACE_NS, target_ns))
+            ahead = (self._now_ns - began_ns) / _SECOND_NS / factor - (time.monotonic() - began)
+            if ahead > 0:
+                time.sleep(ahead)
 
     def _move_to(self, target_ns: int) -> None:
         while self._due and self._due[0][0] <= target_ns:

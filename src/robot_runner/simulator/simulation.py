@@ -18,6 +18,7 @@ class Simulation:
     Attributes:
         clock: moves on only while it is slept on.
         parameters: what its robots are made of.
+        real_time_factor: simulated seconds a real second; None for as fast as the physics goes.
 
     Example:
         >>> simulation = Simulation(seed=1)
@@ -26,8 +27,10 @@ class Simulation:
         >>> simulation.close()
     """
 
-    def __init__(self, seed: int, *, parameters: Turtlebot3Parameters | None = None) -> None:
-        self.clock = SimulatedClock()
+    def __init__(
+        self, seed: int, *, parameters: Turtlebot3Parameters | None = None, real_time_factor: float | None = None
+    ) -> None:
+        self.clock = SimulatedClock(real_time_factor)
         self.parameters = parameters or Turtlebot3Parameters()
         self._seed = seed
         self._robots: dict[str, SimulatedTurtlebot3] = {}

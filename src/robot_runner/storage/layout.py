@@ -10,17 +10,33 @@ if TYPE_CHECKING:
 
 __all__ = ["ExperimentFolder"]
 
+_RUNS = "runs"
+_MANIFEST = "manifest.json"
+
 
 @dataclass(frozen=True, slots=True)
 class ExperimentFolder:
     """Where everything of one experiment is kept.
 
+    Attributes:
+        root: the experiment's folder.
+        runs_name: the folder in it that holds a folder for each run; empty where they stand in the root itself, as the
+            earlier tools had them.
+
     Example:
+        >>> from pathlib import Path
         >>> ExperimentFolder(Path("results/basic")).log("r_1").as_posix()
         'results/basic/runs/r_1/log.txt'
     """
 
     root: Path
+    runs_name: str = _RUNS
+
+    @classmethod
+    def found_at(cls, root: Path) -> ExperimentFolder:
+        """Return the folder of an experiment that is there already, whichever way it keeps its runs."""
+        keeps_runs_in_root = (root / _MANIFEST).exists() and not (root / _RUNS).exists()
+        return cls(root, "" if keeps_runs_in_root else _RUNS)
 
     @property
     def run_table(self) -> Path:
@@ -40,7 +56,7 @@ class ExperimentFolder:
     @property
     def manifest(self) -> Path:
         """The circumstances: host, versions, seed, what was set by hand."""
-        return self.root / "manifest.json"
+        return self.root / _MANIFEST
 
     @property
     def config(self) -> Path:
@@ -48,9 +64,14 @@ class ExperimentFolder:
         return self.root / "config"
 
     @property
+    def earlier_configs(self) -> Path:
+        """Configs that were executed before the config changed, numbered."""
+        return self.root / "earlier_configs"
+
+    @property
     def runs(self) -> Path:
         """One folder a run."""
-        return self.root / "runs"
+        return self.root / self.runs_name
 
     @property
     def earlier_attempts(self) -> Path:
@@ -79,6 +100,10 @@ class ExperimentFolder:
     def log(self, run_id: str) -> Path:
         """Return the file that takes everything that a run's callbacks printed, once it has ended."""
         return self.run(run_id) / "log.txt"
+
+    def refused(self, run_id: str) -> Path:
+        """Return the file of values that the run table could not take."""
+        return self.run(run_id) / "refused.jsonl"
 
     def earlier_attempt(self, run_id: str, attempt: int) -> Path:
         """Return where a run's folder is kept once another attempt was made."""

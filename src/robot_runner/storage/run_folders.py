@@ -6,17 +6,19 @@ if something is kept in it, and what it prints goes to one log that is renamed i
 
 from __future__ import annotations
 
+import json
 import os
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.storage.safe_write import storage_error
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     from robot_runner.storage.layout import ExperimentFolder
 
-__all__ = ["keep_log", "open_log", "put_earlier_attempt_away"]
+__all__ = ["keep_log", "keep_refused", "open_log", "put_earlier_attempt_away"]
 
 
 def open_log(folder: ExperimentFolder) -> int:
@@ -40,6 +42,21 @@ def keep_log(folder: ExperimentFolder, run_id: str) -> None:
             folder.current_log.replace(folder.log(run_id))
     except OSError as error:
         raise storage_error(folder.log(run_id), "written", error) from error
+
+
+def keep_refused(folder: ExperimentFolder, run_id: str, refused: Mapping[str, Any]) -> None:
+    """Keep a value that the run table could not take, one JSON record a line in the run's `refused.jsonl`.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    path = folder.refused(run_id)
+    try:
+        path.parent.mkdir(exist_ok=True)
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(refused, ensure_ascii=False, default=str) + "\n")
+    except OSError as error:
+        raise storage_error(path, "written", error) from error
 
 
 def _size(path: Path) -> int:

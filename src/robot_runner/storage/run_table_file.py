@@ -33,7 +33,7 @@ def table_text(rows: RunTableRows) -> Iterator[str]:
     The columns stand in the order of the layout, see `TableLayout`.
     """
     columns = rows.columns
-    yield ",".join(quoted(column.name) for column in columns) + "\n"
+    yield ",".join(quoted(rows.layout.spelling.heading(column.name)) for column in columns) + "\n"
     for start in range(0, len(rows), _ROWS_AT_ONCE):
         stop = min(start + _ROWS_AT_ONCE, len(rows))
         cells = [column.cells(start, stop) for column in columns]

@@ -88,7 +88,13 @@ class _Reading:
             for each in layout.factors
         }
         self._measures = {
-            name: MeasureDecoder(name, types.get(name), findings, decimal_comma=decimal_comma)
+            name: MeasureDecoder(
+                name,
+                types.get(name),
+                findings,
+                decimal_comma=decimal_comma,
+                blank_is_missing=layout.spelling.blank_is_missing,
+            )
             for name in layout.measures
         }
         self._stamps = {name: TextDecoder(name, findings, is_stamp=True) for name in layout.stamps}

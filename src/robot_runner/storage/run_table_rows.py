@@ -74,6 +74,7 @@ class RunTableRows:
         self.layout = layout
         self.run_ids = run_ids
         self.statuses = statuses
+        statuses.spell(layout.spelling.status_words)
         self.stamps = {name: TextColumn(name, texts.get(name) or [None] * count) for name in layout.stamps}
         self.factors = {column.name: column for column in factors}
         self.measures = {name: MeasureColumn(name, measures.get(name) or [None] * count) for name in layout.measures}
@@ -91,7 +92,8 @@ class RunTableRows:
         if layout.has_repetition:
             values = range(plan.model.repetitions + 1)
             factors.append(CodedColumn(REPETITION, values, [*map(str, values)], plan.repetition_numbers()))
-        return cls(layout, RunIdColumn.numbered(len(plan)), StatusColumn(len(plan)), factors)
+        run_ids = RunIdColumn.numbered(len(plan)) if plan.run_ids is None else RunIdColumn(plan.run_ids, len(plan))
+        return cls(layout, run_ids, StatusColumn(len(plan)), factors)
 
     def __len__(self) -> int:
         return len(self.run_ids)

@@ -82,6 +82,7 @@ class StatusColumn:
 
     def __init__(self, count: int) -> None:
         self.name = STATUS
+        self._cells: tuple[str, ...] = _STATUS_CELLS
         self._codes = bytearray(count)
         self._counts = [0] * len(_STATUSES)
         self._counts[_PLACES_OF_STATUSES[RunStatus.TODO]] = count
@@ -112,17 +113,13 @@ class StatusColumn:
         """Return how many runs have this status, at no cost that grows with the table."""
         return self._counts[_PLACES_OF_STATUSES[status]]
 
-    def places(self, status: RunStatus) -> Iterable[int]:
-        """Return the places of the runs that have this status, first to last."""
-        code = _PLACES_OF_STATUSES[status]
-        place = self._codes.find(code)
-        while place >= 0:
-            yield place
-            place = self._codes.find(code, place + 1)
+    def spell(self, words: Mapping[RunStatus, str]) -> None:
+        """Write each status with this word from now on."""
+        self._cells = tuple(quoted(words[status]) for status in _STATUSES)
 
     def cells(self, start: int, stop: int) -> Iterable[str]:
         """Return the words for the statuses of some rows."""
-        return map(_STATUS_CELLS.__getitem__, self._codes[start:stop])
+        return map(self._cells.__getitem__, self._codes[start:stop])
 
 
 class CodedColumn:

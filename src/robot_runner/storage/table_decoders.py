@@ -224,15 +224,26 @@ class RepetitionDecoder:
 class MeasureDecoder:
     """The values of one measure."""
 
-    def __init__(self, name: str, kind: str | None, findings: TableFindings, *, decimal_comma: bool) -> None:
+    def __init__(
+        self,
+        name: str,
+        kind: str | None,
+        findings: TableFindings,
+        *,
+        decimal_comma: bool,
+        blank_is_missing: bool = False,
+    ) -> None:
         self._name = name
         self._kind = kind
         self._findings = findings
+        self._blank_is_missing = blank_is_missing
         self._typed = partial(typed_values, kind=kind, decimal_comma=decimal_comma)
         self.values: list[CellValue] = []
 
     def take(self, cells: Sequence[str], chunk: RowChunk) -> None:
         """Take values, and say which are not of the column's type."""
+        if self._blank_is_missing:
+            cells = ["" if cell.isspace() else cell for cell in cells]
         values = self._typed(cells)
         self.values += values
         fitting = _TYPES.get(self._kind or "")

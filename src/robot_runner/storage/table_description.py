@@ -30,20 +30,21 @@ def describe_columns(
         rows: the run table; types are those of the values that it holds.
         known: what is known of columns beside their values (titles, units, owners, ...), by heading.
     """
+    words = {status: rows.layout.spelling.status_words[status] for status in RunStatus}
     described = [
         ColumnDescription(
             name=RUN_ID,
             role=ColumnRole.PROGRESS,
             type="string",
             title="Run",
-            description="Names the run, and its folder below runs/.",
+            description="Names the run, and its folder.",
         ),
         ColumnDescription(
             name=STATUS,
             role=ColumnRole.PROGRESS,
             type="string",
             title="Status",
-            description=f"How far the run has come: {', '.join(status.value for status in RunStatus)}.",
+            description=f"How far the run has come: {', '.join(dict.fromkeys(words.values()))}.",
         ),
         *(_stamp(name, column.texts) for name, column in rows.stamps.items()),
         *(_factor(name, column.values) for name, column in rows.factors.items() if name in rows.layout.factor_names),
@@ -51,7 +52,13 @@ def describe_columns(
         *(_measure(name, column.values) for name, column in rows.measures.items()),
         *(ColumnDescription(name=name, role=ColumnRole.EXTRA, type="string", title=name) for name in rows.extras),
     ]
-    return tuple(_merged(column, (known or {}).get(column.name)) for column in described)
+    spelled = (replace(column, heading=_other_heading(rows, column.name)) for column in described)
+    return tuple(_merged(column, (known or {}).get(column.name)) for column in spelled)
+
+
+def _other_heading(rows: RunTableRows, name: str) -> str:
+    heading = rows.layout.spelling.heading(name)
+    return "" if heading == name else heading
 
 
 def type_of_values(values: Iterable[Any]) -> str:
@@ -116,6 +123,7 @@ def _merged(column: ColumnDescription, known: ColumnDescription | None) -> Colum
         known,
         name=column.name,
         role=column.role,
+        heading=column.heading,
         type=known.type if column.type == "any" else column.type,
         title=known.title or column.title,
         description=known.description or column.description,

@@ -19,8 +19,16 @@ __all__ = ["Headings", "delimiter_of", "match_headings"]
 
 _DELIMITERS = (",", ";", "\t")
 
-# As in the paper's Fig. 3, and as people write them.
-_PROGRESS = {"run_id": RUN_ID, "run id": RUN_ID, "id": RUN_ID, "status": STATUS}
+# As in the paper's Fig. 3, as people write them, and as the earlier tools did.
+_PROGRESS = {
+    "run_id": RUN_ID,
+    "run id": RUN_ID,
+    "id": RUN_ID,
+    "__run_id": RUN_ID,
+    "status": STATUS,
+    "__done": STATUS,
+}
+_EARLIER = frozenset({"__run_id", "__done"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +48,7 @@ class Headings:
 
 def delimiter_of(first_line: str, layout: TableLayout) -> str:
     """Return what stands between the cells: the delimiter that makes most of the layout's headings appear."""
-    known = {name.casefold() for name in layout.columns} | set(_PROGRESS)
+    known = {layout.spelling.heading(name).casefold() for name in layout.columns} | set(_PROGRESS)
 
     def recognised(delimiter: str) -> int:
         cells = next(csv.reader([first_line], delimiter=delimiter), [])
@@ -80,9 +88,13 @@ def match_headings(cells: Sequence[str], layout: TableLayout, findings: TableFin
 
 
 def _names(trimmed: Sequence[str], layout: TableLayout) -> list[str]:
-    """Return each heading as the layout spells it; factors and measures are taken as they are written."""
+    """Return the column that each heading means; factors and measures are taken as they are written."""
+    named = [layout.spelling.name(heading) for heading in trimmed]
+    # A user's own column `id` beside a `__run_id` is a column of its own.
+    taken = {*named, *(_PROGRESS[name] for name in named if name in _EARLIER)}
     names = []
-    for heading in trimmed:
-        meant = _PROGRESS.get(" ".join(heading.casefold().split()), heading)
-        names.append(heading if heading in layout.columns or meant in trimmed else meant)
+    for name in named:
+        meant = _PROGRESS.get(" ".join(name.casefold().split()), name)
+        is_meant = name in _EARLIER or meant not in taken
+        names.append(meant if is_meant and name not in layout.columns else name)
     return names

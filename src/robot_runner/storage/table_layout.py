@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.design.columns import REPETITION, RUN_ID, STAMP_COLUMNS, STATUS
 from robot_runner.errors import DesignError, Finding
+from robot_runner.storage.table_spelling import OWN_SPELLING, TableSpelling, spelling_of_headings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -61,6 +62,7 @@ class TableLayout:
         stamps: the events' time-stamp columns.
         extras: columns that a user added; kept as text.
         types: the type of columns in the run table's schema, by name, for reading cells that could be several things.
+        spelling: how the file spells headings and statuses.
 
     Raises:
         DesignError: two columns would have one heading.
@@ -76,6 +78,7 @@ class TableLayout:
     stamps: tuple[str, ...] = STAMP_COLUMNS
     extras: tuple[str, ...] = ()
     types: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    spelling: TableSpelling = OWN_SPELLING
 
     def __post_init__(self) -> None:
         counts = Counter(self.columns)
@@ -87,7 +90,11 @@ class TableLayout:
 
     @classmethod
     def of_model(
-        cls, model: RunTableModel, measures: Iterable[str], types: Mapping[str, str] | None = None
+        cls,
+        model: RunTableModel,
+        measures: Iterable[str],
+        types: Mapping[str, str] | None = None,
+        spelling: TableSpelling = OWN_SPELLING,
     ) -> TableLayout:
         """Return the layout of a design's run table.
 
@@ -95,6 +102,7 @@ class TableLayout:
             model: the design.
             measures: the names of the measures' columns, in order.
             types: the types in the run table's schema, where there is one already.
+            spelling: how the file spells headings and statuses.
 
         Raises:
             DesignError: a measure is called like a factor.
@@ -103,7 +111,9 @@ class TableLayout:
             tuple(FactorColumn(factor.name, factor) for factor in model.factors),
             tuple(measures),
             has_repetition=model.repetitions > 1,
+            stamps=STAMP_COLUMNS if spelling.has_stamps else (),
             types=types or MappingProxyType({}),
+            spelling=spelling,
         )
 
     @classmethod
@@ -117,6 +127,7 @@ class TableLayout:
             stamps=named[ColumnRole.TIMESTAMP],
             extras=named[ColumnRole.EXTRA],
             types={column.name: column.type for column in schema},
+            spelling=spelling_of_headings({column.name: column.heading for column in schema if column.heading}),
         )
 
     @property

@@ -40,6 +40,7 @@ class ColumnDescription:
         owner: the plugin that yields it, or `config`; empty for what Robot Runner itself fills.
         origin: `measured`, `simulated`, `estimated`, several of them with `, ` between, or None.
         findings: what is odd about its values.
+        heading: what stands at its head in the file, where that is not its name.
 
     Example:
         >>> ColumnDescription(name="Energy", role=ColumnRole.MEASURE, type="number", unit="J").unit
@@ -55,6 +56,7 @@ class ColumnDescription:
     owner: str = ""
     origin: str | None = None
     findings: tuple[str, ...] = ()
+    heading: str = ""
 
 
 def write_schema(path: Path, fields: Sequence[ColumnDescription]) -> None:
@@ -71,7 +73,7 @@ def write_schema(path: Path, fields: Sequence[ColumnDescription]) -> None:
         "$schema": _PROFILE,
         "fields": list(map(_field, fields)),
         "missingValues": [""],
-        "primaryKey": [RUN_ID],
+        "primaryKey": [next((field.heading or RUN_ID for field in fields if field.name == RUN_ID), RUN_ID)],
     }
     text = json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
     write_beside_and_rename(path, lambda file: file.write(text))
@@ -96,7 +98,7 @@ def read_schema(path: Path) -> tuple[ColumnDescription, ...]:
 
 
 def _field(column: ColumnDescription) -> dict[str, Any]:
-    field: dict[str, Any] = {"name": column.name, "type": column.type}
+    field: dict[str, Any] = {"name": column.heading or column.name, "type": column.type}
     if column.type == "datetime":
         field["format"] = _STAMP_FORMAT
     field |= {key: text for key in ("title", "description", "unit") if (text := getattr(column, key))}
@@ -104,6 +106,8 @@ def _field(column: ColumnDescription) -> dict[str, Any]:
     field[f"{_OWN}owner"] = column.owner
     field[f"{_OWN}origin"] = column.origin
     field[f"{_OWN}findings"] = list(column.findings)
+    if column.heading:
+        field[f"{_OWN}column"] = column.name
     return field
 
 
@@ -116,13 +120,15 @@ def _description(path: Path, place: int, field: object) -> ColumnDescription:
         raise _no_schema(path, f"fields[{place}] has the unknown role {word!r}")
     origin = field.get(f"{_OWN}origin")
     texts = {key: str(field.get(key, "")) for key in ("title", "description", "unit")}
+    name = str(field.get(f"{_OWN}column", field["name"]))
     return ColumnDescription(
-        name=field["name"],
+        name=name,
         role=role,
         type=str(field.get("type", "any")),
         owner=str(field.get(f"{_OWN}owner", "")),
         origin=None if origin is None else str(origin),
         findings=tuple(map(str, field.get(f"{_OWN}findings") or ())),
+        heading="" if name == field["name"] else field["name"],
         **texts,
     )
 

@@ -30,7 +30,9 @@ def gather_plugins(loaded: LoadedConfig) -> tuple[tuple[Plugin, ...], list[Findi
 def check_plugins(plugins: Iterable[Plugin], model: RunTableModel | None, robot: Any) -> list[Finding]:
     """Return what each plugin finds missing."""
     factors = {factor.name: factor.treatments for factor in model.factors} if model else {}
-    circumstances = Circumstances(robot=robot if isinstance(robot, str) else None, factors=factors)
+    circumstances = Circumstances(
+        robot=robot if isinstance(robot, str) else None, factors=factors, plugins=tuple(plugins)
+    )
     findings: list[Finding] = []
     for plugin in plugins:
         try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from robot_runner.errors import Finding
-from robot_runner.links.connect import link_findings
+from robot_runner.links.connect import is_simulated, link_findings
 from robot_runner.links.ros_environment import RosEnvironment, find_ros
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ _ON_SIMULATED = "or execute it on the embedded robot: --set robot=simulated"
 def check_robot(loaded: LoadedConfig, parameters: Parameters) -> list[Finding]:
     """Return what stands between the experiment and its robot."""
     findings = list(link_findings(parameters.robot))
-    if parameters.robot == "simulated" or parameters.required_ros_version is None:
+    if is_simulated(parameters.robot) or parameters.required_ros_version is None:
         return findings  # the embedded robot needs no ROS
     return [*findings, *_check_ros(loaded, parameters, find_ros())]
 

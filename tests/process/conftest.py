@@ -1,0 +1,126 @@
+"""Real processes and real signals: an experiment is started as a user starts it, and something happens to it."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+MARK = "ROBOT_RUNNER_TEST_MARK"
+PATIENCE = 20.0
+
+
+@dataclass
+class Experiment:
+    """An experiment in a process of its own."""
+
+    config: Path
+    process: subprocess.Popen[str]
+    mark: str
+    output: str = field(default="")
+
+    @property
+    def folder(self) -> Path:
+        return self.config.parent / "results" / "trial"
+
+    @property
+    def table(self) -> list[dict[str, str]]:
+        with (self.folder / "run_table.csv").open(encoding="utf-8", newline="") as file:
+            return list(csv.DictReader(file))
+
+    @property
+    def statuses(self) -> list[str]:
+        return [row["status"] for row in self.table]
+
+    def wait_for(self, name: str) -> Path:
+        """Wait until a callback has written the file `name` beside the config."""
+        return wait_until(lambda: (path := self.config.parent / name).exists() and path, f"{name} is written")
+
+    def send(self, number: signal.Signals) -> float:
+        """Send a signal to the orchestrator alone; returns when it was sent."""
+        os.kill(self.process.pid, number)
+        return time.time()
+
+    def end(self) -> int:
+        """Wait for the end and return the exit code."""
+        self.output, _ = self.process.communicate(timeout=PATIENCE)
+        return self.process.returncode
+
+    def processes(self) -> list[int]:
+        """Return the processes that the experiment started, its own included, that still live."""
+        return [int(path.name) for path in Path("/proc").glob("[0-9]*") if self._is_ours(int(path.name))]
+
+    def nobody_is_left(self) -> bool:
+        """Wait until none of them lives."""
+        return bool(wait_until(lambda: not self.processes(), "no process is left"))
+
+    def _is_ours(self, pid: int) -> bool:
+        try:
+            environment = Path(f"/proc/{pid}/environ").read_bytes()
+            state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+        except OSError:
+            return False
+        return state != "Z" and f"{MARK}={self.mark}".encode() in environment.split(b"\0")
+
+
+def wait_until(holds: Callable[[], object], what: str) -> object:
+    deadline = time.monotonic() + PATIENCE
+    while time.monotonic() < deadline:
+        if result := holds():
+            return result
+        time.sleep(0.01)
+    raise AssertionError(f"after {PATIENCE} s it is not so that {what}")
+
+
+@pytest.fixture
+def start(write_config: Callable[..., Path], request: pytest.FixtureRequest) -> Iterator[Callable[..., Experiment]]:
+    """Return what writes a config and starts it in a session of its own; whatever is left at the end is killed."""
+    started: list[Experiment] = []
+    request.node.user_properties.append(("faults", 1))
+
+    def begin(body: str = "", *arguments: str, config: Path | None = None, wrapper: tuple[str, ...] = ()) -> Experiment:
+        path = config or write_config(body)
+        mark = uuid.uuid4().hex
+        command = [*wrapper, sys.executable, "-m", "robot_runner", "run", str(path), "--plain", *arguments]
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+            env={**os.environ, MARK: mark},
+        )
+        started.append(Experiment(path, process, mark))
+        return started[-1]
+
+    yield begin
+    for experiment in started:
+        for pid in experiment.processes():
+            os.kill(pid, signal.SIGKILL)
+        experiment.process.communicate(timeout=PATIENCE)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say how many faults were injected, and how many of these were not survived."""
+    injected = lost = 0
+    for outcome in ("passed", "failed"):
+        for report in terminalreporter.stats.get(outcome, []):
+            faults = sum(count for name, count in getattr(report, "user_properties", ()) if name == "faults")
+            if report.when == "call":
+                injected += faults
+                lost += faults if outcome == "failed" else 0
+    if injected:
+        terminalreporter.write_line(f"{injected} faults injected, {lost} not survived")

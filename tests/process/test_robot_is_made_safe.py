@@ -1,0 +1,105 @@
+"""A simulated robot in real time, moving: whatever dies, it stands still within a second."""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+Start = Callable[..., Any]
+
+HEAD = """\
+import json, os, time
+from pathlib import Path
+from robot_runner import *
+from robot_runner.plugins import System, connect_robot
+from robot_runner.plugins.systems import BasicTurtlebot3
+
+HERE = Path(__file__).parent
+
+class Watcher(System):
+    '''Looks at the robot from outside: it is closed last, and writes down when the robot stood still.'''
+    def start_run(self, context):
+        robot = connect_robot(context)
+        robot.subscribe("odom", "nav_msgs/Odometry", self.look)
+        self.clock = context.clock
+    def look(self, message):
+        self.speed = message["twist"]["twist"]["linear"]["x"]
+        if self.speed > 0.15 and not (HERE / "moving").exists():
+            (HERE / "moving").write_text(str(os.getpid()))
+    def stop_run(self, context):
+        self.note(context)
+    def make_safe(self, context):
+        self.note(context)
+    def note(self, context):
+        context.clock.sleep(0.5)
+        truth = {"speed": self.speed, "at": time.time()}
+        (HERE / "still.new").write_text(json.dumps(truth))
+        (HERE / "still.new").rename(HERE / "still.json")
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = "results"
+    robot = "simulated:real_time_factor=1"
+    plugins = [Watcher(), BasicTurtlebot3(sleep_s=0.2, drive_s=30, task_s=1, rotate_s=5)]
+    grace_in_s = 5
+    event_deadline_in_s = 60
+"""
+TABLE = """\
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["Video"])])
+"""
+
+
+@pytest.fixture
+def moving(start: Start, write_config: Callable[..., Path]) -> Any:
+    experiment = start(config=write_config("", head=HEAD, table=TABLE))
+    experiment.wait_for("moving")
+    return experiment
+
+
+def stood_still(experiment: Any, since: float) -> bool:
+    truth = json.loads(experiment.wait_for("still.json").read_text())
+    return abs(truth["speed"]) < 0.01 and truth["at"] - since < 1.0
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP], ids=lambda n: n.name)
+def test_when_the_orchestrator_goes_the_robot_stands_still_within_a_second(moving: Any, number: signal.Signals) -> None:
+    sent = moving.send(number)
+    assert stood_still(moving, sent)
+    moving.end()
+    assert moving.nobody_is_left()
+
+
+def test_when_the_mission_raises_the_robot_stands_still_within_a_second(
+    start: Start, write_config: Callable[..., Path]
+) -> None:
+    bump = "(HERE / 'raised').touch(); raise RuntimeError('a bump')"
+    head = HEAD.replace(
+        "        if self.speed > 0.15",
+        f"        if self.speed > 0.15 and self.clock.now() > 2: {bump}\n        if self.speed > 0.15",
+    )
+    experiment = start(config=write_config("", head=head, table=TABLE))
+    raised = experiment.wait_for("raised").stat().st_mtime
+    assert stood_still(experiment, raised)
+    assert experiment.end() == 1
+    assert "a bump" in experiment.output
+
+
+def test_when_a_deadline_passes_the_robot_stands_still_within_a_second(
+    start: Start, write_config: Callable[..., Path]
+) -> None:
+    config = write_config("", head=HEAD.replace("event_deadline_in_s = 60", "event_deadline_in_s = 3"), table=TABLE)
+    experiment = start(config=config)
+    experiment.wait_for("moving")
+    started = time.time()
+    assert experiment.end() == 1
+    assert stood_still(experiment, started + 3)
+    assert "event_deadline_in_s = 3" in experiment.output
