@@ -5,6 +5,7 @@
 set -u
 cd "$(dirname "$0")/.." || exit 1
 bin=.venv/bin
+code="src tests benchmarks scripts examples" # results of experiments may lie beside them
 failed=
 
 # Take one step; what it says is shown when it fails.
@@ -20,12 +21,12 @@ step() {
     fi
 }
 
-step "format" "$bin/ruff" format --check .
-step "lint" "$bin/ruff" check .
+step "format" "$bin/ruff" format --check $code
+step "lint" "$bin/ruff" check $code
 step "types" "$bin/mypy"
 step "import contracts" "$bin/lint-imports"
 if [ "${1:-all}" = all ]; then
-    step "command-line page is current" "$bin/python" scripts/cli_page.py --check
+    step "command-line page is current" "$bin/python" scripts/generate_cli_page.py --check
     step "documentation" "$bin/mkdocs" build --strict --site-dir .make/site
     "$bin/pytest" -q -n 2 -m "not soak" || failed="$failed, tests"
 fi

@@ -9,7 +9,10 @@ import argparse
 import io
 import itertools
 import os
+import re
+import shutil
 import sys
+import tempfile
 from pathlib import Path
 
 import pexpect
@@ -35,7 +38,8 @@ def main() -> int:
     if not command:
         parser.error("name the command to execute, after --")
     screen = pyte.Screen(_COLUMNS, _LINES)
-    code = _play(command, screen)
+    with tempfile.TemporaryDirectory() as folder:  # what an earlier demo left is not in the picture
+        code = _play(command, screen, folder)
     lines = [_line(screen, row) for row in range(_LINES)]
     while lines and not lines[-1].plain.strip():
         lines.pop()
@@ -46,12 +50,13 @@ def main() -> int:
     return code
 
 
-def _play(command: list[str], screen: pyte.Screen) -> int:
+def _play(command: list[str], screen: pyte.Screen, folder: str) -> int:
     stream = pyte.Stream(screen)
     environment = {**os.environ, "TERM": "xterm-256color", "COLORTERM": "truecolor"}
     child = pexpect.spawn(
-        command[0],
+        str(Path(shutil.which(command[0]) or command[0]).absolute()),
         command[1:],
+        cwd=folder,
         dimensions=(_LINES, _COLUMNS),
         encoding="utf-8",
         env=environment,
@@ -99,7 +104,8 @@ def _drawn(lines: list[Text], title: str) -> str:
     console = Console(width=_COLUMNS, record=True, file=io.StringIO(), force_terminal=True)
     for line in lines:
         console.print(line, highlight=False)
-    return console.export_svg(title=title)
+    # Whoever opens the picture need not fetch a font: a monospaced one of theirs does as well.
+    return re.sub(r"@font-face \{.*?\}\s*", "", console.export_svg(title=title), flags=re.DOTALL)
 
 
 if __name__ == "__main__":

@@ -81,7 +81,7 @@ is_done() {
 purpose=${1:-}
 case $purpose in
     demo) extras=sim ;;
-    test) extras=sim,dev ;;
+    test) extras=dev ;;
     *) die "set_up.sh was called for '$purpose'." "Call it for demo or for test." ;;
 esac
 stamp=.venv/.installed-$purpose

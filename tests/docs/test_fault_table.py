@@ -9,15 +9,15 @@ ROOT = Path(__file__).parents[2]
 NAMED = set(re.findall(r"`(test_\w+)`", (ROOT / "docs" / "faults.md").read_text(encoding="utf-8")))
 
 
-def tests_in(*folders: str) -> set[str]:
+def names_of_tests_in(*folders: str) -> set[str]:
     files = [path for folder in folders for path in (ROOT / "tests" / folder).rglob("test_*.py")]
     return {name for path in files for name in re.findall(r"^def (test_\w+)", path.read_text("utf-8"), re.MULTILINE)}
 
 
 def test_every_test_that_the_table_names_exists() -> None:
-    assert NAMED - tests_in("process", "execution", "config") == set()
+    assert NAMED - names_of_tests_in("process", "execution", "config") == set()
 
 
 def test_every_injected_fault_stands_in_the_table() -> None:
     told_elsewhere = {"test_a_folder_that_may_not_be_written_is_refused_before_anything_is_executed"}
-    assert tests_in("process") - told_elsewhere - NAMED == set()
+    assert names_of_tests_in("process") - told_elsewhere - NAMED == set()

@@ -1,0 +1,90 @@
+"""Write docs/cli.md from the program itself: `generate_cli_page.py`, or with `--check` say whether it is current."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from robot_runner.cli.commands import COMMANDS
+from robot_runner.cli.main import overview
+from robot_runner.cli.parser import Parser, parser_of
+
+_PAGE = Path(__file__).parents[1] / "docs" / "cli.md"
+
+_HEAD = """\
+# Command line
+
+<!-- Written by scripts/generate_cli_page.py from the program itself: do not edit. -->
+
+```text
+{overview}
+```
+
+## Exit codes
+
+| code | means |
+|---|---|
+| 0 | all is done |
+| 1 | a run failed |
+| 2 | refused: the command, the config or the experiment's folder is not as it must be; nothing was executed |
+| 70 | a fault of Robot Runner itself; the traceback is kept in a file that is named |
+| 130 | interrupted by Ctrl-C: what was open was closed, and the experiment can be resumed |
+
+Errors go to stderr: one problem, where it is, and beneath it how to mend it. With `--json`, nothing but JSON goes to
+stdout. Colours are used on a terminal only, and never where the environment variable `NO_COLOR` is set.
+"""
+
+
+def main() -> int:
+    """Write the page, or compare it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing; fail where the page is not current")
+    chosen = parser.parse_args()
+    page = current_page()
+    if not chosen.check:
+        _PAGE.write_text(page, encoding="utf-8")
+    elif not _PAGE.exists() or _PAGE.read_text(encoding="utf-8") != page:
+        print("docs/cli.md is not current: execute `make cli-page`, and commit what it writes.")
+        return 1
+    return 0
+
+
+def current_page() -> str:
+    """Return what the page is to hold."""
+    return "\n".join([_HEAD.format(overview=overview()), *map(_section, COMMANDS)])
+
+
+def _section(command: str) -> str:
+    parser = parser_of(command)
+    lines = [f"## robot-runner {command}", "", parser.description or "", "", "```text", _usage(parser), "```", ""]
+    lines += ["| argument | means |", "|---|---|"]
+    lines += [f"| `{_name(action)}` | {_cell(action.help or '')} |" for action in parser.documented]
+    return "\n".join([line.rstrip() for line in lines]) + "\n"
+
+
+# Not argparse's own: it words and folds a usage differently in each version of Python.
+def _usage(parser: Parser) -> str:
+    words = [parser.prog]
+    for action in parser.documented:
+        if not action.option_strings:
+            words.append(f"[{_name(action)}]" if action.nargs == "?" else _name(action))
+        elif action.option_strings[0] != "-h":
+            words.append(f"[{_name(action)}]")
+    return " ".join(words)
+
+
+def _name(action: argparse.Action) -> str:
+    if not action.option_strings:
+        return str(action.metavar or action.dest)
+    value = f" {action.metavar}" if action.metavar else ""
+    return f"{', '.join(action.option_strings)}{value}"
+
+
+def _cell(text: str) -> str:
+    sentence = text[:1].upper() + text[1:]
+    return sentence.replace("|", "\\|") + ("" if sentence.endswith(".") else ".")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

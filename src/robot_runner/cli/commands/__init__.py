@@ -1,0 +1,27 @@
+"""The commands, one module each; a module is imported when its command is called."""
+
+from __future__ import annotations
+
+__all__ = ["COMMANDS", "module_of"]
+
+#: What each command does, in the order in which a user meets them.
+COMMANDS = {
+    "demo": "Execute the paper's experiment on the embedded robot.",
+    "new": "Write a commented config that runs as it is.",
+    "check": "Say everything that is wrong with a config, and touch nothing.",
+    "plan": "Show the run table before anything is executed.",
+    "run": "Execute an experiment, or resume it.",
+    "status": "Show how far an experiment is, also while it is executed.",
+    "continue": "Let an experiment that waits between two runs go on.",
+    "plugins": "List the installed plugins, with their measures and parameters.",
+}
+
+
+def module_of(command: str) -> str:
+    """Return the module that implements a command.
+
+    Example:
+        >>> module_of("continue")  # a word of Python, so its module has another name
+        'robot_runner.cli.commands.continue_'
+    """
+    return f"{__name__}.{command}{'_' if command == 'continue' else ''}"

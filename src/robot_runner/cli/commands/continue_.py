@@ -1,0 +1,70 @@
+"""Let an experiment that waits between two runs (SEMI) go on: the same as ENTER in its own terminal."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+from robot_runner.cli.arguments import add_set, add_target
+from robot_runner.cli.console import shown_path
+from robot_runner.cli.target import experiment_folder
+from robot_runner.errors import ExecutionError
+from robot_runner.execution.status import ExperimentStatus, read_status
+from robot_runner.storage.control import Command, send_command
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    from robot_runner.cli.parser import Parser
+    from robot_runner.storage.layout import ExperimentFolder
+
+__all__ = ["add_arguments", "execute"]
+
+#: How long the experiment may take to hear it, in seconds; it listens several times a second.
+_PATIENCE = 5.0
+_LOOK = 0.05
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add what the command takes."""
+    add_target(parser)
+    add_set(parser)
+
+
+def execute(arguments: Namespace) -> int:
+    """Tell the experiment to go on, and see that it has heard."""
+    folder = experiment_folder(arguments.target, arguments.set)
+    status = read_status(folder.root)
+    _refuse_unless_it_waits(status)
+    send_command(folder.control, Command.CONTINUE)
+    _wait_until_heard(folder)
+    number = status.done + status.failed + 1
+    print(f"{status.experiment_name} goes on: {number} of {status.run_count} runs begun.")
+    return 0
+
+
+def _refuse_unless_it_waits(status: ExperimentStatus) -> None:
+    where = shown_path(status.folder)
+    if status.holder is None:
+        left = status.todo + status.failed
+        fix = "Start it with `robot-runner run` and its config: it resumes." if left else "All its runs are done."
+        raise ExecutionError("nobody executes this experiment", where=where, fix=fix)
+    if not status.is_waiting_for_user:
+        doing = f"executes {status.current_run}" if status.current_run else "is between two runs"
+        raise ExecutionError(
+            f"it does not wait: process {status.holder.pid} on {status.holder.host} {doing}",
+            where=where,
+            fix="Wait until it asks; in AUTO mode it never does.",
+        )
+
+
+def _wait_until_heard(folder: ExperimentFolder) -> None:
+    end = time.monotonic() + _PATIENCE
+    while folder.control.exists():
+        if time.monotonic() > end:
+            raise ExecutionError(
+                f"the experiment has not heard it after {_PATIENCE:g} s",
+                where=shown_path(folder.root),
+                fix="Press ENTER in its own terminal; it hears this once it listens again.",
+            )
+        time.sleep(_LOOK)

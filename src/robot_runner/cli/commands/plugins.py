@@ -1,0 +1,145 @@
+"""List the installed plugins: what they measure, what they need, and what they can be given.
+
+Plugins of other packages are found through their entry points, as our own are.
+"""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from rich.text import Text
+
+from robot_runner.cli.arguments import add_json
+from robot_runner.cli.console import UserConsole, output, print_json
+from robot_runner.cli.facts import print_facts, print_folded
+from robot_runner.cli.findings import as_json, print_findings
+from robot_runner.errors import Finding, PluginError
+from robot_runner.plugins.registry import GROUPS, InstalledPlugin, installed_plugins
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Sequence
+
+    from robot_runner.cli.parser import Parser
+    from robot_runner.events.measure import Measure
+    from robot_runner.plugins.api.plugin import Plugin
+
+__all__ = ["add_arguments", "execute"]
+
+
+@dataclass(frozen=True, slots=True)
+class _Described:
+    """A plugin that could be imported, or the finding that says why not."""
+
+    installed: InstalledPlugin
+    summary: str = ""
+    measures: Sequence[Measure] = ()
+    needs: str = ""
+    parameters: Sequence[str] = ()
+    finding: Finding | None = None
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add what the command takes."""
+    add_json(parser)
+
+
+def execute(arguments: Namespace) -> int:
+    """Print everything that is installed."""
+    plugins = [_described(installed) for installed in installed_plugins()]
+    if arguments.json:
+        print_json(_as_json(plugins))
+    else:
+        _print(output(), plugins)
+    return 0
+
+
+def _described(installed: InstalledPlugin) -> _Described:
+    try:
+        plugin = installed.load()
+        return _Described(
+            installed,
+            summary=(inspect.getdoc(plugin) or "").partition("\n\n")[0].replace("\n", " "),
+            measures=tuple(plugin.measures),
+            needs=plugin.needs,
+            parameters=_parameters(plugin),
+        )
+    except PluginError as error:
+        return _Described(installed, finding=error.as_finding())
+    except Exception as error:  # noqa: BLE001 - a stranger's class may raise anything when it is looked at
+        finding = Finding.error(
+            f"plugin {installed.name}",
+            f"it cannot be described: {type(error).__name__}: {error}",
+            f"Update or remove the package {installed.package}.",
+        )
+        return _Described(installed, finding=finding)
+
+
+def _parameters(plugin: type[Plugin]) -> tuple[str, ...]:
+    parameters = inspect.signature(plugin).parameters.values()
+    return tuple(_written(parameter) for parameter in parameters)
+
+
+def _written(parameter: inspect.Parameter) -> str:
+    # As it would be typed into a config: the kinds and the annotations say more than a user asks for.
+    if parameter.kind in {parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD}:
+        return str(parameter.replace(annotation=parameter.empty))
+    has_default = parameter.default is not parameter.empty
+    return f"{parameter.name}={parameter.default!r}" if has_default else parameter.name
+
+
+def _print(console: UserConsole, plugins: Sequence[_Described]) -> None:
+    for kind in GROUPS:
+        console.print(kind.capitalize(), style="bold underline")
+        of_kind = [plugin for plugin in plugins if plugin.installed.kind == kind]
+        if not of_kind:
+            console.print("  none is installed")
+        for plugin in of_kind:
+            _print_plugin(console, plugin)
+        console.print()
+    console.print("In a config:  from robot_runner.plugins.profilers import PsUtil;  plugins = [PsUtil(rate_hz=5)]")
+
+
+def _print_plugin(console: UserConsole, plugin: _Described) -> None:
+    installed = plugin.installed
+    console.print(
+        Text("  ")
+        .append(installed.name, style="bold")
+        .append(f"  {installed.package} {installed.version}", style="dim")
+    )
+    if plugin.finding:
+        print_findings(console, [plugin.finding])
+        return
+    print_folded(console, "    ", plugin.summary, style="")
+    facts = [("Measures" if not place else "", _measure(each)) for place, each in enumerate(plugin.measures)]
+    facts += [("Needs", plugin.needs), ("Parameters", ", ".join(plugin.parameters))]
+    print_facts(console, facts, indent=4)
+
+
+def _measure(measure: Measure) -> str:
+    unit = f" ({measure.unit})" if measure.unit else ""
+    return f"{measure.name}{unit}: {measure.description}" if measure.description else f"{measure.name}{unit}"
+
+
+def _as_json(plugins: Sequence[_Described]) -> dict[str, list[dict[str, Any]]]:
+    return {kind: [_plugin_as_json(plugin) for plugin in plugins if plugin.installed.kind == kind] for kind in GROUPS}
+
+
+def _plugin_as_json(plugin: _Described) -> dict[str, Any]:
+    installed = plugin.installed
+    return {
+        "name": installed.name,
+        "package": installed.package,
+        "version": installed.version,
+        "class": installed.entry_point.value,
+        "summary": plugin.summary,
+        "measures": [
+            {"name": measure.name, "unit": measure.unit, "description": measure.description}
+            for measure in plugin.measures
+        ],
+        "needs": plugin.needs,
+        "parameters": list(plugin.parameters),
+        "findings": as_json([plugin.finding]) if plugin.finding else [],
+    }

@@ -1,0 +1,95 @@
+"""Execute an experiment, or resume it: runs that are done are not executed again.
+
+Exit code 0: all runs are done; 1: some run failed; 2: refused; 130: interrupted.
+"""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robot_runner.cli.arguments import add_config, add_set
+from robot_runner.cli.console import no_byte_code, output
+from robot_runner.cli.execution import execute_on_screen, read_or_not
+from robot_runner.cli.findings import show_findings
+from robot_runner.cli.guard import REFUSED
+from robot_runner.cli.screens.outcome import print_outcome
+from robot_runner.cli.screens.prompts import terminal_input
+from robot_runner.config.overrides import parse_assignments
+from robot_runner.config.preparation import prepare
+from robot_runner.execution.changes import config_changes
+from robot_runner.execution.resumption import Resumption
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Sequence
+
+    from robot_runner.cli.parser import Parser
+    from robot_runner.config.experiment import Experiment
+
+__all__ = ["add_arguments", "execute"]
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add what the command takes."""
+    add_config(parser)
+    add_set(parser)
+    parser.add_argument(
+        "--only",
+        metavar="RUNS",
+        action="append",
+        default=[],
+        help="execute these runs alone, such as r_1,r_2; may be given several times",
+    )
+    parser.add_argument(
+        "--redo",
+        metavar="RUNS",
+        action="append",
+        default=[],
+        help="execute these runs again though they are done; what they left is kept; may be given several times",
+    )
+    parser.add_argument(
+        "--accept-changes",
+        action="store_true",
+        help="go on though the config, what is set, or the run table differs from what was executed before",
+    )
+    parser.add_argument("--plain", action="store_true", help="print plain lines on a terminal, too")
+
+
+def execute(arguments: Namespace) -> int:
+    """Execute every run that is not done."""
+    with no_byte_code():
+        preparation = prepare(Path(arguments.config), parse_assignments(arguments.set))
+    if preparation.experiment is None:
+        show_findings(preparation.findings)
+        return REFUSED
+    resumption = Resumption(
+        accept_changes=arguments.accept_changes or _changes_are_accepted(preparation.experiment),
+        redo=_listed(arguments.redo),
+        only=_listed(arguments.only),
+    )
+    execution = execute_on_screen(
+        preparation.experiment, preparation.findings, plain=arguments.plain, resumption=resumption
+    )
+    settings = [word for each in arguments.set for word in ("--set", each)]
+    command = shlex.join(["robot-runner", arguments.config, *settings])
+    with read_or_not():
+        if execution.finished:
+            print_outcome(output(), execution.finished, execution.progress, command=command)
+    return execution.exit_code
+
+
+def _changes_are_accepted(experiment: Experiment) -> bool:
+    """Ask, where somebody sits at a terminal, whether to go on though the config has changed since it was executed."""
+    if terminal_input() is None or not (changes := config_changes(experiment)):
+        return False
+    show_findings(changes)
+    sys.stderr.write("The config has changed since this experiment was executed. Go on with it as it is now? [y/N] ")
+    sys.stderr.flush()
+    return sys.stdin.readline().strip().casefold() in {"y", "yes"}
+
+
+def _listed(given: Sequence[str]) -> tuple[str, ...]:
+    return tuple(run.strip() for text in given for run in text.split(",") if run.strip())

@@ -1,0 +1,86 @@
+"""An experiment executed before the eyes of a user."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from robot_runner.cli.findings import show_error
+from robot_runner.cli.guard import INTERRUPTED, SOME_FAILED, let_go_of_stdout
+from robot_runner.cli.screens.choice import screen_for
+from robot_runner.cli.screens.live import LiveScreen
+from robot_runner.errors import RobotRunnerError
+from robot_runner.execution.orchestrator import execute_experiment
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from robot_runner.cli.screens.progress import Progress
+    from robot_runner.config.experiment import Experiment
+    from robot_runner.errors import Finding
+    from robot_runner.execution.notices import ExperimentFinished
+    from robot_runner.execution.resumption import Resumption
+
+__all__ = ["Execution", "execute_on_screen", "read_or_not"]
+
+
+@dataclass(frozen=True, slots=True)
+class Execution:
+    """How an experiment was executed.
+
+    Attributes:
+        finished: how it ended; None where it could not go on.
+        progress: what the screen saw of it.
+        was_shown_live: whether the table of its runs stands on the terminal.
+    """
+
+    finished: ExperimentFinished | None
+    progress: Progress
+    was_shown_live: bool
+
+    @property
+    def exit_code(self) -> int:
+        """0 where everything that was asked for is done, 1 where some run failed, 130 where the user ended it."""
+        if self.finished is None:
+            return SOME_FAILED
+        if self.finished.interrupted:
+            return INTERRUPTED
+        return SOME_FAILED if self.finished.failed_count or self.finished.stopped_by_policy else 0
+
+
+def execute_on_screen(
+    experiment: Experiment, findings: Sequence[Finding] = (), *, plain: bool, resumption: Resumption | None = None
+) -> Execution:
+    """Execute an experiment and show it while it is executed.
+
+    Args:
+        experiment: what to execute.
+        findings: what validation had to say.
+        plain: whether plain lines are asked for.
+        resumption: what to execute again, and whether to go on though something changed.
+
+    Raises:
+        RobotRunnerError: it cannot start.
+    """
+    screen = screen_for(experiment, plain=plain)
+    finished = None
+    try:
+        with screen:
+            finished = execute_experiment(experiment, screen, findings=findings, resumption=resumption)
+    except RobotRunnerError as error:
+        if not screen.progress.has_begun:
+            raise
+        show_error(error)  # it was not refused: it could not go on
+    return Execution(finished, screen.progress, was_shown_live=isinstance(screen, LiveScreen))
+
+
+@contextmanager
+def read_or_not() -> Iterator[None]:
+    """While the end is told: that nobody reads it changes nothing of how the experiment went."""
+    try:
+        yield
+        sys.stdout.flush()
+    except OSError:  # a closed pipe, or a terminal that is gone
+        let_go_of_stdout()

@@ -1,0 +1,76 @@
+"""Between a command and the shell: every ending has its exit code, and no user sees a traceback of ours."""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+__all__ = ["BROKEN_PIPE", "FAULT", "INTERRUPTED", "REFUSED", "SOME_FAILED", "guarded", "let_go_of_stdout"]
+
+SOME_FAILED = 1
+REFUSED = 2
+#: Our own fault, as in sysexits.h (EX_SOFTWARE).
+FAULT = 70
+INTERRUPTED = 130
+#: As a shell shows the death by SIGPIPE.
+BROKEN_PIPE = 141
+
+
+def guarded(command: Callable[[], int], *, show_traceback: bool = False) -> int:
+    """Execute a command and return its exit code, whatever it raises."""
+    _make_streams_lenient()
+    try:
+        code = command()
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:  # `| head` has read enough
+        let_go_of_stdout()
+        return BROKEN_PIPE
+    except Exception as error:  # noqa: BLE001 - whatever it is, the user gets a line instead of a traceback
+        return _explained(error, show_traceback=show_traceback)
+    return code
+
+
+def let_go_of_stdout() -> None:
+    """Point stdout at nothing, so that the interpreter has nowhere to fail when it flushes at its end."""
+    with suppress(OSError, ValueError):
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, sys.stdout.fileno())
+        os.close(nothing)
+
+
+def _explained(error: Exception, *, show_traceback: bool) -> int:
+    from robot_runner.errors import RobotRunnerError  # noqa: PLC0415 - `--help` needs none of it
+
+    if isinstance(error, RobotRunnerError):
+        from robot_runner.cli.findings import show_error  # noqa: PLC0415 - as above
+
+        show_error(error)
+        if show_traceback:
+            _print_traceback(error)
+        return REFUSED
+    from robot_runner.cli.fault import show_fault  # noqa: PLC0415 - as above
+
+    show_fault(error, show_traceback=show_traceback)
+    return FAULT
+
+
+def _print_traceback(error: Exception) -> None:
+    import traceback  # noqa: PLC0415 - as above
+
+    traceback.print_exception(error)
+
+
+def _make_streams_lenient() -> None:
+    # A terminal that knows only ASCII shows question marks, and fails nothing.
+    for stream in (sys.stdout, sys.stderr):
+        if (getattr(stream, "encoding", None) or "utf-8").lower().replace("-", "") != "utf8":
+            with suppress(AttributeError, ValueError):
+                stream.reconfigure(errors="replace")  # type: ignore[union-attr]

@@ -1,0 +1,102 @@
+"""The program `robot-runner`."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from robot_runner.cli.commands import COMMANDS, module_of
+from robot_runner.cli.guard import guarded
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["main", "overview"]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Do what the words of the command line say, and return the exit code.
+
+    0: all is done; 1: a run failed; 2: refused; 70: a fault of Robot Runner itself; 130: interrupted.
+
+    Example:
+        >>> main(["--help"])  # doctest: +ELLIPSIS
+        Robot Runner executes measurement-based experiments on robotics software.
+        ...
+        0
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    return guarded(lambda: _execute(words), show_traceback="--debug" in words)
+
+
+def _execute(words: list[str]) -> int:
+    if words and words[0] == "help":
+        words = [*words[1:], "--help"]
+    if not words or words[0] in {"-h", "--help"}:  # answered before anything slow is imported
+        print(overview())
+        return 0
+    if words[0] == "--version":
+        print(f"robot-runner {_version()}")
+        return 0
+    command, rest = _command(words)
+    from robot_runner.cli.parser import parser_of  # noqa: PLC0415 - for a quick --help
+
+    try:
+        arguments = parser_of(command).parse(rest)
+    except SystemExit as asked:  # argparse has printed the help that was asked for
+        return int(asked.code or 0)
+    code: int = import_module(module_of(command)).execute(arguments)
+    return code
+
+
+def overview() -> str:
+    """Return the help of the program."""
+    width = max(map(len, COMMANDS))
+    return "\n".join(
+        [
+            "Robot Runner executes measurement-based experiments on robotics software.",
+            "",
+            "  robot-runner CONFIG.py          execute the experiment that a file describes, or resume it",
+            "  robot-runner COMMAND --help     all about one command",
+            "",
+            "Commands:",
+            *(f"  {name:{width}}  {summary}" for name, summary in COMMANDS.items()),
+            "",
+            "Options:",
+            "  -h, --help  Show this.",
+            "  --version   Show the version.",
+            "",
+            "New here? `robot-runner demo` fills a run table in under a minute, on a simulated robot.",
+        ]
+    )
+
+
+def _command(words: list[str]) -> tuple[str, list[str]]:
+    """Return the command and its words; a config file alone is executed.
+
+    Raises:
+        UsageError: there is no such command or option.
+    """
+    first = words[0]
+    if first in COMMANDS:
+        return first, words[1:]
+    from robot_runner.cli.parser import unknown_command, unknown_option  # noqa: PLC0415 - for a quick --help
+
+    if first.startswith("-"):
+        raise unknown_option(first, ["--help", "--version"], where="robot-runner")
+    if _looks_like_a_file(first):
+        return "run", words
+    raise unknown_command(first)
+
+
+def _looks_like_a_file(word: str) -> bool:
+    from pathlib import Path  # noqa: PLC0415 - for a quick --help
+
+    return word.endswith(".py") or "/" in word or Path(word).exists()
+
+
+def _version() -> str:
+    from importlib.metadata import version  # noqa: PLC0415 - for a quick --help
+
+    return version("robot-runner")

@@ -1,0 +1,99 @@
+"""What each command takes, and what is said when it gets something else."""
+
+from __future__ import annotations
+
+import argparse
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from robot_runner.cli.commands import COMMANDS, module_of
+from robot_runner.errors import RobotRunnerError, did_you_mean, nearest
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+__all__ = ["Parser", "UsageError", "parser_of", "unknown_command", "unknown_option"]
+
+
+class UsageError(RobotRunnerError):
+    """Words that the command line does not understand."""
+
+
+class Parser(argparse.ArgumentParser):
+    """The parser of one command: raises instead of exiting, and names the option that was meant.
+
+    Attributes:
+        documented: everything that the command takes, in order, as the documentation shows it.
+
+    Example:
+        >>> parser = Parser("check", "Say what is wrong.")
+        >>> _ = parser.add_argument("--json", action="store_true")
+        >>> parser.parse(["--json"]).json
+        True
+    """
+
+    def __init__(self, command: str, description: str) -> None:
+        self.documented: list[argparse.Action] = []
+        super().__init__(
+            prog=f"robot-runner {command}",
+            description=description,
+            allow_abbrev=False,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+
+    def add_argument(self, *names: Any, **settings: Any) -> argparse.Action:
+        """Add an argument, and remember it for the documentation."""
+        action = super().add_argument(*names, **settings)
+        self.documented.append(action)
+        return action
+
+    def parse(self, words: Sequence[str]) -> argparse.Namespace:
+        """Return what the words mean.
+
+        Raises:
+            UsageError: there is no such option, one lacks its value, or there are too many words.
+            SystemExit: help was asked for, and printed.
+        """
+        arguments, unknown = self.parse_known_args(list(words))
+        if not unknown:
+            return arguments
+        if unknown[0].startswith("-"):
+            options = [name for action in self.documented for name in action.option_strings if name.startswith("--")]
+            raise unknown_option(unknown[0], options, where=self.prog)
+        raise UsageError(f"{unknown[0]!r} is one word too many", where=self.prog, fix=self._help_fix)
+
+    def error(self, message: str) -> NoReturn:
+        """Turn a complaint of argparse into one of ours.
+
+        Raises:
+            UsageError: always.
+        """
+        missing = message.removeprefix("the following arguments are required: ")
+        problem = message if missing == message else f"{missing} is missing"
+        raise UsageError(problem, where=self.prog, fix=self._help_fix)
+
+    @property
+    def _help_fix(self) -> str:
+        return f"See `{self.prog} --help`."
+
+
+def parser_of(command: str) -> Parser:
+    """Return the parser of a command, with the arguments that its module adds."""
+    module = import_module(module_of(command))
+    parser = Parser(command, module.__doc__ or COMMANDS[command])
+    module.add_arguments(parser)
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    return parser
+
+
+def unknown_command(word: str) -> UsageError:
+    """Return the error that names the command that was meant, or all of them."""
+    near = nearest(word, COMMANDS)
+    fix = f"Did you mean {near!r}?" if near else f"Choose one of: {', '.join(COMMANDS)}; or name a config file (.py)."
+    return UsageError(f"there is no command {word!r}", where="robot-runner", fix=fix)
+
+
+def unknown_option(word: str, known: Iterable[str], *, where: str) -> UsageError:
+    """Return the error that names the option that was meant, or all of them."""
+    name = word.partition("=")[0]
+    return UsageError(f"there is no option {name!r}", where=where, fix=did_you_mean(name, known))

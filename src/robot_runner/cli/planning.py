@@ -1,0 +1,127 @@
+"""The run table that an experiment would be executed with: planned, or as it stands in its folder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from robot_runner.cli.console import shown_path
+from robot_runner.config.checks.parameters import read_parameters
+from robot_runner.config.checks.plugins import gather_plugins
+from robot_runner.config.checks.run_table import create_model
+from robot_runner.config.experiment import experiment_folder
+from robot_runner.config.loader import LoadedConfig, load_config
+from robot_runner.design.run_table import PlannedRun
+from robot_runner.errors import ConfigError, StorageError
+from robot_runner.events.columns import resolve_columns
+from robot_runner.storage.manifest import read_manifest
+from robot_runner.storage.run_table_reading import read_run_table
+from robot_runner.storage.table_layout import TableLayout
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.design.run_table_model import RunTableModel
+    from robot_runner.errors import Finding
+    from robot_runner.events.columns import MeasureColumns
+    from robot_runner.storage.layout import ExperimentFolder
+
+__all__ = ["Plan", "folder_of", "plan_of"]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """The runs of an experiment in the order in which they would be executed.
+
+    Attributes:
+        source: the run table on disk that it was read from, or None where it was planned from the config.
+        seed: what a randomised order comes from; None where the table was made by hand.
+        is_recorded: whether the seed is that of an experiment which has begun, so that executing it goes on in
+            this order.
+    """
+
+    model: RunTableModel
+    columns: MeasureColumns
+    runs: Sequence[PlannedRun]
+    source: Path | None
+    seed: int | None
+    is_recorded: bool
+    findings: tuple[Finding, ...]
+
+    @property
+    def order(self) -> str:
+        """How the runs were put in order."""
+        if self.source is not None:
+            return f"as in {shown_path(self.source)}"
+        blocks = self.model.blocks
+        if not self.model.shuffle:
+            return f"as written, in blocks of {blocks}" if blocks else "as written"
+        return f"randomised{f' within blocks of {blocks}' if blocks else ''} from seed {self.seed}"
+
+    @property
+    def how_to_repeat(self) -> str:
+        """What makes the same order again."""
+        if self.source is not None or not self.model.shuffle:
+            return ""
+        if self.is_recorded:
+            return "the experiment has begun: executing it goes on in this order"
+        if self.model.seed_is_given:
+            return "the config gives the seed: this order comes again each time"
+        blocks = f", blocks={self.model.blocks!r}" if self.model.blocks else ""
+        return (
+            f"another seed is drawn each time; for this order write run_table.randomize_runs_order({self.seed}{blocks})"
+        )
+
+
+def plan_of(config: Path, overrides: Mapping[str, str]) -> Plan:
+    """Return the run table that would be executed; nothing is executed, and nothing else is validated.
+
+    Raises:
+        ConfigError: the config cannot be loaded, or makes no run table.
+        StorageError: a run table on disk cannot be read.
+    """
+    loaded = load_config(config, overrides)
+    model, findings = create_model(loaded)
+    if model is None:
+        raise ConfigError.of_findings(findings)
+    plugins, _ = gather_plugins(loaded)
+    columns, column_findings = resolve_columns(
+        model.data_columns, {plugin.name: tuple(plugin.measures) for plugin in plugins}
+    )
+    refused = [finding for finding in column_findings if finding.is_error]
+    if refused:
+        raise ConfigError.of_findings(refused)
+    warnings = (*findings, *column_findings)
+    folder = folder_of(loaded)
+    if folder is not None and folder.run_table.exists():
+        return _plan_on_disk(folder, model, columns, warnings)
+    table = model.plan()
+    return Plan(model, columns, table, None, table.seed, is_recorded=False, findings=warnings)
+
+
+def folder_of(loaded: LoadedConfig) -> ExperimentFolder | None:
+    """Return the folder of the experiment, or None where the static parameters do not say."""
+    parameters, _ = read_parameters(loaded)
+    if parameters is None:
+        return None
+    return experiment_folder(parameters, loaded)
+
+
+def _plan_on_disk(
+    folder: ExperimentFolder, model: RunTableModel, columns: MeasureColumns, warnings: tuple[Finding, ...]
+) -> Plan:
+    try:
+        manifest = read_manifest(folder.manifest)
+    except StorageError:  # a table that was made by hand, before anything was executed
+        manifest = {}
+    if manifest.get("design", {}).get("source") == "config":
+        table = model.plan(manifest["seed"])
+        return Plan(model, columns, table, None, table.seed, is_recorded=True, findings=warnings)
+    rows = read_run_table(folder.run_table, TableLayout.of_model(model, columns.names))
+    runs = [
+        PlannedRun(rows.run_id(place), place + 1, rows.combination(place), rows.repetition(place))
+        for place in range(len(rows))
+    ]
+    findings = (*warnings, *rows.warnings)
+    return Plan(model, columns, runs, folder.run_table, None, is_recorded=False, findings=findings)

@@ -1,0 +1,1 @@
+"""What a terminal shows while an experiment is executed: a live screen, or plain lines."""

@@ -1,0 +1,207 @@
+"""The live screen: a table of finished runs that grows, and beneath it what happens now."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+from rich.console import Group
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from robot_runner.cli.findings import print_findings
+from robot_runner.cli.screens.progress import Progress
+from robot_runner.cli.screens.prompts import closing, forget_typed, opening, request, terminal_input
+from robot_runner.cli.screens.rows import RunRows, treatments_in_words
+from robot_runner.cli.wording import counted, one_line, shown_duration
+from robot_runner.execution.notices import (
+    AttemptFinished,
+    AttemptStarted,
+    ExperimentStarted,
+    InterruptionNoticed,
+    Notice,
+    WaitingForUser,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Self
+
+    from rich.console import RenderableType
+
+    from robot_runner.cli.console import UserConsole
+    from robot_runner.config.experiment import Experiment
+
+__all__ = ["LiveScreen"]
+
+_BAR = 40
+#: Where more runs end between two refreshes than this, only those that failed get a row.
+_MOST_ROWS = 4
+
+
+class LiveScreen:
+    """An observer that keeps the terminal up to date. It starts no thread: the orchestrator calls `refresh`.
+
+    What the orchestrating process prints meanwhile (callbacks such as `before_run`) appears above the live part.
+
+    Args:
+        console: a terminal.
+        experiment: what is executed.
+        clock: monotonic, in seconds.
+
+    Attributes:
+        progress: what it knows.
+    """
+
+    refresh_interval: float | None = 0.125
+
+    def __init__(self, console: UserConsole, experiment: Experiment, clock: Callable[[], float]) -> None:
+        self.progress = Progress(clock)
+        self.user_input = terminal_input()
+        self._console = console
+        self._experiment = experiment
+        self._clock = clock
+        self._live: Live | None = None
+        self._drawn = float("-inf")
+        self._printed = float("-inf")
+        self._rows: RunRows | None = None
+        self._finished: list[AttemptFinished] = []
+        self._hidden = 0
+        self._last: AttemptFinished | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        """Take the live part away; the table stays."""
+        with suppress(OSError):  # the terminal is gone
+            self._print_finished()
+            self._print_hidden()
+            self._take_live_part_away()
+
+    def notice(self, notice: Notice) -> None:
+        """Take a notice; what is permanent is printed above the live part, the rest is shown at the next refresh."""
+        self.progress.take(notice)
+        match notice:
+            case ExperimentStarted():
+                self._begin(notice)
+            case AttemptStarted():
+                self._show_live_part()
+                self.refresh()
+            case AttemptFinished():
+                self._finished.append(notice)
+                if self._clock() - self._printed >= (self.refresh_interval or 0):
+                    self._print_finished()
+            case InterruptionNoticed(run_id):
+                self._print_finished()
+                self._print_lines([Text(closing(run_id), style="bold yellow")])
+            case WaitingForUser():
+                self._ask(notice)
+
+    def refresh(self) -> None:
+        """Draw what is new, unless it was drawn a moment ago: records come faster than anybody reads."""
+        now = self._clock()
+        if self.progress.is_waiting or now - self._drawn < (self.refresh_interval or 0) * 0.9:
+            return
+        self._drawn = now
+        self._print_finished()
+        if self._live is not None:
+            self._live.update(self._now(), refresh=True)
+
+    def _begin(self, started: ExperimentStarted) -> None:
+        self._rows = RunRows(self._experiment, started.columns, started.run_count)
+        first, *more = opening(started)
+        self._console.print(Text(first, style="bold"), *map(Text, more), sep="\n", soft_wrap=True)
+        print_findings(self._console, started.findings)
+        if started.done_count < started.run_count:
+            self._console.print(self._rows.header(self._console.width), no_wrap=True, overflow="ellipsis")
+            self._show_live_part()
+
+    def _show_live_part(self) -> None:
+        if self._live is None:
+            self._live = Live(console=self._console, auto_refresh=False, transient=True)
+            self._live.start()
+
+    def _take_live_part_away(self) -> None:
+        if self._live is not None:
+            self._live.stop()
+            self._live = None  # a new one next time: this one would draw over what was printed meanwhile
+
+    def _ask(self, waiting: WaitingForUser) -> None:
+        # The live part is taken away while it waits: the ENTER that the terminal echoes would tear it.
+        self._print_finished()
+        self._take_live_part_away()
+        forget_typed(self.user_input)
+        asked = request(waiting, by_key=self.user_input is not None)
+        self._console.print(Text(asked, style="bold cyan"), soft_wrap=True)
+
+    def _print_finished(self) -> None:
+        if not self._finished or self._rows is None:
+            return
+        self._printed = self._clock()
+        finished, self._finished = self._finished, []
+        self._last = finished[-1]
+        shown = finished if len(finished) <= _MOST_ROWS else [each for each in finished if each.outcome.failure]
+        if shown:
+            self._print_hidden()
+            width = self._console.width
+            self._print_lines([self._rows.row(each, width) for each in shown])
+        self._hidden += len(finished) - len(shown)
+
+    def _print_hidden(self) -> None:
+        if self._hidden:
+            hidden = f"  … {counted(self._hidden, 'run')}, too fast to be shown; run_table.csv has them …"
+            self._print_lines([Text(hidden, style="dim")])
+            self._hidden = 0
+
+    def _print_lines(self, lines: list[Text]) -> None:
+        for line in lines:
+            line.truncate(self._console.width, overflow="ellipsis")
+        self._console.print(Text("\n").join(lines), no_wrap=True, crop=False)
+
+    def _now(self) -> RenderableType:
+        progress = self.progress
+        bar = ProgressBar(progress.run_count, progress.done + progress.failed, width=_BAR, complete_style="green")
+        line = Table.grid(padding=(0, 2, 0, 0))
+        line.add_row("", bar, self._counts())
+        last = [self._rows.row(self._last, self._console.width)] if self._hidden and self._last and self._rows else []
+        return Group(*last, "", line, *self._current())
+
+    def _counts(self) -> Text:
+        progress = self.progress
+        counts = Text(f"{progress.done:,} of {progress.run_count:,} done", no_wrap=True, overflow="ellipsis")
+        if progress.failed:
+            counts.append(f", {progress.failed:,} failed", style="bold red")
+        counts.append(f"   {shown_duration(progress.elapsed)}", style="dim")
+        left = progress.seconds_left
+        if left is not None:
+            counts.append(f", about {shown_duration(left)} left", style="dim")
+        return counts
+
+    def _current(self) -> tuple[Text, Text]:
+        current = self.progress.current
+        if current is None:
+            return Text("  between two runs", style="dim"), Text("")
+        task = current.task
+        attempt = f", attempt {task.attempt}" if task.attempt > 1 else ""
+        treatments = treatments_in_words(task, self._experiment.model)
+        run = Text("  ▶ ", style="cyan", no_wrap=True, overflow="ellipsis")
+        run.append(f"{task.run_id}", style="bold").append(
+            f" (run {task.run_number} of {task.run_count}{attempt}): {treatments}", style="default"
+        )
+        return run, self._event()
+
+    def _event(self) -> Text:
+        current = self.progress.current
+        line = Text("    ", no_wrap=True, overflow="ellipsis")
+        if current is None:
+            return line
+        line.append(current.event or "starting")
+        if current.shared:
+            line.append(f": {one_line(current.shared)}", style="cyan")
+        line.append(f"   {shown_duration(self.progress.elapsed_in_run)}", style="dim")
+        if current.failure:
+            line.append(f"   ✗ {one_line(current.failure)}; closing what is open", style="red")
+        return line

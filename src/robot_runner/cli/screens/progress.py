@@ -1,0 +1,157 @@
+"""How far an experiment is, gathered from the notices: what a screen shows, without the screen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from robot_runner.execution.notices import (
+    AttemptFinished,
+    AttemptStarted,
+    ExperimentFinished,
+    ExperimentStarted,
+    RunRecord,
+    WaitingForUser,
+)
+from robot_runner.execution.task import AttemptStatus
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from robot_runner.execution.notices import Notice
+    from robot_runner.execution.task import RunTask
+
+__all__ = ["CurrentRun", "Progress"]
+
+
+@dataclass(slots=True)
+class CurrentRun:
+    """The run that is being executed.
+
+    Attributes:
+        started: when its attempt began, on the screen's clock.
+        event: what is happening.
+        shared: what plugins said last about what they do, such as the phase of a mission.
+        failure: what went wrong in it, if anything did; what is open is closed then.
+    """
+
+    task: RunTask
+    started: float
+    event: str = ""
+    shared: str = ""
+    failure: str = ""
+
+
+class Progress:
+    """What a screen knows of an experiment.
+
+    Args:
+        clock: monotonic, in seconds.
+
+    Attributes:
+        run_count: all runs of the table; 0 before the experiment has started.
+        done, failed: how many runs are done, earlier sessions included, and how many failed in this one.
+        current: the run that is being executed, if one is.
+        run_ids: the runs that were executed in this session.
+        origins: where the values of the run table came from, with the measures of each origin.
+        is_waiting: whether the user is asked to go on.
+        has_begun: whether any run was begun in this session.
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._began = clock()
+        self._run_since = self._began
+        self._seconds_of_runs = 0.0
+        self._columns: tuple[str, ...] = ()
+        self.run_count = 0
+        self.done = 0
+        self.failed = 0
+        self.current: CurrentRun | None = None
+        self.run_ids: dict[str, None] = {}
+        self.origins: dict[str, dict[str, None]] = {}
+        self.is_waiting = False
+        self.has_begun = False
+
+    @property
+    def elapsed(self) -> float:
+        """How long the experiment has been executed in this session, in seconds."""
+        return self._clock() - self._began
+
+    @property
+    def elapsed_in_run(self) -> float:
+        """How long the present attempt has taken so far, in seconds."""
+        return self._clock() - self.current.started if self.current else 0.0
+
+    @property
+    def seconds_left(self) -> float | None:
+        """How long the rest will take if runs go on as they did, in seconds; None before any run has ended.
+
+        A run counts with all its attempts and with the rest before it, and without the time that the user took.
+        """
+        if not self.run_ids:
+            return None
+        mean = self._seconds_of_runs / len(self.run_ids)
+        left = self.run_count - self.done - self.failed
+        return max(0.0, mean * left - min(mean, self.elapsed_in_run))
+
+    def take(self, notice: Notice) -> None:
+        """Take a notice into account."""
+        match notice:
+            case ExperimentStarted():
+                self._began = self._run_since = self._clock()
+                self.run_count, self.done = notice.run_count, notice.done_count
+                self._columns = tuple(notice.columns)
+            case AttemptStarted():
+                if self.is_waiting:
+                    self._run_since = self._clock()
+                self.is_waiting = False
+                self.has_begun = True
+                self.current = CurrentRun(notice.task, self._clock())
+            case RunRecord():
+                self._take_record(notice.kind, notice.fields)
+            case AttemptFinished():
+                self._take_end(notice)
+            case WaitingForUser():
+                self.is_waiting = True
+            case ExperimentFinished():
+                self.done, self.failed = notice.done_count, notice.failed_count
+
+    def _take_record(self, kind: str, fields: Mapping[str, object]) -> None:
+        if self.current is None:
+            return
+        if kind == "event":
+            self.current.event = str(fields["event"])
+            self.current.shared = ""
+        elif kind == "shared":
+            self.current.shared = _said(fields["values"])
+        elif kind == "failure" and not self.current.failure:
+            self.current.failure = str(fields["problem"])
+
+    def _take_end(self, notice: AttemptFinished) -> None:
+        self.current = None
+        status = notice.outcome.status
+        if status is AttemptStatus.INTERRUPTED:
+            return
+        for name in self._columns:
+            measure = notice.outcome.measures.get(name)
+            if measure is not None and measure.value is not None:
+                self.origins.setdefault(measure.origin.value, {})[name] = None
+        if notice.is_last:
+            now = self._clock()
+            self._seconds_of_runs += now - self._run_since
+            self._run_since = now
+            self.run_ids[notice.task.run_id] = None
+            self.done += status is AttemptStatus.DONE
+            self.failed += status is AttemptStatus.FAILED
+
+
+def _said(values: object) -> str:
+    """Return the phase that a plugin is in, or whatever else it shared last."""
+    if not isinstance(values, dict):
+        return ""
+    if "phase" not in values:
+        return ", ".join(f"{name} {value}" for name, value in values.items())
+    number, count = values.get("phase_number"), values.get("phase_count")
+    place = f" ({number} of {count})" if number is not None and count is not None else ""
+    return f"{values['phase']}{place}"

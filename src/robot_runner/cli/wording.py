@@ -1,0 +1,105 @@
+"""How numbers, times and values are put into words."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+__all__ = ["counted", "listed", "one_line", "plain", "shown_duration", "shown_treatment", "shown_value"]
+
+_MINUTE = 60
+_HOUR = 3600
+_SHOWN = 4
+_MISSING = "\N{EN DASH}"  # not a hyphen, which is a run that is still to do
+
+
+def one_line(text: str) -> str:
+    r"""Return a text that stays on one line and commands no terminal.
+
+    Example:
+        >>> one_line("two\nlines")
+        'two\\nlines'
+    """
+    return text if text.isprintable() else "".join(_printable(character) for character in text)
+
+
+def _printable(character: str) -> str:
+    return character if character.isprintable() else repr(character)[1:-1]
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun.
+
+    Example:
+        >>> counted(1, "run"), counted(15, "run")
+        ('1 run', '15 runs')
+    """
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
+def listed(names: Iterable[str], shown: int = _SHOWN) -> str:
+    """Return names as a list that does not grow without end.
+
+    Example:
+        >>> listed(["r_1", "r_2", "r_3"]), listed(map(str, range(9)))
+        ('r_1, r_2, r_3', '0, 1, 2, 3 and 5 more')
+    """
+    everything = list(names)
+    # "and 1 more" would be longer than the name itself.
+    if len(everything) <= shown + 1:
+        return ", ".join(everything)
+    return f"{', '.join(everything[:shown])} and {len(everything) - shown:,} more"
+
+
+def shown_duration(seconds: float) -> str:
+    """Return a duration as a person says it.
+
+    Example:
+        >>> [shown_duration(each) for each in (0.04, 3.44, 59.96, 125, 3725)]
+        ['40 ms', '3.4 s', '1 min 00 s', '2 min 05 s', '1 h 02 min']
+    """
+    if seconds < 0.9995:  # noqa: PLR2004 - what would be 1000 ms is a second
+        return f"{seconds * 1000:.0f} ms"
+    if seconds < 9.95:  # noqa: PLR2004 - beyond it a tenth of a second says nothing
+        return f"{seconds:.1f} s"
+    whole = round(seconds)
+    if whole < _MINUTE:
+        return f"{whole} s"
+    if whole < _HOUR:
+        return f"{whole // _MINUTE} min {whole % _MINUTE:02} s"
+    return f"{whole // _HOUR} h {whole % _HOUR // _MINUTE:02} min"
+
+
+def shown_value(value: object) -> str:
+    """Return a measure in four significant digits, and a missing one as a dash.
+
+    Example:
+        >>> [shown_value(each) for each in (877.1234, 0.000123456, 16, True, 1234567.8)]
+        ['877.1', '0.0001235', '16', 'True', '1234568']
+        >>> shown_value(835.0), shown_value(1234.0)
+        ('835.0', '1234')
+    """
+    if value is None:
+        return _MISSING
+    if not isinstance(value, float) or not math.isfinite(value):
+        return one_line(str(value))
+    if 10_000 <= abs(value) < 1e12:  # noqa: PLR2004 - the exponent would hide what is a whole number to a reader
+        return f"{value:.0f}"
+    return f"{value:#.4g}".rstrip(".")
+
+
+def shown_treatment(treatment: object) -> str:
+    """Return a treatment as the run table writes it, on one line."""
+    return one_line(str(treatment))
+
+
+def plain(value: object) -> bool | int | float | str | None:
+    """Return a value as JSON can hold it; an object becomes its text."""
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float) and math.isfinite(value):
+        return value
+    return str(value)

@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+
+def test_it_says_what_is_fine(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
+    write_config()
+    answer = robot_runner("check", "config.py", "--set", "attempts=3")
+    assert answer.code == 0
+    assert answer.err == ""
+    lines = [line.split(maxsplit=1) for line in answer.out.splitlines()]
+    facts = {line[0]: line[1] for line in lines[1:]}
+    assert lines[0] == ["config.py", "can be executed."]
+    assert facts == {
+        "Experiment": "trial",
+        "Runs": "4 runs: Task (2) x 2 repetitions",
+        "Order": "as written",
+        "Plugins": "none",
+        "Measures": "Energy",
+        "Robot": "none",
+        "Mode": "AUTO",
+        "Results": "results/trial",
+        "Set": "attempts=3",
+    }
+
+
+def test_all_findings_are_told_and_errors_come_first(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
+    table = """\
+    def create_run_table(self):
+        idle = [{"Task": "Video"}, {"Task": "Video"}]
+        return RunTableModel([Factor("Task", ["Video", "Network"])], exclude_combinations=idle)
+    """
+    write_config("attempts = 0\ngrace_in_s = 'long'", table=table)
+    answer = robot_runner("check", "config.py")
+    assert answer.code == 2
+    severities = [line.partition(":")[0] for line in answer.out.splitlines() if not line.startswith(" ")]
+    assert severities == ["error", "error", "warning", "config.py is refused"]
+    assert answer.out.endswith("config.py is refused: 2 errors, 1 warning.\n")
+
+
+def test_a_warning_does_not_refuse(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
+    table = """\
+    def create_run_table(self):
+        idle = [{"Task": "Video"}, {"Task": "Video"}]
+        return RunTableModel([Factor("Task", ["Video", "Network"])], exclude_combinations=idle)
+    """
+    write_config(table=table)
+    answer = robot_runner("check", "config.py")
+    assert answer.code == 0
+    assert "config.py can be executed, with 1 warning." in answer.out
+    assert "1 run: Task (2), 1 combination excluded" in answer.out
+
+
+def test_json_holds_everything(robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path) -> None:
+    write_config("print('while it was loaded')\nrobot = None")
+    answer = robot_runner("check", "config.py", "--json", "--set", "operation_type=semi")
+    assert answer.code == 0
+    assert "while it was loaded" in answer.err
+    assert answer.json == {
+        "config": "config.py",
+        "is_executable": True,
+        "findings": [],
+        "experiment": {
+            "name": "trial",
+            "folder": str(tmp_path / "results" / "trial"),
+            "robot": None,
+            "operation_type": "semi",
+            "plugins": [],
+            "measures": [{"name": "Energy", "unit": "", "owner": "config"}],
+            "set": {"operation_type": "semi"},
+            "run_count": 4,
+            "factors": {"Task": ["Video", "Network"]},
+            "repetitions": 2,
+            "order": {"is_randomised": False, "blocks": None, "seed": 1},
+        },
+    }
+
+
+def test_json_of_a_refused_config_has_its_findings(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
+    write_config("attempts = 0")
+    answer = robot_runner("check", "config.py", "--json")
+    assert answer.code == 2
+    assert answer.json["is_executable"] is False
+    assert answer.json["experiment"] is None
+    assert answer.json["findings"] == [
+        {
+            "severity": "error",
+            "where": "config.py, RobotRunnerConfig.attempts",
+            "problem": "it is 0, of type int",
+            "fix": "It must be a whole number, 1 or more.",
+        }
+    ]

@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+
+
+@pytest.mark.parametrize(("words", "name"), [([], "experiment.py"), (["my study.py"], "my study.py")])
+def test_what_is_written_can_be_executed_as_it_is(
+    robot_runner: Callable, tmp_path: Path, words: list[str], name: str
+) -> None:
+    answer = robot_runner("new", *words)
+    assert answer.code == 0
+    assert f"{name} is written: 6 runs" in answer.out
+    assert f"robot-runner check {name if ' ' not in name else repr(name)}" in answer.out
+    assert f"robot-runner check {name} " in (tmp_path / name).read_text(encoding="utf-8")
+    executed = robot_runner(name)
+    assert executed.code == 0
+    assert "All 6 runs are done" in executed.out
+    assert "  ! " not in executed.out, "nothing looks odd"
+    assert "EnergyPerMeter " in executed.out
+    assert (tmp_path / "experiments" / "my_experiment" / "runs" / "r_1" / "log.txt").exists()
+
+
+def test_an_existing_file_is_never_overwritten(robot_runner: Callable, tmp_path: Path) -> None:
+    (tmp_path / "experiment.py").write_text("mine", encoding="utf-8")
+    answer = robot_runner("new")
+    assert answer.code == 2
+    assert "error: experiment.py: there is a file of this name already" in answer.err
+    assert "fix: Choose another name" in answer.err
+    assert (tmp_path / "experiment.py").read_text(encoding="utf-8") == "mine"
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [("nowhere/experiment.py", "it cannot be written"), ("experiment.txt", "a config is a Python file")],
+)
+def test_a_name_that_cannot_be_is_refused(robot_runner: Callable, tmp_path: Path, name: str, problem: str) -> None:
+    answer = robot_runner("new", name)
+    assert answer.code == 2
+    assert problem in answer.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_new_config_is_clean_by_the_rules_of_the_house(robot_runner: Callable, tmp_path: Path) -> None:
+    robot_runner("new")
+    ruff = [sys.executable, "-m", "ruff", "check", "--isolated", "--select", "E,F,I,D,UP,B", "--ignore", "D203,D213"]
+    command = [
+        *ruff,
+        "--line-length",
+        "120",
+        "--target-version",
+        "py311",
+        "--config",
+        "lint.pydocstyle.convention='google'",
+    ]
+    answer = subprocess.run([*command, "experiment.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert answer.returncode == 0, answer.stdout

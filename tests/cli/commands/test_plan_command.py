@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+
+BLOCKS = """\
+    def create_run_table(self):
+        factors = [Factor("Room", ["lab", "hall"]), Factor("Speed", [0.1, 10])]
+        return RunTableModel(factors, repetitions=2, shuffle=True, seed=7, blocks="Room")
+"""
+DRAWN = """\
+    def create_run_table(self):
+        return RunTableModel([Factor("A", range(30))], shuffle=True, data_columns=["Energy"])
+"""
+ODD = """\
+    def create_run_table(self):
+        return RunTableModel([Factor("Text", ["a, b", "two\\nlines", None, float("inf"), "[red]", "x" * 60])])
+"""
+
+
+def test_every_run_is_shown_in_its_order(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
+    write_config(table=BLOCKS)
+    answer = robot_runner("plan", "config.py")
+    assert answer.code == 0
+    table, _, facts = answer.out.partition("\n\n")
+    rows = [line.split() for line in table.splitlines()]
+    assert rows[0] == ["run", "Room", "Speed", "Repetition", "block"]
+    assert [row[0] for row in rows[1:]] == [f"r_{number}" for number in range(1, 9)]
+    assert [row[1] for row in rows[1:]] == ["lab"] * 4 + ["hall"] * 4
+    assert sorted(map(tuple, (row[1:4] for row in rows[1:]))) == sorted(
+        (room, speed, repetition) for room in ("lab", "hall") for speed in ("0.1", "10") for repetition in "12"
+    )
+    assert "randomised within blocks of Room from seed 7" in facts
+    assert "the config gives the seed: this order comes again each time" in facts
+
+
+def test_numbers_stand_to_the_right_and_texts_to_the_left(
+    robot_runner: Callable, write_config: Callable[..., Path]
+) -> None:
+    write_config(table=BLOCKS)
+    header, *rows = robot_runner("plan", "config.py").out.partition("\n\n")[0].splitlines()
+    end = header.index("Speed") + len("Speed")
+    assert {row[:end].rstrip().split()[-1] for row in rows} == {"0.1", "10"}
+    assert all(row[header.index("Room")] != " " for row in rows)
+
+
+def test_a_drawn_seed_can_be_given(robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path) -> None:
+    config = write_config(table=DRAWN)
+    answer = robot_runner("plan", "config.py", "--json")
+    seed = answer.json["order"]["seed"]
+    config.write_text(config.read_text().replace("shuffle=True", f"shuffle=True, seed={seed}"))
+    again = robot_runner("plan", "config.py", "--json")
+    assert again.json["runs"] == answer.json["runs"]
+    assert (answer.json["seed_is_given"], again.json["seed_is_given"]) == (False, True)
+    assert sorted(run["combination"]["A"] for run in again.json["runs"]) == list(range(30))
+    assert not (tmp_path / "results").exists()
+
+
+def test_how_to_repeat_a_drawn_order_is_told(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
+    write_config(table=DRAWN)
+    assert "for this order write run_table.randomize_runs_order(" in robot_runner("plan", "config.py").out
+
+
+def test_an_experiment_that_has_begun_keeps_its_order(
+    robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_config("def populate_run_data(self, context): return {'Energy': 1}", table=DRAWN)
+    assert robot_runner("run", "config.py").code == 0
+    lines = (tmp_path / "results" / "trial" / "run_table.csv").read_text().splitlines()
+    place = lines[0].split(",").index("A")
+    plan = robot_runner("plan", "config.py", "--json").json
+    assert plan["is_begun"] is True
+    assert [run["combination"]["A"] for run in plan["runs"]] == [int(line.split(",")[place]) for line in lines[1:]]
+    assert "executing it goes on in this order" in robot_runner("plan", "config.py").out
+
+
+def test_a_table_made_by_hand_is_the_plan(
+    robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_config(table=DRAWN)
+    folder = tmp_path / "results" / "trial"
+    folder.mkdir(parents=True)
+    (folder / "run_table.csv").write_text("run_id,status,A\nfirst,-,3\nsecond,-,3\n", encoding="utf-8")
+    answer = robot_runner("plan", "config.py")
+    rows = [line.split() for line in answer.out.partition("\n\n")[0].splitlines()]
+    assert rows == [["run", "A"], ["first", "3"], ["second", "3"]]
+    assert "as in results/trial/run_table.csv" in answer.out
+    assert robot_runner("plan", "config.py", "--json").json["run_table"] == str(folder / "run_table.csv")
+
+
+def test_odd_treatments_stay_in_their_line_and_are_valid_json(
+    robot_runner: Callable, write_config: Callable[..., Path]
+) -> None:
+    write_config(table=ODD)
+    rows = robot_runner("plan", "config.py").out.partition("\n\n")[0].splitlines()
+    assert [row[5:] for row in rows[1:]] == ["a, b", "two\\nlines", "None", "inf", "[red]", "x" * 27 + "…"]
+    runs = robot_runner("plan", "config.py", "--json").json["runs"]
+    assert [run["combination"]["Text"] for run in runs[:5]] == ["a, b", "two\nlines", None, "inf", "[red]"]
+
+
+def test_a_plan_needs_no_robot(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
+    write_config("required_ros_version = 1\nrequired_ros_distro = 'melodic'")
+    assert robot_runner("check", "config.py").code == 2
+    assert robot_runner("plan", "config.py").code == 0
+
+
+def test_what_is_wrong_with_the_run_table_refuses_the_plan(
+    robot_runner: Callable, write_config: Callable[..., Path]
+) -> None:
+    write_config(table='    def create_run_table(self):\n        return RunTableModel([Factor("A", [])])\n')
+    answer = robot_runner("plan", "config.py")
+    assert (answer.code, answer.out) == (2, "")
+    assert "it has no treatments" in answer.err
+
+
+def test_a_long_table_is_whole_in_a_file_and_abbreviated_on_a_terminal(
+    robot_runner: Callable, write_config: Callable[..., Path], terminal: Callable
+) -> None:
+    write_config(table=DRAWN.replace("range(30)", "range(1000)"))
+    assert len(robot_runner("plan", "config.py").out.partition("\n\n")[0].splitlines()) == 1001
+    shown = terminal("plan", "config.py")
+    assert shown.finish() == 0
+    assert "975 runs left out: --all shows them" in shown.text
+    assert "\nr_1000 " in shown.text
+    whole = terminal("plan", "config.py", "--all", lines=1100)
+    assert whole.finish() == 0
+    assert sum(line.startswith("r_") for line in whole.text.splitlines()) == 1000
+
+
+def test_columns_that_do_not_fit_are_named(write_config: Callable[..., Path], terminal: Callable) -> None:
+    write_config(table=BLOCKS)
+    shown = terminal("plan", "config.py", columns=27)
+    assert shown.finish() == 0
+    assert "No room for: Repetition, block." in " ".join(shown.text.split())

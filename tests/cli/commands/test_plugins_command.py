@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint, version
+from typing import TYPE_CHECKING
+
+import pytest
+
+from robot_runner.cli.commands import plugins
+from robot_runner.plugins.registry import InstalledPlugin, installed_plugins
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def _installed(name: str, value: str) -> InstalledPlugin:
+    point = EntryPoint(name, value, "robot_runner.profilers")
+    return InstalledPlugin(name, "profilers", "stranger", "2.1", point)
+
+
+def test_every_built_in_plugin_is_listed_with_all_there_is_to_know(robot_runner: Callable) -> None:
+    answer = robot_runner("plugins")
+    assert answer.code == 0
+    for name in ("BasicTurtlebot3", "Ina219", "PsUtil"):
+        assert f"  {name}  robot-runner {version('robot-runner')}\n" in answer.out
+    assert "Energy (J): " in answer.out
+    assert "rate_hz=10.0" in answer.out
+    assert "robot='simulated'" in answer.out
+
+
+def test_json_has_the_same(robot_runner: Callable) -> None:
+    found = robot_runner("plugins", "--json").json
+    assert [plugin["name"] for plugin in found["systems"]] == ["BasicTurtlebot3"]
+    assert [plugin["name"] for plugin in found["profilers"]] == ["Ina219", "PsUtil"]
+    psutil = found["profilers"][1]
+    assert psutil["package"] == "robot-runner"
+    assert [(measure["name"], measure["unit"]) for measure in psutil["measures"]] == [("CPU", "%"), ("Memory", "%")]
+    assert "rate_hz=10.0" in psutil["parameters"]
+    assert psutil["findings"] == []
+    assert psutil["summary"].startswith("Measures CPU and memory")
+
+
+@pytest.mark.parametrize(
+    ("value", "problem"),
+    [
+        ("nowhere_at_all:Meter", "it cannot be imported: ModuleNotFoundError"),
+        ("robot_runner.plugins.profilers:Meter", "it cannot be imported: AttributeError"),
+        ("robot_runner.errors:Finding", "is no Profiler"),
+    ],
+)
+def test_a_broken_plugin_is_a_finding_and_hides_no_other(
+    robot_runner: Callable, monkeypatch: pytest.MonkeyPatch, value: str, problem: str
+) -> None:
+    everything = (_installed("Meter", value), *installed_plugins())
+    monkeypatch.setattr(plugins, "installed_plugins", lambda: everything)
+    answer = robot_runner("plugins")
+    assert answer.code == 0
+    assert "  Meter  stranger 2.1\n" in answer.out
+    assert problem in answer.out
+    assert "fix: " in answer.out
+    assert "  PsUtil  " in answer.out
+    meter = robot_runner("plugins", "--json").json["profilers"][0]
+    assert problem in meter["findings"][0]["problem"]
+
+
+def test_a_plugin_that_cannot_be_looked_at_is_a_finding_too(
+    robot_runner: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Meter:
+        @property
+        def measures(self) -> None:
+            raise AssertionError
+
+    class Installed:
+        name, kind, package, version = "Meter", "profilers", "stranger", "2.1"
+
+        @staticmethod
+        def load() -> type:
+            raise RuntimeError("a licence is missing")
+
+    monkeypatch.setattr(plugins, "installed_plugins", lambda: (Installed(),))
+    answer = robot_runner("plugins")
+    assert answer.code == 0
+    assert "it cannot be described: RuntimeError: a licence is missing" in answer.out
+    assert "Systems\n  none is installed\n" in answer.out
+
+
+def test_parameters_are_written_as_they_are_typed() -> None:
+    class Meter:
+        def __init__(self, port: str, *rest: int, rate_hz: float = 10.0, **more: str) -> None: ...
+
+    assert plugins._parameters(Meter) == ("port", "*rest", "rate_hz=10.0", "**more")

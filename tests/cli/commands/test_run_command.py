@@ -1,0 +1,206 @@
+from __future__ import annotations
+
+import csv
+import subprocess
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+
+MEASURING = """\
+def launch_mission(self, context):
+    print("hello from", context.run_id)
+
+def populate_run_data(self, context):
+    return {"Energy": 877.1234}
+"""
+FAILING = """\
+mends = False
+
+def launch_mission(self, context):
+    if context.combination["Task"] == "Video" and not self.mends:
+        raise ValueError("the camera is off")
+
+def populate_run_data(self, context):
+    return {"Energy": 1.5}
+"""
+
+
+def statuses(folder: Path) -> list[str]:
+    with (folder / "results" / "trial" / "run_table.csv").open(encoding="utf-8", newline="") as file:
+        return [row["status"] for row in csv.DictReader(file)]
+
+
+def test_a_line_tells_of_each_start_and_each_end(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
+    write_config(MEASURING)
+    answer = robot_runner("run", "config.py")
+    assert answer.code == 0
+    assert answer.err == ""
+    assert "\x1b" not in answer.out
+    lines = answer.out.splitlines()
+    assert lines[0] == "trial: 4 runs, seed 1, results in results/trial"
+    assert lines[1] == "run 1 of 4 (r_1) starts: Task=Video, Repetition=1"
+    assert lines[2].startswith("run 1 of 4 (r_1) is done after ")
+    assert lines[2].endswith(": Energy 877.1")
+    assert sum(line.startswith("run ") for line in lines) == 8
+
+
+def test_the_end_tells_how_it_went_and_where_the_results_are(
+    robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_config(MEASURING)
+    answer = robot_runner("run", "config.py")
+    assert "All 4 runs are done (" in answer.out
+    assert "Results  results/trial/run_table.csv" in answer.out
+    assert "Next     open run_table.csv" in answer.out
+    assert "hello from" not in answer.out
+    assert (tmp_path / "results/trial/runs/r_1/log.txt").read_text() == "hello from r_1\n"
+    assert statuses(tmp_path) == ["Done"] * 4
+
+
+def test_a_failed_run_is_exit_code_1_with_its_reason_and_what_to_do(
+    robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_config(FAILING)
+    answer = robot_runner("run", "config.py", "--set", "attempts=2")
+    assert answer.code == 1
+    reason = "launch_mission of config: ValueError: the camera is off"
+    assert f": {reason}; it is tried again\n" in answer.out
+    assert "run 1 of 4 (r_1, attempt 2) failed after " in answer.out
+    assert "2 of 4 runs done, 2 failed, 0 to do" in answer.out
+    assert f"✗ r_1, r_3: {reason}\n" in answer.out
+    assert "look at results/trial/runs/r_1/log.txt, then execute what is left (2 failed, 0 to do): " in answer.out
+    assert "robot-runner config.py --set attempts=2\n" in answer.out
+    assert "ValueError: the camera is off" in (tmp_path / "results/trial/runs/r_1/log.txt").read_text()
+    assert statuses(tmp_path) == ["Failed", "Done"] * 2
+
+
+def test_executing_it_again_resumes(robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path) -> None:
+    write_config(FAILING)
+    robot_runner("run", "config.py")
+    changed = ["--set", "mends=yes"]
+    refused = robot_runner("run", "config.py", *changed)
+    assert refused.code == 2
+    assert "error: --set mends: it was not set and is set by --set mends=yes\n" in refused.err
+    answer = robot_runner("run", "config.py", *changed, "--accept-changes")
+    assert answer.code == 0
+    assert answer.out.startswith("trial: 4 runs, 2 of them done before, seed 1, results in results/trial\n")
+    assert "set by hand, and recorded as a deviation from the config: mends=yes\n" in answer.out
+    assert "r_2" not in answer.out
+    assert statuses(tmp_path) == ["Done"] * 4
+    nothing = robot_runner("run", "config.py", *changed)
+    assert nothing.code == 0
+    assert "All 4 runs are done before: nothing was executed." in nothing.out
+    assert "robot-runner config.py --set mends=yes --set experiment_name=..." in nothing.out
+
+
+def test_only_some_runs_can_be_executed(
+    robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_config(MEASURING)
+    answer = robot_runner("run", "config.py", "--only", "r_2", "--only", "r_4")
+    assert answer.code == 0
+    assert "2 of 4 runs done, 0 failed, 2 to do" in answer.out
+    assert "go on with the 2 runs that are left: robot-runner config.py\n" in answer.out
+    assert statuses(tmp_path) == ["-", "Done", "-", "Done"]
+
+
+def test_a_run_can_be_executed_again(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
+    write_config(MEASURING)
+    robot_runner("run", "config.py")
+    answer = robot_runner("run", "config.py", "--redo", "r_3")
+    assert answer.code == 0
+    assert [line.partition(")")[0] for line in answer.out.splitlines() if line.startswith("run ")] == [
+        "run 3 of 4 (r_3, attempt 2",
+        "run 3 of 4 (r_3, attempt 2",
+    ]
+    unknown = robot_runner("run", "config.py", "--redo", "r_33")
+    assert unknown.code == 2
+    assert "error: --redo r_33: the run table has no such run" in unknown.err
+
+
+def test_a_policy_that_stops_leaves_runs_to_do(
+    robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_config(FAILING)
+    answer = robot_runner("run", "config.py", "--set", "on_failure=stop")
+    assert answer.code == 1
+    assert "Stopped by on_failure: 0 of 4 runs done, 1 failed, 3 to do" in answer.out
+    assert statuses(tmp_path) == ["Failed", "-", "-", "-"]
+
+
+def test_what_looked_odd_in_many_runs_is_said_once(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
+    write_config(
+        """\
+        def stop_run(self, context):
+            context.warn(f"{context.run_number} of 190 samples lost", fix="Look at the cable.")
+
+        def populate_run_data(self, context):
+            return {"Energy": None}
+        """
+    )
+    answer = robot_runner("run", "config.py")
+    assert answer.code == 0
+    odd = [line for line in answer.out.splitlines() if line.startswith("  ! ")]
+    assert odd == [
+        "  ! config: 1 of 190 samples lost, and the like (in r_1, r_2, r_3, r_4)",
+        "  ! config: Energy has no value (in r_1, r_2, r_3, r_4)",
+    ]
+    assert answer.out.count("Look at the cable.") == 1
+
+
+def test_callbacks_of_the_orchestrator_are_seen(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
+    write_config(
+        "def before_run(self, context): print('put the robot in place for', context.run_id)" + "\n" + MEASURING
+    )
+    assert "put the robot in place for r_4\n" in robot_runner("run", "config.py").out
+
+
+def test_a_table_that_differs_from_the_plan_refuses(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
+    config = write_config(MEASURING)
+    robot_runner("run", "config.py")
+    config.write_text(config.read_text().replace('"Network"', '"Radio"'))
+    answer = robot_runner("run", "config.py")
+    assert answer.code == 2
+    assert "Network" in answer.err
+    assert "Traceback" not in answer.err
+
+
+def test_an_experiment_that_cannot_go_on_is_no_refusal(
+    robot_runner: Callable, write_config: Callable[..., Path]
+) -> None:
+    write_config("def after_experiment(self, context): raise OSError('the lab is closed')" + "\n" + MEASURING)
+    answer = robot_runner("run", "config.py")
+    assert answer.code == 1
+    assert "after_experiment of config" in answer.err
+
+
+def test_before_experiment_that_raises_is_a_refusal(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
+    write_config("def before_experiment(self, context): raise OSError('the lab is closed')")
+    answer = robot_runner("run", "config.py")
+    assert answer.code == 2
+    assert "error: before_experiment of config: OSError: the lab is closed" in answer.err
+
+
+def test_a_reader_that_goes_away_ends_nothing(program: str, write_config: Callable[..., Path], tmp_path: Path) -> None:
+    write_config(MEASURING)
+    with subprocess.Popen(
+        [program, "run", "config.py"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as running:
+        assert running.stdout is not None
+        running.stdout.close()
+        assert running.wait(timeout=60) == 0
+    assert statuses(tmp_path) == ["Done"] * 4
+
+
+def test_runs_to_redo_can_be_listed_with_commas(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
+    write_config("def populate_run_data(self, context): return {'Energy': context.attempt}")
+    assert robot_runner("run", "config.py").code == 0
+    assert robot_runner("run", "config.py", "--redo", "r_1, r_3", "--redo", "r_4").code == 0
+    with open("results/trial/run_table.csv", encoding="utf-8", newline="") as file:  # noqa: PTH123 - as a reader would
+        assert [row["Energy"] for row in csv.DictReader(file)] == ["2", "1", "2", "2"]

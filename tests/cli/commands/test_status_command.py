@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+
+HALF = """\
+def launch_mission(self, context):
+    context.warn("the sun was in the camera", fix="Draw the curtains.")
+    if context.combination["Task"] == "Video":
+        raise ValueError("the camera is off")
+
+def populate_run_data(self, context):
+    return {"Energy": 1.5}
+"""
+
+
+@pytest.fixture
+def half_done(robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path) -> Path:
+    write_config(HALF)
+    assert robot_runner("run", "config.py").code == 1
+    return tmp_path / "results" / "trial"
+
+
+@pytest.mark.parametrize("target", ["config.py", "results/trial", "./results/trial/"])
+def test_it_is_named_by_its_folder_or_its_config(robot_runner: Callable, half_done: Path, target: str) -> None:
+    answer = robot_runner("status", target)
+    assert answer.code == 0
+    assert answer.out.startswith("trial ")
+    assert "2 of 4 runs done, 2 failed, 0 to do" in answer.out
+    assert "nobody executes it" in answer.out
+    assert "✗ r_1, r_3: launch_mission of config: ValueError: the camera is off" in answer.out
+    assert "! config: the sun was in the camera (in r_1, r_2, r_3, r_4)" in answer.out
+    assert half_done.exists()
+
+
+def test_json_holds_everything(robot_runner: Callable, half_done: Path) -> None:
+    facts = robot_runner("status", "config.py", "--json").json
+    assert facts.pop("started_at").endswith("Z")
+    assert facts.pop("finished_at").endswith("Z")
+    assert len(facts.pop("findings")) == 4
+    reason = "launch_mission of config: ValueError: the camera is off"
+    assert facts == {
+        "experiment_name": "trial",
+        "folder": str(half_done),
+        "holder": None,
+        "is_waiting_for_user": False,
+        "run_count": 4,
+        "done": 2,
+        "failed": 2,
+        "todo": 0,
+        "current_run": None,
+        "current_event": None,
+        "failures": [f"r_1: {reason}", f"r_3: {reason}"],
+    }
+
+
+def test_parameters_that_were_set_lead_to_the_folder(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
+    write_config("def populate_run_data(self, context): return {'Energy': 1.5}")
+    setting = ["--set", "experiment_name=other"]
+    assert robot_runner("run", "config.py", *setting).code == 0
+    assert "other" in robot_runner("status", "config.py", *setting).out
+    assert robot_runner("status", "config.py").code == 2
+
+
+def test_an_experiment_that_was_never_executed_is_told_how(
+    robot_runner: Callable, write_config: Callable[..., Path]
+) -> None:
+    write_config()
+    answer = robot_runner("status", "config.py")
+    assert answer.code == 2
+    assert "never executed" in answer.err
+    assert "fix: Execute it: robot-runner config.py" in answer.err
+
+
+def test_a_folder_of_experiments_names_them(robot_runner: Callable, half_done: Path) -> None:
+    answer = robot_runner("status", "results")
+    assert answer.code == 2
+    assert "fix: Name the experiment's own folder: results/trial." in answer.err
+    assert half_done.exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (["reslts"], "Did you mean 'results'?"),
+        (["results/trial", "--set", "attempts=2"], "--set is for config files"),
+        (["."], "there is no experiment here"),
+    ],
+)
+def test_what_is_no_experiment_is_refused(
+    robot_runner: Callable, half_done: Path, words: list[str], problem: str
+) -> None:
+    answer = robot_runner("status", *words)
+    assert answer.code == 2
+    assert problem in answer.err
+    assert half_done.exists()

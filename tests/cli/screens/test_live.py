@@ -1,0 +1,169 @@
+from __future__ import annotations
+
+import sys
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pyte
+import pytest
+
+from robot_runner.cli.screens import live
+from robot_runner.cli.screens.live import LiveScreen
+from robot_runner.execution.notices import RunRecord, WaitingForUser
+
+if TYPE_CHECKING:
+    from robot_runner.config.experiment import Experiment
+
+COLUMNS = 100
+
+
+class Shown:
+    """A live screen on a terminal of its own, and what a person would see there."""
+
+    def __init__(self, screenful: Any, experiment: Experiment, clock: Any) -> None:
+        self._screenful = screenful(COLUMNS)
+        self.screen = LiveScreen(self._screenful.console, experiment, clock)
+        self.clock = clock
+
+    @property
+    def lines(self) -> list[str]:
+        terminal = pyte.Screen(COLUMNS, 60)
+        pyte.Stream(terminal).feed(self._screenful.text.replace("\n", "\r\n"))
+        return "\n".join(line.rstrip() for line in terminal.display).rstrip().splitlines()
+
+    def take(self, *notices: Any) -> None:
+        for notice in notices:
+            self.screen.notice(notice)
+            self.clock.now += 1
+            self.screen.refresh()
+
+
+@pytest.fixture
+def shown(experiment: Experiment, clock: Any, screenful: Any, monkeypatch: pytest.MonkeyPatch) -> Shown:
+    monkeypatch.setattr(live, "terminal_input", lambda: None)
+    return Shown(screenful, experiment, clock)
+
+
+def test_the_run_that_is_executed_is_shown_with_its_event_and_phase(shown: Shown, notices: Any) -> None:
+    with shown.screen:
+        shown.take(notices.started(), notices.begun(1), notices.done(1, seconds=10), notices.begun(2))
+        shown.take(RunRecord("r_2", "event", {"event": "launch_mission"}))
+        phase = {"phase": "forward", "phase_number": 2, "phase_count": 12}
+        shown.take(RunRecord("r_2", "shared", {"owner": "BasicTurtlebot3", "values": phase}))
+        text = "\n".join(shown.lines)
+    assert "1 of 4 done   6.0 s, about 4.0 s left" in text
+    assert "▶ r_2 (run 2 of 4): Task=Video, Repetition=1" in text
+    assert "launch_mission: forward (2 of 12)   3.0 s" in text
+
+
+def test_finished_runs_are_rows_beneath_their_headings(shown: Shown, notices: Any) -> None:
+    with shown.screen:
+        shown.take(notices.started(), notices.begun(1), notices.done(1), notices.begun(2), notices.failed(2))
+    assert shown.lines == [
+        "trial: 4 runs, seed 1, results in results/trial",
+        "  run  Task     Repetition  Energy (J)         took",
+        "  r_1  Video             1       877.1         10 s",
+        "  r_2  Video             1  ✗ start_run of BasicTurtlebot3: no [bold]odometry[/bold]\\nat all",
+    ]
+
+
+def test_a_failure_is_red_and_seen_while_the_run_is_closed(shown: Shown, notices: Any) -> None:
+    with shown.screen:
+        shown.take(notices.started(), notices.begun(1), RunRecord("r_1", "failure", {"problem": "the lamp is broken"}))
+        assert "✗ the lamp is broken; closing what is open" in "\n".join(shown.lines)
+        shown.take(notices.failed(1, is_last=False))
+    assert "✗ attempt 1, tried again: start_run of" in shown.lines[-1]
+
+
+def test_the_live_part_is_gone_at_the_end_and_the_cursor_is_back(shown: Shown, notices: Any, screenful: Any) -> None:
+    with shown.screen:
+        shown.take(notices.started(), notices.begun(1))
+        assert len(shown.lines) > 2
+    assert len(shown.lines) == 2
+    assert shown._screenful.text.rindex("\x1b[?25h") > shown._screenful.text.rindex("\x1b[?25l")
+
+
+def test_no_thread_is_started(shown: Shown, notices: Any) -> None:
+    before = threading.active_count()
+    with shown.screen:
+        shown.take(notices.started(), notices.begun(1))
+        assert threading.active_count() == before
+
+
+def test_what_callbacks_print_meanwhile_stands_above_the_live_part(shown: Shown, notices: Any) -> None:
+    with shown.screen:
+        shown.take(notices.started(), notices.begun(1))
+        sys.stdout.write("put the robot into the [corridor]\n")
+        shown.take(RunRecord("r_1", "event", {"event": "start_run"}))
+        lines = shown.lines
+        assert lines.index("put the robot into the [corridor]") == 2
+        assert any("▶ r_1" in line for line in lines[3:])
+    assert shown.lines[-1] == "put the robot into the [corridor]"
+
+
+def test_the_live_part_gives_way_while_the_user_is_asked(shown: Shown, notices: Any) -> None:
+    with shown.screen:
+        shown.take(notices.started(), notices.begun(1), notices.done(1), WaitingForUser(Path.cwd() / "results", 2, 4))
+        assert shown.lines[-1] == "Waiting before run 2 of 4. To go on: robot-runner continue results"
+        shown.take(notices.begun(2))
+        assert shown.lines[3] == "Waiting before run 2 of 4. To go on: robot-runner continue results"
+        assert "▶ r_2" in shown.lines[-2]
+
+
+def test_somebody_at_the_keyboard_is_asked_for_enter(shown: Shown, notices: Any) -> None:
+    shown.screen.user_input = 0
+    with shown.screen:
+        shown.take(notices.started(), WaitingForUser(Path.cwd() / "results", 2, 4))
+    assert "Press ENTER to start run 2 of 4, or in another terminal: robot-runner" in shown.lines[-1]
+
+
+def test_records_that_come_faster_than_anybody_reads_are_not_drawn(shown: Shown, notices: Any) -> None:
+    with shown.screen:
+        shown.take(notices.started(), notices.begun(1))
+        drawn = len(shown._screenful.text)
+        for _ in range(1000):
+            shown.screen.notice(RunRecord("r_1", "event", {"event": "launch_mission"}))
+            shown.screen.refresh()
+        assert len(shown._screenful.text) < drawn + 2000
+
+
+def test_of_runs_too_fast_to_be_read_only_failures_are_shown(shown: Shown, notices: Any) -> None:
+    with shown.screen:
+        shown.take(notices.started(run_count=500))
+        shown.screen.notice(notices.done(499))  # the first of a burst is shown at once
+        for number in range(100):
+            shown.screen.notice(notices.failed(number) if number == 50 else notices.done(number))
+    rows = [line.split()[0] for line in shown.lines[2:]]
+    assert rows == ["r_499", "r_50", "…"]
+    assert shown.lines[-1] == "  … 99 runs, too fast to be shown; run_table.csv has them …"
+
+
+def test_runs_that_slow_down_are_shown_again_after_how_many_were_not(shown: Shown, notices: Any) -> None:
+    with shown.screen:
+        shown.take(notices.started(run_count=500), notices.begun(1), notices.done(1))
+        for number in range(2, 30):
+            shown.screen.notice(notices.done(number))
+        shown.take(notices.begun(30))
+        assert shown.lines[4].split()[0] == "r_29", "the last one is seen in the live part"
+        shown.take(notices.done(30))
+    rows = [line.split()[:3] for line in shown.lines[2:]]
+    assert [row[0] for row in rows] == ["r_1", "r_2", "…", "r_30"]
+    assert rows[2] == ["…", "27", "runs,"]
+
+
+def test_a_terminal_that_is_gone_is_no_fault(shown: Shown, notices: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(_: str) -> int:
+        raise OSError(5, "Input/output error")
+
+    with shown.screen:
+        shown.take(notices.started(), notices.begun(1))
+        monkeypatch.setattr(shown._screenful.stream, "write", gone)
+
+
+def test_columns_that_do_not_fit_are_left_out(experiment: Experiment, clock: Any, screenful: Any, notices: Any) -> None:
+    narrow = screenful(40)
+    with LiveScreen(narrow.console, experiment, clock) as screen:
+        screen.notice(notices.started(columns={"Energy": "J", "CPU": "%", "Memory": "%"}))
+    assert "  run  Task     Repetition  Energy (J)" in narrow.text
+    assert "CPU" not in narrow.text

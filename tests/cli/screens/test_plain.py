@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from robot_runner.cli.screens import plain
+from robot_runner.cli.screens.plain import PlainScreen
+from robot_runner.errors import Finding
+from robot_runner.execution.notices import WaitingForUser
+
+if TYPE_CHECKING:
+    from robot_runner.config.experiment import Experiment
+
+
+@pytest.fixture
+def said(experiment: Experiment, clock: Any, screenful: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Return what shows notices on a plain screen, and answers with its lines."""
+    monkeypatch.setattr(plain, "terminal_input", lambda: None)
+
+    def say(*notices: Any) -> list[str]:
+        shown = screenful()
+        with PlainScreen(shown.console, experiment, clock) as screen:
+            for notice in notices:
+                screen.notice(notice)
+                screen.refresh()
+        assert "\x1b" not in shown.text
+        return shown.text.splitlines()
+
+    return say
+
+
+def test_a_run_is_a_line_when_it_starts_and_a_line_when_it_ends(said: Any, notices: Any) -> None:
+    assert said(notices.started(), notices.begun(2), notices.done(2)) == [
+        "trial: 4 runs, seed 1, results in results/trial",
+        "run 2 of 4 (r_2) starts: Task=Video, Repetition=1",
+        "run 2 of 4 (r_2) is done after 10 s: Energy 877.1 J",
+    ]
+
+
+def test_a_missing_value_is_no_nought(said: Any, notices: Any) -> None:
+    assert said(notices.started(), notices.done(1, value=None))[-1].endswith(": Energy \N{EN DASH} J")
+
+
+def test_failures_name_event_and_owner_and_stay_in_their_line(said: Any, notices: Any) -> None:
+    reason = "start_run of BasicTurtlebot3: no [bold]odometry[/bold]\\nat all"
+    lines = said(notices.started(), notices.failed(1, is_last=False), notices.failed(1, attempt=2))
+    assert lines[1:] == [
+        f"run 1 of 4 (r_1) failed after 2.0 s: {reason}; it is tried again",
+        f"run 1 of 4 (r_1, attempt 2) failed after 2.0 s: {reason}",
+    ]
+
+
+def test_an_interrupted_run_is_still_to_do(said: Any, notices: Any) -> None:
+    assert said(notices.started(), notices.interrupted(3))[-1] == (
+        "run 3 of 4 (r_3) was interrupted after 1.0 s; it is still to do"
+    )
+
+
+def test_what_was_done_before_and_set_by_hand_is_told(said: Any, notices: Any) -> None:
+    lines = said(notices.started(done_count=3, overrides={"robot": "simulated"}))
+    assert lines == [
+        "trial: 4 runs, 3 of them done before, seed 1, results in results/trial",
+        "set by hand, and recorded as a deviation from the config: robot=simulated",
+    ]
+
+
+def test_warnings_are_seen_before_the_experiment_goes_on(said: Any, notices: Any) -> None:
+    lines = said(notices.started(findings=(Finding.warning("c.py", "it matches nothing", "Remove it."),)))
+    assert lines[1:] == ["warning: c.py: it matches nothing", "  fix: Remove it."]
+
+
+def test_nobody_at_the_keyboard_is_told_of_the_other_way_to_go_on(said: Any) -> None:
+    lines = said(WaitingForUser(Path.cwd() / "my results" / "trial", 2, 4))
+    assert lines == ["Waiting before run 2 of 4. To go on: robot-runner continue 'my results/trial'"]

@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from robot_runner.cli.screens.progress import Progress
+from robot_runner.events.measure import Origin
+from robot_runner.execution.notices import RunRecord, WaitingForUser
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+@pytest.fixture
+def progress(clock: Callable[[], float], notices: Any) -> Progress:
+    watched = Progress(clock)
+    watched.take(notices.started())
+    return watched
+
+
+def test_runs_are_counted(progress: Progress, notices: Any) -> None:
+    for notice in (notices.begun(1), notices.done(1), notices.begun(2), notices.failed(2)):
+        progress.take(notice)
+    assert (progress.run_count, progress.done, progress.failed) == (4, 1, 1)
+    assert list(progress.run_ids) == ["r_1", "r_2"]
+    assert progress.current is None
+
+
+def test_runs_that_were_done_before_count(clock: Any, notices: Any) -> None:
+    progress = Progress(clock)
+    progress.take(notices.started(done_count=3))
+    progress.take(notices.begun(4))
+    progress.take(notices.done(4))
+    assert progress.done == 4
+
+
+def test_a_run_that_is_tried_again_counts_once(progress: Progress, notices: Any) -> None:
+    for notice in (notices.begun(1), notices.failed(1, is_last=False), notices.begun(1, attempt=2), notices.done(1)):
+        progress.take(notice)
+    assert (progress.done, progress.failed, list(progress.run_ids)) == (1, 0, ["r_1"])
+
+
+def test_an_interrupted_run_is_still_to_do(progress: Progress, notices: Any) -> None:
+    progress.take(notices.begun(1))
+    progress.take(notices.interrupted(1))
+    assert (progress.done, progress.failed, list(progress.run_ids)) == (0, 0, [])
+
+
+def test_the_time_left_is_unknown_before_a_run_has_ended(progress: Progress, notices: Any) -> None:
+    assert progress.seconds_left is None
+    progress.take(notices.begun(1))
+    assert progress.seconds_left is None
+
+
+def test_the_time_left_comes_from_the_mean_of_the_runs(progress: Progress, clock: Any, notices: Any) -> None:
+    for number, seconds in ((1, 10), (2, 20)):
+        progress.take(notices.begun(number))
+        clock.now += seconds
+        progress.take(notices.done(number))
+    assert progress.seconds_left == pytest.approx(2 * 15.0)
+    progress.take(notices.begun(3))
+    clock.now += 5
+    assert progress.seconds_left == pytest.approx(2 * 15.0 - 5)
+    clock.now += 1000  # a run that takes longer than the others does not make the rest shorter
+    assert progress.seconds_left == pytest.approx(15.0)
+
+
+def test_the_time_that_the_user_takes_does_not_count(progress: Progress, clock: Any, notices: Any) -> None:
+    for number in (1, 2):
+        progress.take(notices.begun(number))
+        clock.now += 10
+        progress.take(notices.done(number))
+        progress.take(WaitingForUser(Path("x"), number + 1, 4))
+        clock.now += 3600
+    progress.take(notices.begun(3))
+    assert progress.seconds_left == pytest.approx(20)
+
+
+def test_a_run_takes_as_long_as_all_its_attempts(progress: Progress, clock: Any, notices: Any) -> None:
+    progress.take(notices.begun(1))
+    clock.now += 10
+    progress.take(notices.failed(1, is_last=False))
+    progress.take(notices.begun(1, attempt=2))
+    clock.now += 5
+    progress.take(notices.done(1))
+    assert progress.seconds_left == pytest.approx(3 * 15)
+
+
+def test_what_happens_in_a_run_is_known(progress: Progress, clock: Any, notices: Any) -> None:
+    progress.take(notices.begun(1))
+    assert progress.current is not None
+    progress.take(RunRecord("r_1", "event", {"event": "launch_mission"}))
+    shared = {"phase": "forward", "phase_number": 2, "phase_count": 12}
+    progress.take(RunRecord("r_1", "shared", {"owner": "BasicTurtlebot3", "values": shared}))
+    clock.now += 3
+    assert (progress.current.event, progress.current.shared) == ("launch_mission", "forward (2 of 12)")
+    assert progress.elapsed_in_run == 3
+    progress.take(RunRecord("r_1", "event", {"event": "stop_measurement"}))
+    assert progress.current.shared == "", "the phase is over with its event"
+    progress.take(RunRecord("r_1", "failure", {"problem": "first"}))
+    progress.take(RunRecord("r_1", "failure", {"problem": "second"}))
+    assert progress.current.failure == "first"
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [({"phase": "sleep"}, "sleep"), ({"lamp": "on", "level": 2}, "lamp on, level 2"), ({}, ""), (None, "")],
+)
+def test_whatever_plugins_share_is_put_into_words(progress: Progress, notices: Any, values: Any, said: str) -> None:
+    progress.take(notices.begun(1))
+    progress.take(RunRecord("r_1", "shared", {"owner": "Lamp", "values": values}))
+    assert progress.current is not None
+    assert progress.current.shared == said
+
+
+def test_records_between_two_runs_are_passed_over(progress: Progress) -> None:
+    progress.take(RunRecord("r_1", "event", {"event": "continue"}))
+    assert progress.current is None
+
+
+def test_it_is_known_where_values_come_from(progress: Progress, notices: Any) -> None:
+    for number, origin in ((1, Origin.SIMULATED), (2, Origin.SIMULATED), (3, Origin.MEASURED)):
+        progress.take(notices.begun(number))
+        progress.take(notices.done(number, origin=origin))
+    progress.take(notices.begun(4))
+    progress.take(notices.done(4, value=None, origin=Origin.ESTIMATED))
+    assert {origin: list(names) for origin, names in progress.origins.items()} == {
+        "simulated": ["Energy"],
+        "measured": ["Energy"],
+    }
+
+
+def test_waiting_ends_with_the_next_run(progress: Progress, notices: Any) -> None:
+    progress.take(WaitingForUser(Path("x"), 2, 4))
+    assert progress.is_waiting
+    progress.take(notices.begun(2))
+    assert not progress.is_waiting
+
+
+def test_the_end_has_the_last_word(progress: Progress, notices: Any) -> None:
+    progress.take(notices.finished(done_count=2, failed_count=1, todo_count=1))
+    assert (progress.done, progress.failed) == (2, 1)

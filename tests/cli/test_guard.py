@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robot_runner.cli.guard import guarded
+from robot_runner.errors import ConfigError, Finding, LinkError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import pytest
+
+
+def raising(error: BaseException) -> Callable[[], int]:
+    def command() -> int:
+        raise error
+
+    return command
+
+
+def test_the_code_of_a_command_is_passed_on() -> None:
+    assert guarded(lambda: 7) == 7
+
+
+def test_an_error_is_a_problem_a_place_and_a_fix(capsys: pytest.CaptureFixture[str]) -> None:
+    code = guarded(raising(LinkError("no odometry came", where="robot alice", fix="Switch it on.")))
+    assert code == 2
+    assert capsys.readouterr().err == "error: robot alice: no odometry came\n  fix: Switch it on.\n"
+
+
+def test_many_findings_are_all_shown_errors_first_and_counted(capsys: pytest.CaptureFixture[str]) -> None:
+    findings = [
+        Finding.warning("b.py", "odd", "Look."),
+        Finding.error("a.py", "wrong", "Mend it."),
+        Finding.error("a.py", "two\nlines \x1b[31mred", "Mend it."),
+    ]
+    assert guarded(raising(ConfigError.of_findings(findings))) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert [line for line in said if not line.startswith("  ")] == [
+        "error: a.py: wrong",
+        "error: a.py: two\\nlines \\x1b[31mred",
+        "warning: b.py: odd",
+        "2 errors, 1 warning.",
+    ]
+
+
+def test_ctrl_c_before_anything_was_executed_is_130(capsys: pytest.CaptureFixture[str]) -> None:
+    assert guarded(raising(KeyboardInterrupt())) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+def test_a_fault_of_our_own_is_said_to_be_ours_and_kept(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert guarded(raising(ZeroDivisionError("by nought"))) == 70
+    said = capsys.readouterr().err
+    assert said.startswith("error: this is a fault of Robot Runner, not yours: ZeroDivisionError: by nought\n")
+    assert "Traceback" not in said
+    kept = re.search(r"the file (\S+\.txt)", said)
+    assert kept is not None
+    assert "ZeroDivisionError: by nought" in Path(kept.group(1)).read_text(encoding="utf-8")
+
+
+def test_a_fault_is_said_even_where_nothing_can_be_kept(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "nowhere"))
+    assert guarded(raising(ZeroDivisionError("by nought"))) == 70
+    assert "could not be written" in capsys.readouterr().err
+
+
+def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
+    assert guarded(raising(ZeroDivisionError("by nought")), show_traceback=True) == 70
+    assert "Traceback (most recent call last)" in capsys.readouterr().err
+    assert guarded(raising(LinkError("no odometry came")), show_traceback=True) == 2
+    assert "Traceback (most recent call last)" in capsys.readouterr().err
+
+
+def test_a_reader_that_has_read_enough_is_no_error(program: str) -> None:
+    with subprocess.Popen([program, "plugins", "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        assert running.stdout is not None
+        assert running.stderr is not None
+        running.stdout.close()
+        assert running.stderr.read() == b""
+        assert running.wait(timeout=60) == 141
+
+
+def test_colour_is_for_terminals_alone(program: str, tmp_path: Path) -> None:
+    answer = subprocess.run([program, "check", "x.py"], cwd=tmp_path, capture_output=True, check=False)
+    assert answer.returncode == 2
+    assert b"\x1b" not in answer.stdout + answer.stderr
+
+
+def test_a_terminal_without_unicode_is_no_fault(program: str, tmp_path: Path) -> None:
+    (tmp_path / "ä.py").write_text("1 +", encoding="utf-8")
+    environment = {"PYTHONIOENCODING": "ascii", "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}
+    answer = subprocess.run(
+        [program, "check", "ä.py"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert answer.returncode == 2
+    assert "?.py is refused: 1 error." in answer.stdout

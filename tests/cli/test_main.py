@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+import pytest
+
+from robot_runner.cli.commands import COMMANDS
+from robot_runner.cli.main import main
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+
+
+@pytest.mark.parametrize("words", [[], ["-h"], ["--help"], ["help"]])
+def test_help_names_every_command(robot_runner: Callable, words: list[str]) -> None:
+    answer = robot_runner(*words)
+    assert answer.code == 0
+    assert all(f"  {name} " in answer.out for name in COMMANDS)
+    assert answer.err == ""
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("words", [["{}", "--help"], ["help", "{}"]])
+def test_every_command_has_help_of_its_own(robot_runner: Callable, command: str, words: list[str]) -> None:
+    answer = robot_runner(*(word.format(command) for word in words))
+    assert answer.code == 0
+    assert f"usage: robot-runner {command}" in answer.out
+    assert "--debug" in answer.out
+
+
+def test_help_imports_nothing_that_takes_time() -> None:
+    slow = ["rich", "argparse", "importlib.metadata", "logging", "dataclasses", "inspect", "json", "pathlib"]
+    code = (
+        "import sys; from robot_runner.cli.main import main; main(['--help']);"
+        f"print([name for name in {slow} if name in sys.modules], file=sys.stderr)"
+    )
+    # -S: what site imports for an editable installation is not ours.
+    path = "import sys; sys.path[:] = " + repr(sys.path) + ";"
+    answer = subprocess.run([sys.executable, "-S", "-c", path + code], capture_output=True, text=True, check=True)
+    assert answer.stderr.strip() == "[]"
+
+
+def test_the_version_is_that_of_the_package(robot_runner: Callable) -> None:
+    answer = robot_runner("--version")
+    assert (answer.code, answer.out) == (0, f"robot-runner {version('robot-runner')}\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "problem", "fix"),
+    [
+        (["chek"], "robot-runner: there is no command 'chek'", "Did you mean 'check'?"),
+        (["STATUS"], "there is no command 'STATUS'", "Did you mean 'status'?"),
+        (["qqq"], "there is no command 'qqq'", "Choose one of: demo, new, check"),
+        (["--versoin"], "robot-runner: there is no option '--versoin'", "Did you mean '--version'?"),
+        (["check", "c.py", "--jsn"], "robot-runner check: there is no option '--jsn'", "Did you mean '--json'?"),
+        (["run", "c.py", "--sett=robot=simulated"], "there is no option '--sett'", "Did you mean '--set'?"),
+        (["run"], "robot-runner run: CONFIG is missing", "See `robot-runner run --help`."),
+        (["plan", "a.py", "b.py"], "'b.py' is one word too many", "See `robot-runner plan --help`."),
+        (["check", "c.py", "--set"], "argument --set: expected one argument", "See `robot-runner check --help`."),
+        (["check", "c.py", "--set", "robot"], "--set: 'robot' is no assignment", "Write --set name=value"),
+    ],
+)
+def test_words_that_are_not_understood_are_one_problem_with_a_fix(
+    robot_runner: Callable, words: list[str], problem: str, fix: str
+) -> None:
+    answer = robot_runner(*words)
+    assert answer.code == 2
+    assert answer.out == ""
+    first, second = answer.err.splitlines()
+    assert first.startswith("error: ")
+    assert problem in first
+    assert second.startswith(f"  fix: {fix}")
+
+
+def test_a_config_file_alone_is_executed(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
+    config = write_config("def populate_run_data(self, context): return {'Energy': 1.5}")
+    answer = robot_runner(config, "--set", "experiment_name=short")
+    assert answer.code == 0
+    assert "All 4 runs are done" in answer.out
+    assert (config.parent / "results" / "short" / "run_table.csv").exists()
+
+
+def test_a_file_that_is_not_there_is_taken_for_a_config(robot_runner: Callable) -> None:
+    answer = robot_runner("nowhere/experiment.py")
+    assert answer.code == 2
+    assert "nowhere/experiment.py: there is no such file" in answer.err
+
+
+def test_words_come_from_the_command_line_where_none_are_given(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["robot-runner", "--version"])
+    assert main() == 0
+    assert capsys.readouterr().out.startswith("robot-runner ")

@@ -1,0 +1,60 @@
+"""The one command that makes all checks takes every step, and fails when any of them did."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+TOOLS = ("ruff", "mypy", "lint-imports", "python", "mkdocs", "pytest")
+
+
+@pytest.fixture
+def clone(tmp_path: Path) -> Path:
+    """A folder with the script, and tools that note their calls and succeed."""
+    tools = tmp_path / ".venv" / "bin"
+    tools.mkdir(parents=True)
+    (tmp_path / "scripts").mkdir()
+    shutil.copy(ROOT / "scripts" / "checks.sh", tmp_path / "scripts")
+    for tool in TOOLS:
+        _write_tool(tmp_path, tool, "exit 0")
+    return tmp_path
+
+
+def _write_tool(clone: Path, tool: str, script: str) -> None:
+    program = clone / ".venv" / "bin" / tool
+    program.write_text(f'#!/bin/sh\necho "{tool} $*" >>calls\n{script}\n', encoding="utf-8")
+    program.chmod(0o755)
+
+
+def _checks(clone: Path, which: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        ["sh", "scripts/checks.sh", which], cwd=clone, capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+def _tools_called(clone: Path) -> set[str]:
+    return {line.split()[0] for line in (clone / "calls").read_text(encoding="utf-8").splitlines()}
+
+
+def test_all_steps_are_taken(clone: Path) -> None:
+    assert _checks(clone, "all").returncode == 0
+    assert _tools_called(clone) == set(TOOLS)
+
+
+def test_the_quick_checks_execute_no_tests(clone: Path) -> None:
+    assert _checks(clone, "quick").returncode == 0
+    assert _tools_called(clone) == {"ruff", "mypy", "lint-imports"}
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+def test_any_step_that_fails_fails_the_whole_and_the_rest_is_still_done(clone: Path, tool: str) -> None:
+    _write_tool(clone, tool, "echo what went wrong; exit 1")
+    answer = _checks(clone, "all")
+    assert answer.returncode == 1
+    assert "what went wrong" in answer.stdout
+    assert answer.stdout.splitlines()[-1].startswith("Failed: ")
+    assert _tools_called(clone) == set(TOOLS)
