@@ -8,6 +8,7 @@ unexport PYTHONPATH
 unexport PYTHONHOME
 
 BIN := .venv/bin
+CODE := src tests benchmarks scripts examples
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test check bench soak docs cli-page format picture clean
@@ -46,12 +47,12 @@ docs: ## Build the documentation into site/.
 
 cli-page: ## Write docs/cli.md anew from the program.
 	@sh scripts/set_up.sh test
-	@$(BIN)/python scripts/cli_page.py
+	@$(BIN)/python scripts/generate_cli_page.py
 
 format: ## Format the code, and mend what the linter can mend by itself.
 	@sh scripts/set_up.sh test
-	@$(BIN)/ruff check --fix --quiet . || true
-	@$(BIN)/ruff format .
+	@$(BIN)/ruff check --fix --quiet $(CODE) || true
+	@$(BIN)/ruff format $(CODE)
 
 picture: ## Record the demo into docs/images/demo.svg.
 	@sh scripts/set_up.sh test
