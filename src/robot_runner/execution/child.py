@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
+from io import TextIOWrapper
 from typing import TYPE_CHECKING
 
 from robot_runner.execution.guardian import register_with_guardian
@@ -26,9 +26,6 @@ def settle_child(log: int, guardian: int) -> InterruptGate:
     it reads nothing; it hears the word to end; and it is ended if its orchestrator dies.
     """
     os.setpgid(0, 0)
-    signal.set_wakeup_fd(-1)
-    for number in (signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, signal.SIG_DFL)
     _redirect(log)
     gate = InterruptGate()
     gate.listen()
@@ -54,10 +51,12 @@ def execute_in_child(experiment: Experiment, task: RunTask, records: int, gate: 
 
 def _redirect(log: int) -> None:
     nothing = os.open(os.devnull, os.O_RDONLY)
-    for source, target in ((nothing, 0), (log, 1), (log, 2)):
-        os.dup2(source, target)
+    os.dup2(nothing, 0)
+    os.dup2(log, 1)
+    os.dup2(log, 2)
     os.close(nothing)
-    for name in ("stdout", "stderr"):
-        stream = getattr(sys, f"__{name}__")  # what stands in its place belongs to the orchestrator's screen
-        stream.reconfigure(encoding="utf-8", errors="backslashreplace", line_buffering=True)
-        setattr(sys, name, stream)
+    # What stands in their place belongs to the orchestrator's screen.
+    sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(encoding="utf-8", errors="backslashreplace", line_buffering=True)

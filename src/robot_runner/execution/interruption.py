@@ -31,7 +31,11 @@ class InterruptGate:
 
     def listen(self) -> None:
         """Take SIGTERM as the word to end. Call it in the main thread of the run's process."""
-        signal.signal(signal.SIGTERM, self._heard)
+        inherited = _present
+        if inherited is None:
+            signal.signal(signal.SIGTERM, self._heard)
+        else:  # forked: the orchestrator's handler came along; setting another would cost more than all else here
+            inherited.become_run(self)
 
     @contextmanager
     def armed(self, arm: bool) -> Iterator[None]:
@@ -70,6 +74,10 @@ class InterruptGate:
         raise RunInterrupted
 
 
+#: The orchestrator's, while it executes an experiment.
+_present: Interruption | None = None
+
+
 class Interruption:
     """What the orchestrator was told by signals: Ctrl-C once ends cleanly, twice at once.
 
@@ -83,6 +91,7 @@ class Interruption:
         self._count = 0
         self._last = 0.0
         self._gate: InterruptGate | None = None
+        self._is_run = False
         self.first_signal: int | None = None
 
     @property
@@ -100,15 +109,24 @@ class Interruption:
         """Readable once a signal came."""
         return self._reader
 
+    def become_run(self, gate: InterruptGate) -> None:
+        """Be the handler of a run's own process instead: the word to end goes to its gate."""
+        self._is_run = True
+        self._gate = gate
+
     def __enter__(self) -> Self:
+        global _present  # noqa: PLW0603 - a process has one handler of each signal, and so one of these
         self._reader, self._writer = os.pipe()
         os.set_blocking(self._writer, False)
         os.set_blocking(self._reader, False)
         self._earlier_wakeup = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
         self._earlier = {number: signal.signal(number, self._count_signal) for number in self.SIGNALS}
+        _present = self
         return self
 
     def __exit__(self, *raised: object) -> None:
+        global _present  # noqa: PLW0603 - as above
+        _present = None
         for number, handler in self._earlier.items():
             signal.signal(number, handler)
         signal.set_wakeup_fd(self._earlier_wakeup)
@@ -133,6 +151,10 @@ class Interruption:
 
     def _count_signal(self, number: int, frame: FrameType | None) -> None:
         del frame
+        if self._is_run:
+            if self._gate is not None:
+                self._gate.request()
+            return
         # A terminal that closes sends SIGHUP twice in a row, and some shells repeat SIGTERM: that is one word, not two.
         now = time.monotonic()
         if self._count and number != signal.SIGINT and now - self._last < 1.0:

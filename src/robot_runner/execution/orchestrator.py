@@ -189,10 +189,12 @@ class _Orchestrator:
 
     def _emit_to_run(self, event: RobotRunnerEvents, task: RunTask, report: Any) -> list[object]:
         """Emit an event of a run in this process; a callback that raises is reported as a failure of the run."""
+        report("event", {"event": event.value, "at": utc_now(), "clock": time.monotonic()})
+        if not self._experiment.events.subscribers(event):
+            return []
         resources = Resources()
         context_for = run_contexts(self._experiment, task, clock=SystemClock(), resources=resources, report=report)
         try:
-            report("event", {"event": event.value, "at": utc_now(), "clock": time.monotonic()})
             emission = self._emit(event, context_for)
             for failure in emission.failures:
                 report("failure", {"event": event.value, "owner": failure.owner, **failure_fields(failure.error)})

@@ -23,6 +23,8 @@ __all__ = ["Limits", "RunProcessHandle", "Watch", "supervise"]
 
 #: Without pidfd (not Linux) the death of the process is looked for this often, in seconds.
 _POLL_WITHOUT_PIDFD = 0.02
+#: How long a run is left alone at first, in milliseconds; its records wait in the pipe.
+_SOON = 20
 _READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
 
 
@@ -158,7 +160,7 @@ class _Supervision:
 
     def follow(self) -> RunOutcome:
         has_pidfd = self._process.pidfd is not None
-        may_have_ended = True
+        may_have_ended = not has_pidfd or self._ends_soon()
         while not (may_have_ended and self._process.has_ended()):
             may_have_ended = not has_pidfd
             for descriptor, _ in self._poll.poll(self._milliseconds()):
@@ -173,6 +175,14 @@ class _Supervision:
                 self._refresh()
         self._take_records()  # what it said before it died
         return self._builder.outcome(ended_because=self._end(), interrupted=self._interrupted)
+
+    def _ends_soon(self) -> bool:
+        """Give a short run the time to end undisturbed: while it lives, each page that we touch has to be copied."""
+        soon = select.poll()
+        for descriptor in (self._process.pidfd, self._interruption.descriptor):
+            if descriptor is not None:
+                soon.register(descriptor, _READABLE)
+        return any(descriptor == self._process.pidfd for descriptor, _ in soon.poll(_SOON))
 
     def _take_records(self) -> None:
         records, is_open = self._reader.read()
