@@ -104,7 +104,7 @@ def _last_settings(manifest: Mapping[str, Any]) -> Mapping[str, str]:
 
 
 def _changed_settings(before: Mapping[str, str], now: Mapping[str, str]) -> Iterator[Finding]:
-    for name in sorted({*before, *now}):
+    for name in sorted({*before, *now} - {"results_output_path"}):  # by which we have found this folder
         was, is_now = before.get(name), now.get(name)
         if was != is_now:
             problem = f"it was {_setting(name, was)} and is {_setting(name, is_now)}"

@@ -101,11 +101,12 @@ def _execution(experiment: Experiment) -> dict[str, Any]:
 
 def _described(plugin: Plugin) -> dict[str, Any]:
     kind = type(plugin)
-    name = f"{kind.__module__}:{kind.__qualname__}"
-    announced = next((each for each in installed_plugins() if each.entry_point.value == name), None)
+    # A stranger's entry point may have another name than its class: then only the class is known.
+    named = [each for each in installed_plugins() if each.name == kind.__name__]
+    announced = next((each for each in named if each.load() is kind), None)
     return {
         "name": plugin.name,
-        "class": name,
+        "class": f"{kind.__module__}:{kind.__qualname__}",
         "package": announced.package if announced else None,
         "version": announced.version if announced else None,
         "measures": [measure.name for measure in plugin.measures],

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 from robot_runner.errors import ExecutionError, Finding
 from robot_runner.execution.changes import config_changes
 from robot_runner.execution.circumstances import keep_config, manifest_of, resumed_manifest
+from robot_runner.execution.host_clocks import note_clock
 from robot_runner.execution.recovery import RecoveredTable, recover_table
 from robot_runner.execution.resumption import Resumption, selected_places
 from robot_runner.execution.task import AttemptStatus, RunOutcome, RunTask
@@ -34,7 +35,7 @@ __all__ = ["PendingRun", "ProgressManager"]
 _SHARE_FOR_TABLE = 1 / 50
 
 #: What a run reports that is kept in the journal; measures are kept with the end of the attempt.
-_KEPT = frozenset({"event", "shared", "finding", "refused", "failure"})
+_KEPT = frozenset({"event", "shared", "finding", "refused", "failure", "clock"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +162,8 @@ class ProgressManager:
         """Keep what a run reports while it is executed."""
         if kind in _KEPT:
             self._journal.append(kind, run=task.run_id, attempt=task.attempt, **fields)
+        if kind == "clock":
+            note_clock(self._manifest, fields)
         if kind == "refused":
             keep_refused(self._folder, task.run_id, fields)
         if kind == "event" and fields["event"] == "continue":

@@ -113,7 +113,9 @@ class _History:
             rows = read_run_table(files.run_table, layout)
             self.statuses = {rows.run_id(place): rows.status(place) for place in range(len(rows))}
             if not layout.spelling.tells_apart(RunStatus.TODO, RunStatus.FAILED):
-                self.statuses |= {run: self._ends[run] for run in self._ends if run in self.statuses}
+                todo = {run for run, status in self.statuses.items() if status is RunStatus.TODO}
+                failed = {run for run, end in self._ends.items() if end is RunStatus.FAILED}
+                self.statuses |= dict.fromkeys(todo & failed, RunStatus.FAILED)
         self.statuses |= self._since_table
 
     def _take_experiment_started(self, record: Mapping[str, Any]) -> None:

@@ -79,6 +79,11 @@ class ExperimentFolder:
         return self.root / "earlier_attempts"
 
     @property
+    def report(self) -> Path:
+        """The report, with its tables and figures; made anew whenever it is asked for."""
+        return self.root / "report"
+
+    @property
     def current_log(self) -> Path:
         """What the run that is being executed has printed so far."""
         return self.root / "current_log.txt"

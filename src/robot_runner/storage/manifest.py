@@ -90,14 +90,13 @@ def _packages() -> dict[str, str]:
 
 
 def _processor() -> str:
+    # platform.processor() is empty on Linux; a Raspberry Pi names its board instead of its processor.
     try:
-        with open("/proc/cpuinfo", encoding="utf-8") as file:  # noqa: PTH123 - platform.processor() is empty on Linux
-            for line in file:
-                if line.lower().startswith(("model name", "model\t")):
-                    return line.partition(":")[2].strip()
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
-        pass
-    return platform.processor()
+        return platform.processor()
+    named = {name.strip(): value.strip() for name, _, value in (line.partition(":") for line in lines)}
+    return named.get("model name") or named.get("Model") or platform.processor()
 
 
 def _memory_bytes() -> int | None:
