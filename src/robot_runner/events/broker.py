@@ -80,3 +80,8 @@ class MeasureBroker:
         with self._lock:
             self._findings.append(Finding.warning(f"{self._run_id}, {owner}", problem, fix))
             self._report("finding", {"owner": owner, "problem": problem, "fix": fix})
+
+    def note_clock(self, owner: str, facts: Mapping[str, object]) -> None:
+        """Keep how another computer's clock stood to the run's."""
+        with self._lock:
+            self._report("clock", {"owner": owner, **facts})

@@ -56,6 +56,10 @@ class MeasureColumns:
         """The names of the run table's measure columns, in order."""
         return tuple(column.name for column in self.in_table)
 
+    def prepare(self) -> None:
+        """Look everything up that looking up a column needs, so that a run that is forked finds it done."""
+        _ = self._by_owner
+
     def column_for(self, owner: str, name: object) -> MeasureColumn:
         """Return the column that `owner` means by `name`.
 

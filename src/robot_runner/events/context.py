@@ -34,6 +34,10 @@ class RunBroker(Protocol):
         """Record a warning finding about this run."""
         ...
 
+    def note_clock(self, owner: str, facts: Mapping[str, object]) -> None:
+        """Keep how another computer's clock stood to the run's."""
+        ...
+
     @property
     def measures(self) -> Mapping[str, PublishedMeasure]:
         """What was published so far, by column of the run table."""
@@ -139,3 +143,10 @@ class RobotRunnerContext(ExperimentContext):
     def warn(self, problem: str, *, fix: str = "") -> None:
         """Say that something about this run is doubtful; it is shown at the end and kept with the run."""
         self.broker.warn(self.owner, problem, fix)
+
+    def note_clock(self, facts: Mapping[str, object]) -> None:
+        """Say how another computer's clock stood to the run's, as `ClockRecord.facts` tells it.
+
+        It is kept in the journal, run by run, and summed up for each computer in the manifest.
+        """
+        self.broker.note_clock(self.owner, facts)

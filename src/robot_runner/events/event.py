@@ -32,7 +32,7 @@ class RobotRunnerEvents(Enum):
     @property
     def is_closing(self) -> bool:
         """Whether it closes what another event opened, and so reaches its subscribers in reverse order."""
-        return self in CLOSED_BY.values()
+        return self in _CLOSING
 
     @property
     def belongs_to_run(self) -> bool:
@@ -63,6 +63,8 @@ CLOSED_BY = {
     RobotRunnerEvents.START_RUN: RobotRunnerEvents.STOP_RUN,
     RobotRunnerEvents.START_MEASUREMENT: RobotRunnerEvents.STOP_MEASUREMENT,
 }
+
+_CLOSING = frozenset(CLOSED_BY.values())
 
 #: Which event a method hears, by the method's name.
 EVENTS_BY_CALLBACK = {event.callback_name: event for event in RobotRunnerEvents}

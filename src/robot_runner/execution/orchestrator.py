@@ -5,10 +5,11 @@ from __future__ import annotations
 import gc
 import logging
 import time
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from robot_runner.config.choices import FailurePolicy, OperationType
-from robot_runner.errors import ExecutionError
+from robot_runner.errors import ExecutionError, StorageError
 from robot_runner.events.clock import SystemClock
 from robot_runner.events.context import ExperimentContext
 from robot_runner.events.event import RobotRunnerEvents
@@ -102,6 +103,8 @@ class _Orchestrator:
             self._emit_to_experiment(RobotRunnerEvents.BEFORE_EXPERIMENT)
             self._execute_runs()
         finally:
+            with suppress(StorageError):  # said again when everything is brought up to date
+                self._progress.bring_table_up_to_date()
             self._emit_to_experiment(RobotRunnerEvents.AFTER_EXPERIMENT)
         finished = self._finish_notice(findings)
         self._progress.finish(interrupted=finished.interrupted)

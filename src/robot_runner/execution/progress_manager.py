@@ -166,7 +166,7 @@ class ProgressManager:
             note_clock(self._manifest, fields)
         if kind == "refused":
             keep_refused(self._folder, task.run_id, fields)
-        if kind == "event" and fields["event"] == "continue":
+        if kind == "event" and fields["event"] == "continue" and "continue_at" in self._rows.stamps:
             self._rows.record(task.run_id, stamps={"continue_at": fields["at"]})
             self._refresh_table()
 
@@ -188,10 +188,14 @@ class ProgressManager:
         """Keep something that is not about a run."""
         self._journal.append(kind, flush=flush, **fields)
 
-    def finish(self, *, interrupted: bool) -> None:
-        """Bring everything that people read up to date: the experiment has ended."""
+    def bring_table_up_to_date(self) -> None:
+        """Write the run table as it stands: a callback of `after_experiment` may read it."""
         if self._table_is_stale:
             self._write_table()
+
+    def finish(self, *, interrupted: bool) -> None:
+        """Bring everything that people read up to date: the experiment has ended."""
+        self.bring_table_up_to_date()
         self._table.write_schema(self._folder.schema)
         self._manifest["executions"][-1]["finished_at"] = utc_now()
         write_manifest(self._folder.manifest, self._manifest)

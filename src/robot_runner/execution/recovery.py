@@ -81,7 +81,7 @@ class RecoveredTable:
         self.rows.record(
             run_id,
             status=_ENDS[status],
-            stamps={f"{event}_at": stamp for event, stamp in stamps.items()},
+            stamps={name: stamp for event, stamp in stamps.items() if (name := f"{event}_at") in self.rows.stamps},
             measures={name: value for name, value in measures.items() if name in self.rows.measures},
         )
 
