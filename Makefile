@@ -26,6 +26,7 @@ demo: ## Execute the paper's experiment on the embedded robot: 15 runs, in under
 
 test: ## Make every check and execute every test.
 	@sh scripts/set_up.sh test
+	@sh scripts/system_packages.sh
 	@sh scripts/checks.sh all
 
 check: ## Make the quick checks only: format, lint, types, import contracts.
@@ -33,11 +34,13 @@ check: ## Make the quick checks only: format, lint, types, import contracts.
 	@sh scripts/checks.sh quick
 
 bench: ## Measure the promised figures, each beside its floor (minutes; a quiet machine is best).
-	@sh scripts/set_up.sh demo
+	@sh scripts/set_up.sh test
+	@sh scripts/system_packages.sh
 	@$(BIN)/python -m benchmarks
 
 soak: ## Execute the long-running tests (many minutes).
 	@sh scripts/set_up.sh test
+	@sh scripts/system_packages.sh
 	@$(BIN)/pytest -m soak --timeout 3600
 
 docs: ## Build the documentation into site/.

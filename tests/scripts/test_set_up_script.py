@@ -39,6 +39,7 @@ def _set_up(clone: Path, purpose: str = "demo", **environment: str) -> subproces
 
 def _python(clone: Path, name: str, script: str) -> None:
     program = clone / "bin" / name
+    program.unlink(missing_ok=True)  # a link to the system's own program: writing through it would replace that
     program.write_text(f"#!/bin/sh\n{script}\n", encoding="utf-8")
     program.chmod(0o755)
 
