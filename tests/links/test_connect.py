@@ -21,6 +21,8 @@ from robot_runner.links.connect import (
     open_clock,
     open_serial_line,
 )
+from robot_runner.links.local_host import LocalHost
+from robot_runner.links.ssh_host import SshHost
 from robot_runner.simulator.clock import SimulatedClock
 
 
@@ -135,11 +137,9 @@ def test_the_simulator_is_never_a_silent_fallback(resources, connect):
         open_clock("ros1", resources, 1)
 
 
-def test_a_simulated_robot_has_no_other_port_or_host_than_its_own(context):
+def test_a_simulated_robot_has_no_other_port_than_its_own(context):
     with pytest.raises(LinkError, match="/dev/ttyUSB0"):
         open_serial_line(context, "/dev/ttyUSB0")
-    with pytest.raises(LinkError, match=r"pi@robot\.local"):
-        connect_host(context, "pi@robot.local")
 
 
 def test_known_names_have_nothing_in_their_way():
@@ -197,3 +197,20 @@ def test_importing_the_door_to_the_links_imports_nothing_heavy():
     )
     answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
     assert answer.stdout.strip() == "[]"
+
+
+def test_a_named_host_is_this_machine_or_one_that_ssh_reaches_and_is_opened_once(context):
+    assert isinstance(connect_host(context, "localhost"), LocalHost)
+    robot = connect_host(context, "pi@robot.local")
+    assert isinstance(robot, SshHost)
+    assert connect_host(context, "pi@robot.local") is robot
+    assert connect_host(context, "pi@robot.local", form="sh") is not robot
+
+
+def test_a_host_is_not_taken_for_a_simulated_robots_namespace(context):
+    assert connect_host(context, "alice") is not connect_host(context, None, namespace="alice")
+
+
+def test_a_host_whose_name_would_pass_for_an_option_is_refused(context):
+    with pytest.raises(LinkError, match="-oProxyCommand"):
+        connect_host(context, "-oProxyCommand=true")

@@ -24,6 +24,7 @@ class ClockExchange:
         steady: what the computer's steady clock showed in between, s.
         wall: what the computer's wall clock showed in between, s since 1970.
         own_wall: what this machine's wall clock showed half-way between sending and receiving, s since 1970.
+        resolution: of the computer's steady clock, s.
     """
 
     sent: float
@@ -31,6 +32,7 @@ class ClockExchange:
     steady: float
     wall: float
     own_wall: float
+    resolution: float = 0.0
 
     @property
     def round_trip(self) -> float:
@@ -59,7 +61,7 @@ class ClockOffset:
     exchanges: int
 
 
-def estimate_offset(exchanges: Sequence[ClockExchange], *, resolution: float = 0.0) -> ClockOffset:
+def estimate_offset(exchanges: Sequence[ClockExchange]) -> ClockOffset:
     """Return the offset that the exchange with the least delay tells.
 
     The computer looked at its clock some time between the question and the answer. Half-way is the best guess, and it
@@ -69,7 +71,6 @@ def estimate_offset(exchanges: Sequence[ClockExchange], *, resolution: float = 0
 
     Args:
         exchanges: with one computer, shortly after one another.
-        resolution: of the computer's clock, s.
 
     Raises:
         LinkError: there are none.
@@ -89,7 +90,7 @@ def estimate_offset(exchanges: Sequence[ClockExchange], *, resolution: float = 0
         steady=best.steady,
         wall_offset=best.wall - best.own_wall,
         round_trip=best.round_trip,
-        uncertainty=best.round_trip / 2 + resolution,
+        uncertainty=best.round_trip / 2 + best.resolution,
         exchanges=len(exchanges),
     )
 

@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING
 
 from robot_runner.errors import Finding, LinkError, nearest
 from robot_runner.events.clock import SystemClock
+from robot_runner.links.host import LOCAL
 from robot_runner.links.robot_name import RobotName, simulation_options
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from robot_runner.events.clock import Clock
     from robot_runner.events.context import RobotRunnerContext
     from robot_runner.events.resources import Resources
@@ -106,17 +109,23 @@ def connect_robot(context: RobotRunnerContext, *, namespace: str = "") -> RobotL
     return context.resources.open(f"robot {_key(namespace)}", opener)
 
 
-def open_serial_line(context: RobotRunnerContext, port: str | None, *, namespace: str = "") -> SerialLine:
+def open_serial_line(
+    context: RobotRunnerContext, port: str | None, *, namespace: str = "", baud: int = 115200
+) -> SerialLine:
     """Return the serial line at this port; it is opened once and closed with the run.
 
     Args:
         context: the run's.
-        port: a device file; None is the power meter of a simulated robot, which has no other.
-        namespace: whose power meter it is.
+        port: a device file, or a URL of pyserial's; None is the power meter of a simulated robot, which has no other.
+        namespace: whose power meter it is, where no port is named.
+        baud: bits a second, where a port is named.
 
     Raises:
-        LinkError: the run has no simulated robot, or a port was named on one.
+        LinkError: no port is named and the run has no simulated robot, one was named on a simulated robot, or it cannot
+            be opened.
     """
+    if port is not None and not is_simulated(context.robot):
+        return _port_line(context, port, baud)
     simulation = _simulation_of(context)
     _check_own("serial port", port)
 
@@ -128,19 +137,39 @@ def open_serial_line(context: RobotRunnerContext, port: str | None, *, namespace
     return context.resources.open(f"serial {_key(namespace)}", opener)
 
 
-def connect_host(context: RobotRunnerContext, host: str | None, *, namespace: str = "") -> HostLink:
+def _port_line(context: RobotRunnerContext, port: str, baud: int) -> SerialLine:
+    def opener() -> SerialLine:
+        from robot_runner.links.serial_port import SerialPort  # noqa: PLC0415  # only where it is asked for
+
+        return SerialPort(port, context.clock, baud=baud)
+
+    return context.resources.open(f"port {port}", opener)
+
+
+def connect_host(
+    context: RobotRunnerContext,
+    host: str | None,
+    *,
+    namespace: str = "",
+    ssh_config: Path | None = None,
+    form: str | None = None,
+) -> HostLink:
     """Return the link to this host; it is opened once and closed with the run.
 
     Args:
         context: the run's.
-        host: a host's name; None is the on-board computer of the run's robot.
-        namespace: whose on-board computer it is.
+        host: a host's name: `localhost` is this machine, any other is reached by ssh (`pi@robot`); None is the on-board
+            computer of the run's simulated robot.
+        namespace: whose on-board computer it is, where no host is named.
+        ssh_config: a file to take the place of the user's ssh config.
+        form: how it is sampled over ssh: `python3`, `sh` or `ps`; left out, the best that it can do.
 
     Raises:
-        LinkError: the run has no simulated robot, or a host was named on one.
+        LinkError: no host is named and the run has no simulated robot, or the name cannot be that of a host.
     """
+    if host is not None:
+        return _named_host(context, host, ssh_config, form)
     simulation = _simulation_of(context)
-    _check_own("host", host)
 
     def opener() -> HostLink:
         from robot_runner.links.simulated import SimulatedHost  # noqa: PLC0415  # it imports MuJoCo
@@ -148,6 +177,22 @@ def connect_host(context: RobotRunnerContext, host: str | None, *, namespace: st
         return SimulatedHost(simulation, namespace=namespace)
 
     return context.resources.open(f"host {_key(namespace)}", opener)
+
+
+def _named_host(context: RobotRunnerContext, host: str, config: Path | None, form: str | None) -> HostLink:
+    # The clock of a simulation says nothing of a real computer.
+    clock = SystemClock() if is_simulated(context.robot) else context.clock
+
+    def opener() -> HostLink:
+        if host == LOCAL:
+            from robot_runner.links.local_host import LocalHost  # noqa: PLC0415  # only where it is asked for
+
+            return LocalHost(clock)
+        from robot_runner.links.ssh_host import SshHost  # noqa: PLC0415  # only where it is asked for
+
+        return SshHost(host, clock, config=config, form=form)
+
+    return context.resources.open(f"computer {host} {config} {form}", opener)
 
 
 def _simulation_of(context: RobotRunnerContext) -> Simulation:

@@ -55,7 +55,7 @@ class CounterSample:
         time: on the clock that stamped it, s.
         whole: all cores together.
         cores: each core; empty where the computer does not tell.
-        memory_total: physical memory, bytes.
+        memory_total: physical memory, bytes; 0 where the computer does not tell.
         memory_available: what programs could still get of it, bytes.
         processes: those that selectors matched.
     """
@@ -153,9 +153,9 @@ def _process(sample: CounterSample, selector: int, spent: float, seconds: float 
     return ProcessUtilisation(
         count=len(matched),
         cpu=None if not seconds else min(100.0, 100.0 * spent / seconds),
-        memory=min(100.0, _share(sum(one.memory for one in matched), sample.memory_total)),
+        memory=_share(sum(one.memory for one in matched), sample.memory_total),
     )
 
 
-def _share(part: float, whole: float) -> float:
-    return 100.0 * part / whole if whole > 0 else 0.0
+def _share(part: float, whole: float) -> float | None:
+    return min(100.0, 100.0 * part / whole) if whole > 0 else None

@@ -11,17 +11,23 @@ if TYPE_CHECKING:
     from robot_runner.links.clock_offset import ClockRecord
 
 __all__ = [
+    "LOCAL",
+    "EndingSampler",
     "FileHost",
     "FileSample",
     "FileSampler",
     "HostLink",
     "ProcessHost",
     "ProcessUtilisation",
+    "RemoteHost",
     "ReportingSampler",
     "SamplingReport",
     "UtilisationSample",
     "UtilisationSampler",
 ]
+
+#: The name of this machine as a host.
+LOCAL = "localhost"
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +37,13 @@ class ProcessUtilisation:
     Attributes:
         count: how many processes there were.
         cpu: their share of all cores together since the sample before, 0..100 %; None where there is no sample before.
-        memory: their share of the physical memory (resident, shared pages counted for each), 0..100 %.
+        memory: their share of the physical memory (resident, shared pages counted for each), 0..100 %; None where the
+            computer does not tell how much it has.
     """
 
     count: int
     cpu: float | None
-    memory: float
+    memory: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +53,7 @@ class UtilisationSample:
     Attributes:
         time: seconds on the run's clock.
         cpu: share of all cores that was busy since the sample before, 0..100 %; None where there is no sample before.
-        memory: share of the physical memory in use, 0..100 %.
+        memory: share of the physical memory in use, 0..100 %; None where the computer does not tell how much it has.
         cores: the same as `cpu` for each core; empty where the computer does not tell.
         processes: one for each selector that was asked for.
         host_time: seconds on the computer's own steady clock, as it stamped the sample; None where it has none.
@@ -54,7 +61,7 @@ class UtilisationSample:
 
     time: float
     cpu: float | None
-    memory: float
+    memory: float | None
     cores: tuple[float | None, ...] = ()
     processes: tuple[ProcessUtilisation, ...] = ()
     host_time: float | None = None
@@ -119,6 +126,15 @@ class ReportingSampler(Protocol):
 
 
 @runtime_checkable
+class EndingSampler(Protocol):
+    """A sampler whose samples have a long way to come, so that who ends it need not wait for them at once."""
+
+    def end(self) -> None:
+        """Sample no more; `stop` fetches the samples."""
+        ...
+
+
+@runtime_checkable
 class HostLink(Protocol):
     """A computer: this one, the robot's on-board one over SSH, or a simulated one."""
 
@@ -133,6 +149,15 @@ class HostLink(Protocol):
 
     def close(self) -> None:
         """End all samplers and leave; closing twice does nothing."""
+        ...
+
+
+@runtime_checkable
+class RemoteHost(Protocol):
+    """A computer to which it takes a while to connect."""
+
+    def connect(self) -> None:
+        """Connect, so that sampling can begin at once."""
         ...
 
 

@@ -29,7 +29,7 @@ class SerialLine(Protocol):
         """Return, oldest first, everything that arrived since the last call, without waiting.
 
         Raises:
-            LinkError: the line was lost (a device that was unplugged).
+            LinkError: the line was lost (a device that was unplugged), and what arrived before was returned.
         """
         ...
 

@@ -58,7 +58,7 @@ def read_run_table(path: Path, layout: TableLayout) -> RunTableRows:
     """
     findings = TableFindings(path)
     with _opened(path) as file:
-        delimiter = delimiter_of(file.readline(), layout)
+        delimiter = delimiter_of(next((line for line in file if line.strip()), ""), layout)
         file.seek(0)
         return _Reading(layout, findings, decimal_comma=delimiter == ";").read(file, delimiter)
 

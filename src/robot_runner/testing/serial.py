@@ -21,7 +21,7 @@ class FakeSerialLine:
     Args:
         clock: the run's.
         chunks: what arrives; the times are those of the clock.
-        lost_at: when the line is lost, s; from then on it raises.
+        lost_at: when the line is lost, s; once what arrived before was taken it raises.
         is_simulated: whether it says that a simulated device is at its other end.
 
     Attributes:
@@ -64,11 +64,12 @@ class FakeSerialLine:
         """Return what has arrived since the last call.
 
         Raises:
-            LinkError: the line was closed or lost.
+            LinkError: the line was closed, or lost and drained.
         """
-        self._check()
-        now = self._clock.now()
+        now = self._clock.now() if self._lost_at is None else min(self._clock.now(), self._lost_at)
         arrived = [chunk for chunk in self._coming if chunk.received_at <= now]
+        if self.is_closed or not arrived:
+            self._check()
         self._coming = self._coming[len(arrived) :]
         return arrived
 

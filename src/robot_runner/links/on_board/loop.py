@@ -1,0 +1,318 @@
+"""Sample a Linux computer's utilisation or files from inside: one long-lived process, told what to do by its input.
+
+It is sent to the robot as text and executed by the Python that is there. So it keeps to Python 3.6 and to what costs
+little to import. Messages are lines of fields with tabs between:
+
+    asked                                            answered
+    clock  NUMBER                                    clock  NUMBER  STEADY  WALL
+    utilisation  RATE  TOKEN or -  SELECTOR...       begun  FILE or -  CORES  RATE
+    files  RATE  TOKEN or -  PATH...                 begun  FILE or -  CORES  RATE
+    stop                                             s or f lines, then  end  CPU_SECONDS
+    read  PATH...                                    lines  =LINE or - ...
+    list  PATTERN                                    paths  PATH...
+    recover  FILE                                    s or f lines, then  end  -
+
+    s  STEADY  CORE:TOTAL:IDLE,...  TOTAL:AVAILABLE  SELECTOR:PID:STARTED:CPU_SECONDS:BYTES,...
+    f  STEADY  =LINE or - ...
+
+With a TOKEN samples are kept in a file named after it until `stop` asks for them; with `-` they are sent at once.
+Memory is in kB; CORE is empty for all of them together.
+"""
+# Importing pathlib would double the time that Python needs to start on a small computer.
+# ruff: noqa: PTH108, PTH111, PTH115, PTH118, PTH119, PTH123, PTH207, PTH208
+
+import glob
+import io
+import os
+import select
+import signal
+import sys
+import time
+
+TICK = os.sysconf("SC_CLK_TCK")
+PAGE = os.sysconf("SC_PAGE_SIZE")
+CORES = os.sysconf("SC_NPROCESSORS_ONLN")
+INTERPRETERS = ("python", "perl", "ruby", "node", "sh", "bash", "dash")
+RESCAN = 1.0  # seconds between two looks for new processes
+YOUNG = 5  # looks during which a process may still turn into another program
+MOST = 1 << 18  # bytes of /proc/stat: those of a computer with hundreds of cores
+
+
+def say(*words: object) -> None:
+    """Send one message at once."""
+    sys.stdout.write("\t".join(map(str, words)) + "\n")
+    sys.stdout.flush()
+
+
+def first_bytes(path: str) -> bytes:
+    """Return what a small file holds; nothing if it cannot be read."""
+    try:
+        file = os.open(path, os.O_RDONLY)
+        try:
+            return os.read(file, 4096)
+        finally:
+            os.close(file)
+    except OSError:
+        return b""
+
+
+def first_line(path: str) -> str:
+    """Return the first line of a file after an equals sign, or a hyphen if it cannot be read."""
+    try:
+        with open(path, "rb") as file:
+            return "=" + file.readline(4096).decode("ascii", "replace").rstrip("\n").replace("\t", " ")
+    except OSError:
+        return "-"
+
+
+class Files:
+    """The first line of each of some files."""
+
+    def __init__(self, paths: "list[str]") -> None:
+        self.paths = paths
+
+    def line(self) -> str:
+        """Return the sample of this moment."""
+        return "\t".join(["f", f"{time.monotonic():.6f}", *map(first_line, self.paths)])
+
+
+class Utilisation:
+    """Counters of the cores, of the memory, and of the processes that selectors match."""
+
+    def __init__(self, selectors: "list[str]") -> None:
+        self.stat = os.open("/proc/stat", os.O_RDONLY)
+        self.meminfo = os.open("/proc/meminfo", os.O_RDONLY)
+        self.processes = Processes(selectors) if selectors else None
+
+    def line(self) -> str:
+        """Return the sample of this moment."""
+        now = time.monotonic()
+        cores = []
+        for line in os.pread(self.stat, MOST, 0).split(b"\n"):
+            if not line.startswith(b"cpu"):
+                break
+            name, *fields = line.split()
+            ticks = list(map(int, fields[:8]))
+            cores.append(f"{name[3:].decode()}:{sum(ticks)}:{ticks[3] + ticks[4]}")
+        memory = memory_of(os.pread(self.meminfo, 4096, 0))
+        processes = self.processes.counters(now) if self.processes else []
+        return "\t".join(["s", f"{now:.6f}", ",".join(cores), memory, ",".join(processes)])
+
+
+def memory_of(text: bytes) -> str:
+    """Return total and available memory; kernels before 3.14 do not tell what is available."""
+    facts = {}
+    for line in text.split(b"\n")[:8]:
+        name, _, rest = line.partition(b":")
+        facts[name] = int(rest.split()[0]) if rest else 0
+    guess = facts.get(b"MemFree", 0) + facts.get(b"Buffers", 0) + facts.get(b"Cached", 0)
+    return f"{facts[b'MemTotal']}:{facts.get(b'MemAvailable', guess)}"
+
+
+class Processes:
+    """The processes that selectors match, which come and go."""
+
+    def __init__(self, selectors: "list[str]") -> None:
+        self.selectors = [selector.partition(":")[::2] for selector in selectors]
+        self.ages = {}  # type: dict[str, int]
+        self.matched = {}  # type: dict[str, list[int]]
+        self.next_scan = 0.0
+
+    def counters(self, now: float) -> "list[str]":
+        """Return the counters of each process that matches."""
+        if now >= self.next_scan:
+            self.next_scan = now + RESCAN
+            self.scan()
+        found = []
+        for pid, places in self.matched.items():
+            fields = first_bytes(f"/proc/{pid}/stat").rpartition(b")")[2].split()
+            if fields:
+                cpu = (int(fields[11]) + int(fields[12])) / TICK
+                rest = f"{pid}:{fields[19].decode()}:{cpu:.3f}:{int(fields[21]) * PAGE}"
+                found += [f"{place}:{rest}" for place in places]
+        return found
+
+    def scan(self) -> None:
+        """Look for processes that match; one that has been looked at often enough keeps its program."""
+        self.ages = {pid: self.ages.get(pid, 0) + 1 for pid in os.listdir("/proc") if pid.isdigit()}
+        for pid in [pid for pid in self.matched if pid not in self.ages]:
+            del self.matched[pid]
+        for pid, age in self.ages.items():
+            if age <= YOUNG:
+                self.matched.pop(pid, None)
+                places = self.places(pid)
+                if places:
+                    self.matched[pid] = places
+
+    def places(self, pid: str) -> "list[int]":
+        """Return which selectors a process matches."""
+        words = first_bytes(f"/proc/{pid}/cmdline").decode("utf-8", "replace").split("\0")
+        program = os.path.basename(words[0])
+        names = {program, first_bytes(f"/proc/{pid}/comm").decode("utf-8", "replace").strip()}
+        if len(words) > 1 and program.startswith(INTERPRETERS):
+            names.add(os.path.basename(words[1]))
+        return [place for place, one in enumerate(self.selectors) if is_match(one[0], one[1], pid, names, words)]
+
+
+def is_match(kind: str, value: str, pid: str, names: "set[str]", words: "list[str]") -> bool:
+    """Whether a process is one that a selector means."""
+    if kind == "pid":
+        return pid == value
+    if kind == "node":
+        bare = value.lstrip("/")
+        return any(word in ("__name:=" + bare, "__node:=" + bare) for word in words)
+    return value in names
+
+
+class Loop:
+    """Hears what it is asked, and samples meanwhile."""
+
+    def __init__(self) -> None:
+        self.heard = b""
+        self.source = None  # type: Utilisation | Files | None
+        self.kept = None  # type: io.TextIOWrapper | None
+        self.path = "-"
+        self.period = self.due = self.cpu = self.flushed = 0.0
+
+    def run(self) -> None:
+        """Go on until there is nobody to listen to."""
+        while True:
+            wait = None if self.source is None else max(0.0, self.due - time.monotonic())
+            if select.select([0], [], [], wait)[0]:
+                data = os.read(0, 65536)
+                if not data:
+                    return
+                *lines, self.heard = (self.heard + data).split(b"\n")
+                for line in lines:
+                    self.answer(line.decode("utf-8").split("\t"))
+            elif self.source is not None:
+                self.sample(self.source)
+
+    def sample(self, source: "Utilisation | Files") -> None:
+        """Take one sample; moments that were missed are passed over."""
+        self.put(source.line())
+        now = time.monotonic()
+        self.due += max(1, int((now - self.due) / self.period)) * self.period
+        if self.kept is not None and now - self.flushed > 1.0:
+            self.kept.flush()
+            self.flushed = now
+
+    def put(self, line: str) -> None:
+        """Keep a sample, or send it."""
+        if self.kept is None:
+            say(line)
+        else:
+            self.kept.write(line + "\n")
+
+    def answer(self, words: "list[str]") -> None:
+        """Do what one line asks."""
+        kind, rest = words[0], words[1:]
+        if kind == "clock":
+            say("clock", rest[0], f"{time.monotonic():.9f}", f"{time.time():.9f}")
+        elif kind in {"utilisation", "files"}:
+            self.begin(kind, float(rest[0]), rest[1], rest[2:])
+        elif kind == "stop":
+            self.end()
+        elif kind == "read":
+            say("lines", *map(first_line, rest))
+        elif kind == "list":
+            say("paths", *sorted(glob.glob(rest[0])))
+        elif kind == "recover":
+            recover(rest[0])
+        else:
+            say("error", "asked for", kind)
+
+    def begin(self, kind: str, rate: float, token: str, about: "list[str]") -> None:
+        """Begin to sample."""
+        self.kept, self.path = (None, "-") if token == "-" else opened(token)  # noqa: S105 - no password
+        self.source = Utilisation(about) if kind == "utilisation" else Files(about)
+        self.period = 1.0 / rate
+        self.cpu = time.process_time()
+        say("begun", self.path, CORES, rate)
+        self.due = self.flushed = time.monotonic()
+
+    def end(self) -> None:
+        """Take a last sample, hand over what was kept, and sample no more."""
+        if self.source is not None:
+            self.put(self.source.line())
+        cpu, self.source = time.process_time() - self.cpu, None
+        if self.kept is not None:
+            self.kept.close()
+            self.kept = None
+            send(self.path)
+        say("end", f"{cpu:.6f}")
+
+
+def opened(token: str) -> "tuple[io.TextIOWrapper, str]":
+    """Return a new file that samples are kept in, readable for its owner alone, and its path."""
+    for folder in (os.environ.get("TMPDIR") or "/tmp", "/var/tmp", os.path.expanduser("~")):  # noqa: S108 - as below
+        path = os.path.join(folder, "robot-runner-samples-" + token)
+        try:
+            descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        except OSError:
+            continue
+        file = io.TextIOWrapper(os.fdopen(descriptor, "wb"), encoding="utf-8")
+        file.write(f"pid\t{os.getpid()}\n")
+        file.flush()
+        return file, path
+    raise SystemExit("there is no folder that samples can be kept in")
+
+
+def send(path: str) -> None:
+    """Send the samples that a file keeps, and remove it."""
+    with open(path, encoding="utf-8") as file:
+        for line in file:
+            if line.startswith(("s\t", "f\t")):
+                sys.stdout.write(line)
+    os.unlink(path)
+
+
+def recover(path: str) -> None:
+    """End a loop that lost its connection, and send what it kept."""
+    pid = first_bytes(path).split(b"\n")[0].rpartition(b"\t")[2].decode("ascii", "replace")
+    if pid.isdigit() and holds(pid, path):
+        os.kill(int(pid), signal.SIGTERM)
+        for _ in range(50):
+            if not holds(pid, path):
+                break
+            time.sleep(0.05)
+    try:
+        send(path)
+    except OSError as error:
+        say("error", error)
+        return
+    say("end", "-")
+
+
+def holds(pid: str, path: str) -> bool:
+    """Whether a process has a file open."""
+    for link in glob.glob(f"/proc/{pid}/fd/*"):
+        try:
+            if os.readlink(link) == path:
+                return True
+        except OSError:
+            continue
+    return False
+
+
+def leave(number: int, _: object) -> None:
+    """End in good order."""
+    raise SystemExit(128 + number)
+
+
+def main() -> None:
+    """Sample until the input ends; what was kept stays for whoever comes to recover it."""
+    signal.signal(signal.SIGTERM, leave)
+    signal.signal(signal.SIGHUP, leave)
+    loop = Loop()
+    try:
+        loop.run()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the interpreter flushes at its end
+    finally:
+        if loop.kept is not None:
+            loop.kept.close()
+
+
+if __name__ == "__main__":
+    main()

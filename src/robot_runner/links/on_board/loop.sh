@@ -1,0 +1,359 @@
+# Sample a computer's utilisation or files from inside, where there is no Python: $form is `sh` for one that has Linux's
+# /proc, and `ps` for any other. It understands what loop.py does. This shell hears; a second one samples.
+
+tab=$(printf '\t')
+cores=$(getconf _NPROCESSORS_ONLN 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || nproc 2>/dev/null || echo 1)
+page=$(getconf PAGESIZE 2>/dev/null || echo 4096)
+tick=$(getconf CLK_TCK 2>/dev/null || echo 100)
+sampler=
+path=-
+
+# Set $now to hundredths of a second on the steady clock, and $steady to the same in seconds.
+look_at_clock() {
+    if [ "$form" = sh ]; then
+        read -r steady _ </proc/uptime
+        now=${steady%.*}${steady#*.}
+    else
+        steady=$(wall_clock)
+    fi
+}
+
+wall_clock() {
+    wall=$(date +%s.%N)
+    case $wall in
+        *[!0-9.]*) date +%s ;;
+        *) echo "$wall" ;;
+    esac
+}
+
+# Set $text to the first line of a file; fail if it cannot be read.
+first_line() {
+    text=
+    { IFS= read -r text <"$1"; } 2>/dev/null || [ -n "$text" ]
+}
+
+files_line() {
+    look_at_clock
+    line="f$tab$steady"
+    for file in "$@"; do
+        if first_line "$file"; then line="$line$tab=$text"; else line="$line$tab-"; fi
+    done
+}
+
+utilisation_line() {
+    look_at_clock
+    line=
+    while read -r name a b c d e f g h _; do
+        case $name in
+            cpu*) line="$line,${name#cpu}:$((a + b + c + d + e + f + g + ${h:-0})):$((d + e))" ;;
+            *) break ;;
+        esac
+    done </proc/stat
+    available=0
+    while read -r name size _; do
+        case $name in
+            MemTotal:) total=$size ;;
+            MemAvailable:) available=$size && break ;;
+            MemFree: | Buffers: | Cached:) available=$((available + size)) ;;
+            SwapCached:) break ;;
+        esac
+    done </proc/meminfo
+    processes=
+    if [ $# -gt 0 ]; then find_processes "$@"; fi
+    line="s$tab$steady$tab${line#,}$tab$total:$available$tab${processes#,}"
+}
+
+# Put the counters of the processes that the selectors match into $processes.
+find_processes() {
+    if [ "$now" -ge "${next_scan:-0}" ]; then
+        next_scan=$((now + 100))
+        scan "$@"
+    fi
+    for match in $matches; do
+        pid=${match#*:}
+        { read -r stat <"/proc/$pid/stat"; } 2>/dev/null || continue
+        add_process "${match%%:*}:$pid" ${stat##*) }
+    done
+}
+
+# The words after the first are the fields of /proc/PID/stat from the third on.
+add_process() {
+    used=$((${13} + ${14}))
+    rest=$((used % tick * 1000 / tick))
+    while [ ${#rest} -lt 3 ]; do rest=0$rest; done
+    processes="$processes,$1:${21}:$((used / tick)).$rest:$((${23} * page))"
+}
+
+# Put `SELECTOR'S PLACE:PID` of each process that a selector means into $matches.
+scan() {
+    matches=
+    place=0
+    for selector in "$@"; do
+        value=${selector#*:}
+        case $selector in
+            pid:*) matches="$matches $place:$value" ;;
+            name:*) scan_names ;;
+            node:*) scan_nodes "${value#/}" ;;
+        esac
+        place=$((place + 1))
+    done
+}
+
+# Linux keeps 15 characters of a name.
+scan_names() {
+    for folder in /proc/[0-9]*; do
+        first_line "$folder/comm" || continue
+        case $text in
+            "$value" | "${value%"${value#???????????????}"}") matches="$matches $place:${folder#/proc/}" ;;
+        esac
+    done
+}
+
+# The first grep asks for a part of the command line, and finds itself too; the second asks for a whole argument.
+scan_nodes() {
+    for file in $(grep -ls -F -e "__name:=$1" -e "__node:=$1" /proc/[0-9]*/cmdline); do
+        pid=${file#/proc/}
+        pid=${pid%/cmdline}
+        if { tr '\0' '\n' <"$file"; } 2>/dev/null | grep -qx -F -e "__name:=$1" -e "__node:=$1"; then
+            matches="$matches $place:$pid"
+        fi
+    done
+}
+
+# Sample: `keep_sampling utilisation|files WHAT...`, every $period hundredths of a second.
+keep_sampling() {
+    kind=$1
+    shift
+    look_at_clock
+    due=$now
+    while kill -0 $$ 2>/dev/null; do # the shell that hears is still there
+        "${kind}_line" "$@"
+        printf '%s\n' "$line"
+        look_at_clock
+        due=$((due + period))
+        if [ "$due" -le "$now" ]; then due=$((now + period - (now - due) % period)); fi
+        pause $((due - now))
+    done
+}
+
+# Sleep for hundredths of a second.
+pause() {
+    rest=$(($1 % 100))
+    if [ "$rest" -lt 10 ]; then rest=0$rest; fi
+    sleep "$(($1 / 100)).$rest"
+}
+
+# Sample by asking ps: the differences of all processes' CPU time, not ps's own %cpu, which is that of a
+# process's whole life. One awk remembers what each process had used before.
+keep_asking_ps() {
+    memory=$(getconf _PHYS_PAGES 2>/dev/null) && memory=$((memory * (page / 1024))) ||
+        memory=$(($(sysctl -n hw.memsize 2>/dev/null || echo 0) / 1024))
+    selectors=$(printf '%s\n' "$@")
+    parent=$$
+    export selectors cores memory period parent
+    exec awk '
+        function seconds(text, days, part, count, place, sum) {
+            if (split(text, part, "-") == 2) { days = part[1]; text = part[2] }
+            count = split(text, part, ":")
+            for (place = 1; place <= count; place++) sum = sum * 60 + part[place]
+            return days * 86400 + sum
+        }
+        function clock(shown, command) {
+            command = "date +%s.%N"
+            command | getline shown
+            close(command)
+            if (shown ~ /[^0-9.]/) sub(/[^0-9].*/, "", shown)
+            return shown + 0
+        }
+        function base(word) { sub(/.*\//, "", word); return word }
+        function matches(selector, words, count, value, place) {
+            value = substr(selector, index(selector, ":") + 1)
+            if (selector ~ /^pid:/) return words[1] == value
+            if (selector ~ /^name:/) {
+                if (base(words[4]) == value) return 1
+                return base(words[4]) ~ /^(python|perl|ruby|node|sh|bash|dash)/ && base(words[5]) == value
+            }
+            sub(/^\//, "", value)
+            for (place = 4; place <= count; place++)
+                if (words[place] == "__name:=" value || words[place] == "__node:=" value) return 1
+            return 0
+        }
+        BEGIN {
+            asked = split(ENVIRON["selectors"], selector, "\n")
+            cores = ENVIRON["cores"]; memory = ENVIRON["memory"]; period = ENVIRON["period"] / 100
+            first = due = now = clock()
+            for (look = 0; !system("kill -0 " ENVIRON["parent"] " 2>/dev/null"); look++) {
+                resident = 0; processes = ""
+                command = "ps -A -o pid= -o time= -o rss= -o args="
+                while ((command | getline line) > 0) {
+                    count = split(line, words, " ")
+                    used = seconds(words[2])
+                    if (words[1] in before && used >= before[words[1]]) busy += used - before[words[1]]
+                    else if (look) busy += used
+                    before[words[1]] = used
+                    resident += words[3]
+                    for (place = 1; place <= asked; place++)
+                        if (selector[place] != "" && matches(selector[place], words, count))
+                            processes = processes "," (place - 1) ":" words[1] ":-:" used ":" words[3] * 1024
+                }
+                close(command)
+                if (resident > memory) resident = memory
+                total = (now - first) * cores
+                printf "s\t%.3f\t:%.3f:%.3f\t", now, total, total - busy
+                printf "%d:%d\t%s\n", memory, memory - resident, substr(processes, 2)
+                fflush()
+                due += period
+                wait = due - clock()
+                if (wait > 0 && system("sleep " wait)) system("sleep 1")
+                now = clock()
+            }
+        }'
+}
+
+# Begin to sample in a second shell: `begin utilisation|files RATE TOKEN WHAT...`
+begin() {
+    kind=$1 rate=$2 token=$3
+    shift 3
+    if [ "$form" = ps ] && [ "$kind" = files ]; then
+        printf 'error\tthere is no /proc/uptime to time them with\n'
+        return
+    fi
+    shortest=100
+    if [ "$form" = sh ] && sleep 0.01 2>/dev/null; then shortest=1; fi
+    period=$(awk "BEGIN { printf \"%d\", 100 / $rate + 0.5 }" 2>/dev/null || echo 100)
+    if [ "$period" -lt "$shortest" ]; then period=$shortest; fi
+    make_file
+    count_children
+    spent_before=$spent
+    tenths=$((1000000 / period))
+    printf 'begun\t%s\t%s\t%s.%04d\n' "$path" "$cores" $((tenths / 10000)) $((tenths % 10000))
+    if [ "$form" = ps ]; then set -- keep_asking_ps "$@"; else set -- keep_sampling "$kind" "$@"; fi
+    if [ "$path" = - ]; then
+        "$@" &
+        sampler=$!
+    else
+        "$@" >>"$path" &
+        sampler=$!
+        printf 'pid\t%s\n' "$sampler" >>"$path"
+    fi
+}
+
+# Set $path to a new file for the samples, or to `-` where they are to be sent at once, or no file can be made.
+make_file() {
+    path=-
+    if [ "$token" = - ]; then return; fi
+    for folder in "${TMPDIR:-/tmp}" /var/tmp "$HOME"; do
+        if (set -C && : >"$folder/robot-runner-samples-$token") 2>/dev/null; then
+            path=$folder/robot-runner-samples-$token
+            return
+        fi
+    done
+}
+
+# Set $spent to the CPU time of this shell's children that have ended, in ticks.
+count_children() {
+    spent=
+    if { read -r stat </proc/self/stat; } 2>/dev/null; then add_children ${stat##*) }; fi
+}
+
+add_children() {
+    spent=$((${14} + ${15}))
+}
+
+# A shell that has just begun may miss any milder signal.
+stop_sampler() {
+    if [ -n "$sampler" ]; then
+        kill -9 "$sampler" 2>/dev/null
+        wait "$sampler" 2>/dev/null
+        sampler=
+    fi
+}
+
+# End sampling, take a last sample, and hand over what was kept: `end utilisation|files RATE TOKEN WHAT...`
+end() {
+    if [ -z "$sampler" ]; then
+        printf 'end\t-\n'
+        return
+    fi
+    stop_sampler
+    count_children
+    kind=$1
+    shift 3
+    if [ "$form" = sh ]; then
+        "${kind}_line" "$@"
+        if [ "$path" = - ]; then printf '%s\n' "$line"; else printf '%s\n' "$line" >>"$path"; fi
+    fi
+    if [ "$path" != - ]; then send_kept "$path"; fi
+    if [ -n "$spent" ]; then
+        spent=$(((spent - spent_before) * 1000 / tick))
+        printf 'end\t%d.%03d\n' $((spent / 1000)) $((spent % 1000))
+    else
+        printf 'end\t-\n'
+    fi
+}
+
+send_kept() {
+    grep "^[sf]$tab" "$1"
+    rm -f "$1"
+}
+
+# End a sampler that lost its connection, and send what it kept.
+recover() {
+    if ! [ -r "$1" ]; then
+        printf 'error\tthere is no %s\n' "$1"
+        return
+    fi
+    pid=$(sed -n "s/^pid$tab//p" "$1")
+    if [ -n "$pid" ] && ls -l "/proc/$pid/fd" 2>/dev/null | grep -q -F -e "-> $1"; then
+        kill "$pid" && sleep 1
+    fi
+    send_kept "$1"
+    printf 'end\t-\n'
+}
+
+read_files() {
+    line=lines
+    for file in "$@"; do
+        if first_line "$file"; then line="$line$tab=$text"; else line="$line$tab-"; fi
+    done
+    printf '%s\n' "$line"
+}
+
+list_files() {
+    line=paths
+    for file in $1; do
+        if [ -e "$file" ]; then line="$line$tab$file"; fi
+    done
+    printf '%s\n' "$line"
+}
+
+trap stop_sampler EXIT
+while IFS= read -r asked; do
+    set -f
+    IFS=$tab
+    set -- $asked
+    unset IFS
+    set +f
+    case $1 in
+        clock)
+            look_at_clock
+            printf 'clock\t%s\t%s\t%s\n' "$2" "$steady" "$(wall_clock)"
+            ;;
+        utilisation | files)
+            about=$asked
+            begin "$@"
+            ;;
+        stop)
+            set -f
+            IFS=$tab
+            set -- $about
+            unset IFS
+            set +f
+            end "$@"
+            ;;
+        read) shift && read_files "$@" ;;
+        list) list_files "$2" ;;
+        recover) recover "$2" ;;
+        *) printf 'error\tasked for\t%s\n' "$1" ;;
+    esac
+done
