@@ -41,6 +41,8 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         },
         "seed": model.seed,
         "seed_is_given": model.seed_is_given,
+        # What was fixed for the analysis before the first run: statistics tell it from what is exploratory.
+        "analysis": _analysis(experiment),
         "plugins": [_described(plugin) for plugin in experiment.plugins],
         "host": describe_host(),
         "software": describe_software(),
@@ -61,6 +63,8 @@ def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[s
             fix="Choose another experiment_name or results_output_path.",
         )
     manifest["executions"].append(_execution(experiment))
+    if _analysis(experiment) != manifest.get("analysis"):
+        manifest.setdefault("analysis_changes", []).append({"at": utc_now(), "analysis": _analysis(experiment)})
     return manifest
 
 
@@ -93,6 +97,11 @@ def _is_same(source: Path, target: Path) -> bool:
 def _free(folder: Path) -> Path:
     folder.mkdir(exist_ok=True)
     return folder / str(1 + sum(1 for _ in folder.iterdir()))
+
+
+def _analysis(experiment: Experiment) -> dict[str, Any] | None:
+    plan = experiment.parameters.analysis
+    return plan.as_mapping() if plan else None
 
 
 def _execution(experiment: Experiment) -> dict[str, Any]:

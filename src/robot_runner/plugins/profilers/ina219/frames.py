@@ -1,0 +1,187 @@
+"""Frames of the power meter's serial protocol (`docs/ina219-protocol.md`), found among whatever else arrives."""
+
+from __future__ import annotations
+
+import struct
+from binascii import crc_hqx
+from dataclasses import dataclass
+from typing import NamedTuple
+
+__all__ = ["DecoderCounts", "Frame", "FrameDecoder", "Hello", "Mark", "SampleFrame"]
+
+_SYNC = b"\xa5\x5a"
+_VERSION = 1
+_HEADER_SIZE = 6
+_LONGEST_PAYLOAD = 64
+_CHECKSUM_SIZE = 2
+_CRC_START = 0xFFFF
+
+#: Version and type, then length of payload: the bytes behind the sync bytes. Then what follows them.
+_SAMPLE_KIND, _SAMPLE = b"\x11\x08", struct.Struct("<HIhH")  # sequence, µs, shunt register, bus register
+_HELLO_KIND, _HELLO = b"\x12\x0c", struct.Struct("<HIHIH")  # sequence, µs, Hz, µΩ, configuration register
+_MARK_KIND, _MARK = b"\x13\x05", struct.Struct("<HIB")  # sequence, µs, whether it is on
+
+
+class SampleFrame(NamedTuple):
+    """One sample as the device sent it (a tuple, because there are some 19,000 in a run).
+
+    Attributes:
+        sequence: the number of the sample, modulo 65536.
+        microseconds: the device's clock when the registers were read, modulo 2**32 µs.
+        shunt_raw: the shunt voltage register, 10 µV a step.
+        bus_raw: the bus voltage register, not shifted.
+    """
+
+    sequence: int
+    microseconds: int
+    shunt_raw: int
+    bus_raw: int
+
+
+@dataclass(frozen=True, slots=True)
+class Hello:
+    """What the device says of itself.
+
+    Attributes:
+        next_sequence: the number that the next sample will carry.
+        microseconds: the device's clock, modulo 2**32 µs.
+        rate_hz: samples a second.
+        shunt_ohm: resistance of the shunt that the firmware was built for, ohm.
+        configuration: the sensor's configuration register.
+    """
+
+    next_sequence: int
+    microseconds: int
+    rate_hz: int
+    shunt_ohm: float
+    configuration: int
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """The meter's mark was set or taken back: somebody pulled its input low or let it go.
+
+    Attributes:
+        next_sequence: the number that the next sample will carry.
+        microseconds: the device's clock, modulo 2**32 µs.
+        is_on: whether the measured window begins here; else it ends.
+    """
+
+    next_sequence: int
+    microseconds: int
+    is_on: bool
+
+
+Frame = SampleFrame | Hello | Mark
+
+
+@dataclass(frozen=True, slots=True)
+class DecoderCounts:
+    """What a decoder met besides good frames, from the first good frame on.
+
+    Before it a line that was opened in the middle of a frame, or a boot loader, sends bytes that mean nothing.
+
+    Attributes:
+        corrupt: frames whose checksum was wrong.
+        dropped_bytes: bytes that belonged to no good frame, those of corrupt frames included.
+        foreign_versions: good frames of another version of the protocol.
+    """
+
+    corrupt: int = 0
+    dropped_bytes: int = 0
+    foreign_versions: int = 0
+
+
+class FrameDecoder:
+    """Turns bytes, in pieces of any size, into frames, and finds its feet again after noise.
+
+    Example:
+        >>> decoder = FrameDecoder()
+        >>> decoder.feed(bytes.fromhex("00ff a55a 1108 0100 88130000 f217 e260 15df"))
+        [SampleFrame(sequence=1, microseconds=5000, shunt_raw=6130, bus_raw=24802)]
+    """
+
+    def __init__(self) -> None:
+        self._buffer = b""
+        self._has_seen_frame = False
+        self._unexplained = 0  # bytes dropped since the last good frame
+        self._doubted = 0  # up to where the buffer belongs to a frame that was found corrupt
+        self._corrupt = 0
+        self._dropped = 0
+        self._foreign = 0
+
+    @property
+    def counts(self) -> DecoderCounts:
+        """What was met besides good frames so far."""
+        return DecoderCounts(self._corrupt, self._dropped, self._foreign)
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Return the frames that are complete now; what may still become one is kept for the next call."""
+        self._buffer += data
+        return self._decode(is_last=False)
+
+    def finish(self) -> list[Frame]:
+        """Return the frames that were held back by the beginning of a frame that never became complete."""
+        return self._decode(is_last=True)
+
+    def _decode(self, *, is_last: bool) -> list[Frame]:
+        buffer, at, frames = self._buffer, 0, []
+        while True:
+            at = self._skip_to_sync(buffer, at)
+            end = _end_of_frame(buffer, at)
+            if at == len(buffer) or (end > len(buffer) and not is_last):
+                break
+            if _is_intact(buffer, at, end):
+                frames += self._opened(buffer, at)
+                at = end
+            else:
+                self._doubt(at, end, len(buffer))
+                at += 1
+        self._buffer = buffer[at:]
+        self._doubted = max(self._doubted - at, 0)
+        return frames
+
+    def _skip_to_sync(self, buffer: bytes, at: int) -> int:
+        found = buffer.find(_SYNC, at)
+        if found < 0:  # the partner of a lone first sync byte may still come
+            found = len(buffer) - buffer.endswith(_SYNC[:1], at)
+        self._unexplained += found - at
+        return found
+
+    def _doubt(self, at: int, end: int, size: int) -> None:
+        """Count a corrupt frame, unless what looked like one began inside another one."""
+        self._unexplained += 1
+        if at < end <= size and at >= self._doubted:
+            self._corrupt += self._has_seen_frame
+            self._doubted = end
+
+    def _opened(self, buffer: bytes, at: int) -> list[Frame]:
+        """Return what an intact frame says; nothing for frames of other types and versions."""
+        self._dropped += self._unexplained if self._has_seen_frame else 0
+        self._has_seen_frame, self._unexplained = True, 0
+        kind = buffer[at + 2 : at + 4]
+        if kind == _SAMPLE_KIND:
+            return [SampleFrame._make(_SAMPLE.unpack_from(buffer, at + 4))]
+        if kind == _HELLO_KIND:
+            sequence, stamp, rate, micro_ohm, configuration = _HELLO.unpack_from(buffer, at + 4)
+            return [Hello(sequence, stamp, rate, micro_ohm / 1e6, configuration)]
+        if kind == _MARK_KIND:
+            sequence, stamp, level = _MARK.unpack_from(buffer, at + 4)
+            return [Mark(sequence, stamp, bool(level))]
+        self._foreign += buffer[at + 2] >> 4 != _VERSION
+        return []
+
+
+def _end_of_frame(buffer: bytes, at: int) -> int:
+    """Return where the frame that begins here ends, the place where it begins if it cannot be one."""
+    if len(buffer) - at < _HEADER_SIZE:
+        return len(buffer) + 1
+    payload = buffer[at + 3]
+    return at + _HEADER_SIZE + payload + _CHECKSUM_SIZE if payload <= _LONGEST_PAYLOAD else at
+
+
+def _is_intact(buffer: bytes, at: int, end: int) -> bool:
+    if not at < end <= len(buffer):
+        return False
+    checked = end - _CHECKSUM_SIZE
+    return crc_hqx(buffer[at + len(_SYNC) : checked], _CRC_START) == buffer[checked] | buffer[checked + 1] << 8

@@ -1,0 +1,87 @@
+"""The meter at the end of a serial line: one run's samples, from the opening of the line to the end of the window."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from robot_runner.plugins.profilers.ina219.registers import evaluate_registers
+from robot_runner.plugins.profilers.ina219.stream import SampleStream
+from robot_runner.plugins.sampling.window import Window
+
+if TYPE_CHECKING:
+    from robot_runner.events.clock import Clock
+    from robot_runner.links.serial import SerialLine
+    from robot_runner.plugins.profilers.ina219.evaluation import Evaluation
+
+__all__ = ["LineMeter"]
+
+#: How long to wait for the first sample, s: a board that was reset by opening its port needs up to two for its boot
+#: loader and one for its card (docs/ina219-protocol.md).
+_PATIENCE = 4.0
+_POLL = 0.01
+#: How long to wait for the sample behind the end of the window, s: a period, and the latency of a USB bridge (16 ms).
+_AFTERMATH = 0.03
+
+
+class LineMeter:
+    """Listens to a line that keeps what arrives, so that nothing has to be read while the mission goes on.
+
+    Args:
+        line: where the samples arrive.
+        clock: the run's.
+        shunt_ohm: resistance of the shunt, ohm; None takes what the device says.
+        rate_hz: nominal rate, Hz; None takes what the device says.
+    """
+
+    has_samples_at_once = True
+
+    def __init__(
+        self, line: SerialLine, clock: Clock, *, shunt_ohm: float | None = None, rate_hz: float | None = None
+    ) -> None:
+        self._line = line
+        self._clock = clock
+        self._shunt_ohm = shunt_ohm
+        self._rate_hz = rate_hz
+        self._stream = SampleStream()
+        self._start = clock.now()
+        self._window: Window | None = None
+
+    def begin(self) -> None:
+        """Wait for a first sample, for a few seconds at most, then begin the window.
+
+        Raises:
+            LinkError: the line was lost.
+        """
+        deadline = self._clock.now() + _PATIENCE
+        self._stream.take(self._line.drain())
+        while not len(self._stream) and self._clock.now() < deadline:
+            self._clock.sleep(_POLL)
+            self._stream.take(self._line.drain())
+        self._start = self._clock.now()
+
+    def end(self) -> None:
+        """End the window and take what arrived; a second call does nothing.
+
+        Raises:
+            LinkError: the line was lost; what arrived until then is kept.
+        """
+        if self._window is not None:
+            return
+        self._window = Window(self._start, self._clock.now())
+        self._clock.sleep(_AFTERMATH)
+        try:
+            self._stream.take(self._line.drain())
+            self._stream.take(self._line.drain())  # a line that was lost says so once it has nothing more to give
+        finally:
+            self._stream.finish()
+
+    def evaluate(self) -> Evaluation:
+        """Return what was measured until `end`, or until now."""
+        return evaluate_registers(
+            self._stream,
+            self._stream.times(),
+            self._window or Window(self._start, self._clock.now()),
+            shunt_ohm=self._shunt_ohm,
+            rate_hz=self._rate_hz,
+            is_simulated=self._line.is_simulated,
+        )

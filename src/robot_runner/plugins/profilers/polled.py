@@ -1,0 +1,133 @@
+"""What profilers have in common that read a meter of this machine again and again."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+
+from robot_runner.errors import PluginError
+from robot_runner.events.measure import Origin
+from robot_runner.plugins.api.plugin import Profiler
+from robot_runner.plugins.profilers.machine import clock_details, machine_clock
+from robot_runner.plugins.sampling.periodic import PeriodicSampler
+from robot_runner.plugins.sampling.raw_files import Column, write_samples
+from robot_runner.plugins.sampling.reporting import report_quality
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from robot_runner.events.context import RobotRunnerContext
+    from robot_runner.plugins.sampling.periodic import Sampling
+
+__all__ = ["Meter", "PolledProfiler"]
+
+R = TypeVar("R")
+R_co = TypeVar("R_co", covariant=True)
+
+
+class Meter(Protocol[R_co]):
+    """Something that can be read, until it is closed."""
+
+    def read(self) -> R_co:
+        """Return one reading."""
+        ...
+
+    def close(self) -> None:
+        """Let go of what is held."""
+        ...
+
+
+class PolledProfiler(Profiler, Generic[R]):
+    """Reads a meter of this machine at a fixed rate from the start of the measurement to its end.
+
+    A subclass says how the meter is opened and what its readings amount to. A reading that fails costs a sample; a
+    meter that cannot be opened fails the run, before the robot moves.
+
+    Args:
+        name: tells several instances apart; the class's name if left out.
+        rate_hz: readings a second, Hz.
+
+    Raises:
+        PluginError: the rate is not positive.
+    """
+
+    origin: Origin = Origin.MEASURED
+
+    def __init__(self, *, name: str | None, rate_hz: float) -> None:
+        super().__init__(name=name)
+        if not (math.isfinite(rate_hz) and rate_hz > 0):
+            raise PluginError(f"rate_hz is {rate_hz!r}", where=self.name, fix="Give rate_hz a number above 0.")
+        self.rate_hz = rate_hz
+        self._meter: Meter[R] | None = None
+        self._sampler: PeriodicSampler[R] | None = None
+        self._sampling: Sampling[R] | None = None
+        self._is_written = False
+
+    def open(self, context: RobotRunnerContext) -> Meter[R]:
+        """Return the meter.
+
+        Raises:
+            PluginError: it cannot be read at all.
+        """
+        raise NotImplementedError
+
+    def columns(self, sampling: Sampling[R]) -> Sequence[Column]:
+        """Return the columns of `samples.csv`, the time left out."""
+        raise NotImplementedError
+
+    def values(self, sampling: Sampling[R]) -> Mapping[str, float | None]:
+        """Return the value of each measure; what is left out is missing."""
+        raise NotImplementedError
+
+    def doubts(self, sampling: Sampling[R]) -> Iterable[str]:
+        """Yield what is doubtful about the readings, besides the quality of the samples."""
+        del sampling
+        return ()
+
+    def details(self) -> Mapping[str, Any]:
+        """Return plain facts about the meter, for `quality.json`."""
+        return {}
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Forget the run before."""
+        del context
+        self._sampler = self._sampling = None
+        self._is_written = False
+
+    def start_measurement(self, context: RobotRunnerContext) -> None:
+        """Open the meter and begin to read it."""
+        self._meter = self.open(context)
+        self._sampler = PeriodicSampler(self._meter.read, rate=self.rate_hz, clock=machine_clock(context))
+        self._sampler.start()
+
+    def stop_measurement(self, context: RobotRunnerContext) -> None:
+        """Take the last reading and close the meter."""
+        del context
+        if self._sampler is not None and self._sampling is None:
+            self._sampling = self._sampler.stop()
+        meter, self._meter = self._meter, None
+        if meter is not None:
+            meter.close()
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Write the raw samples: later than `stop_measurement`, so that other profilers need not wait for the disk."""
+        if self._sampling is None or self._is_written:
+            return
+        time = Column("time_s", self._sampling.times)
+        write_samples(context.raw_data_folder / "samples.csv", [time, *self.columns(self._sampling)])
+        self._is_written = True
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish the measures; no value where too little was read."""
+        values: Mapping[str, float | None] = {}
+        if self._sampling is None:
+            context.warn("nothing was measured: the measurement was never started")
+        else:
+            quality, window = self._sampling.quality(), self._sampling.window
+            details = {**clock_details(context), "rate_hz": self.rate_hz, **self.details()}
+            if report_quality(context, quality, window, details=details):
+                values = self.values(self._sampling)
+            for problem in self.doubts(self._sampling):
+                context.warn(problem)
+        for measure in self.measures:
+            context.publish(measure.name, values.get(measure.name), origin=self.origin)

@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+
+pytest.importorskip("mujoco")
+
+CONFIG = """\
+from pathlib import Path
+from robot_runner import *
+from robot_runner.plugins.profilers import Ina219, PsUtil
+from robot_runner.plugins.systems import BasicTurtlebot3
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "measured"
+    results_output_path = Path("results")
+    robot = "simulated"
+    plugins = [BasicTurtlebot3(sleep_s=1.0, drive_s=2.0, task_s=2.0, rotate_s=4.0), Ina219(), PsUtil()]
+
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["Computation", "Video", "Network"])], repetitions=2, seed=1)
+"""
+
+
+@pytest.fixture
+def experiment(robot_runner, tmp_path):
+    (tmp_path / "measured.py").write_text(CONFIG)
+    assert robot_runner("run", "measured.py").code == 0
+    return "results/measured"
+
+
+def test_a_model_is_fitted_shown_and_written(robot_runner, experiment, tmp_path):
+    answer = robot_runner("fit-power-model", experiment, "--out", "model.json")
+    assert answer.code == 0
+    assert re.search(r"motion:forward +\d\.\d{4}  ± \d", answer.out)
+    assert "Fitted on  6 runs" in answer.out
+    assert "simulated, not measured" in answer.out
+    assert "R²" in answer.out
+    model = json.loads((tmp_path / "model.json").read_text())
+    assert model["fit"]["experiment"] == "measured"
+
+    refusal = robot_runner("fit-power-model", experiment, "--out", "model.json")
+    assert refusal.code == 2
+    assert "already" in refusal.err
+
+
+def test_a_model_of_one_run_says_that_it_was_tried_on_no_other(robot_runner, experiment):
+    assert "no run: there is one run only" in robot_runner("fit-power-model", experiment, "--runs", "r_1").out
+
+
+def test_terms_and_runs_can_be_chosen_and_json_is_printed(robot_runner, experiment):
+    answer = robot_runner(
+        "fit-power-model", experiment, "--terms", "constant,motion:forward", "--runs", "r_2", "--json"
+    )
+    assert list(answer.json["coefficients_W"]) == ["constant", "motion:forward"]
+    assert answer.json["fit"]["runs"] == ["r_2"]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--runs", "r_9"), "no run 'r_9' is done"),
+        (("--power", "Meter"), "no run can be used: there is no such file"),
+        (("--terms", "constant,cpu,speed"), "a power model has no term 'speed'"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_a_fix(robot_runner, experiment, options, said):
+    answer = robot_runner("fit-power-model", experiment, *options)
+    assert answer.code == 2
+    assert said in answer.err
+    assert "Traceback" not in answer.err
+
+
+def test_a_folder_without_an_experiment_is_refused(robot_runner, tmp_path):
+    (tmp_path / "empty").mkdir()
+    assert robot_runner("fit-power-model", "empty").code == 2

@@ -1,0 +1,113 @@
+"""Loads whose energy is known, and a run of the profiler on a board."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, cast
+
+from robot_runner.links.connect import open_serial_line
+from robot_runner.plugins.profilers import Ina219
+from robot_runner.plugins.sampling import Window
+from robot_runner.testing import make_context, rehearse
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.firmware.simulated_board import Board
+
+    from robot_runner.events.context import RobotRunnerContext
+    from robot_runner.links.serial_port import SerialPort
+    from robot_runner.plugins import Plugin
+
+VOLTS = 11.1
+
+
+@dataclass(frozen=True)
+class Steps:
+    """A current that jumps: the phases of a mission."""
+
+    steps: tuple[tuple[float, float], ...]
+
+    @property
+    def words(self) -> str:
+        return ",".join(f"{begin}:{amperes}" for begin, amperes in self.steps)
+
+    def repeated(self, times: int, period: float) -> Steps:
+        """Return the same steps over and over, each time `period` seconds later."""
+        shifts = [number * period for number in range(times)]
+        return Steps(tuple((shift + begin, amperes) for shift in shifts for begin, amperes in self.steps))
+
+    def joules(self, window: Window) -> float:
+        ends = [*(begin for begin, _ in self.steps[1:]), math.inf]
+        spans = [
+            (amperes, min(end, window.end) - max(begin, window.start))
+            for (begin, amperes), end in zip(self.steps, ends, strict=True)
+        ]
+        return VOLTS * sum(amperes * max(seconds, 0.0) for amperes, seconds in spans)
+
+
+@dataclass(frozen=True)
+class Sine:
+    """A current that swings."""
+
+    mean: float
+    amplitude: float
+    hertz: float
+
+    @property
+    def words(self) -> str:
+        return f"sine:{self.mean},{self.amplitude},{self.hertz}"
+
+    def joules(self, window: Window) -> float:
+        turn = 2 * math.pi * self.hertz
+        swing = self.amplitude / turn * (math.cos(turn * window.start) - math.cos(turn * window.end))
+        return VOLTS * (self.mean * window.duration + swing)
+
+
+#: The paper's Fig. 4 in currents: a sleep, a movement, a task, a sleep that costs more than the first, a movement.
+MISSION = Steps(((0.0, 0.685), (5.3, 0.946), (15.1, 0.73), (20.4, 0.856), (30.2, 0.73), (45.7, 0.946)))
+#: Ten minutes of missions.
+MISSIONS = MISSION.repeated(10, 60.7)
+SWING = Sine(0.85, 0.25, 3.0)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What the profiler made of a load."""
+
+    context: RobotRunnerContext
+    quality: dict[str, Any]
+
+    @property
+    def window(self) -> Window:
+        return Window(**self.quality["window"])
+
+    @property
+    def problems(self) -> list[str]:
+        return [finding.problem for finding in self.context.broker.findings]
+
+    def error_of(self, measure: str, load: Steps | Sine) -> float:
+        """Return how far an energy is from the truth, in parts of one."""
+        joules = self.context.measures[measure]
+        assert isinstance(joules, float)
+        return joules / load.joules(self.window) - 1.0
+
+
+def metered(board: Board, folder: Path, *plugins: Plugin) -> RobotRunnerContext:
+    """Return the context of a run on the board's clock, with the board's line open in it."""
+    context = make_context(folder, *plugins, robot=None, clock=board.clock)
+    board.clock.watch(cast("SerialPort", open_serial_line(context, board.port)))
+    return context
+
+
+def measure(board: Board, folder: Path, seconds: float, **parameters: Any) -> Measured:
+    """Execute a run whose mission lasts so long on the board's clock, with the profiler on the board's port."""
+    profiler = Ina219(port=board.port, **parameters)
+    context = metered(board, folder, profiler)
+    try:
+        rehearse(context, profiler, mission=lambda: board.clock.sleep(seconds))
+    finally:
+        context.resources.close()
+    return Measured(context, json.loads((context.raw_data_folder / "quality.json").read_text()))

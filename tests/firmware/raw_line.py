@@ -1,0 +1,60 @@
+"""The bytes of a board's line, without the profiler, beside those that were sent before they were corrupted."""
+
+from __future__ import annotations
+
+import os
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from robot_runner.plugins.profilers.ina219.frames import FrameDecoder
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.firmware.simulated_board import Board
+
+    from robot_runner.plugins.profilers.ina219.frames import Frame
+
+
+@contextmanager
+def opened(board: Board) -> Iterator[int]:
+    """Open the board's line, which switches the board on, and close it."""
+    line = os.open(board.port, os.O_RDWR | os.O_NOCTTY)
+    try:
+        yield line
+    finally:
+        os.close(line)
+
+
+def read_until_unplugged(board: Board) -> bytes:
+    """Return all that arrives until the board ends."""
+    pieces: list[bytes] = []
+    with opened(board) as line:
+        while True:
+            try:
+                pieces.append(os.read(line, 65536))
+            except OSError:  # the other end is gone
+                return b"".join(pieces)
+
+
+def decoded(data: bytes) -> list[Frame]:
+    """Return the frames that the plugin finds."""
+    decoder = FrameDecoder()
+    return decoder.feed(data) + decoder.finish()
+
+
+def intact(true: bytes, received: bytes) -> tuple[list[Frame], int]:
+    """Return the frames of which no byte was changed on the way, and how many were hit.
+
+    Bytes are changed and never lost, so a frame stands where it stood.
+    """
+    frames: list[Frame] = []
+    at, hit = 0, 0
+    while at + 8 <= len(received) and at + 8 + true[at + 3] <= len(received):
+        end = at + 8 + true[at + 3]
+        if true[at:end] == received[at:end]:
+            frames += FrameDecoder().feed(true[at:end])
+        else:
+            hit += 1
+        at = end
+    return frames, hit

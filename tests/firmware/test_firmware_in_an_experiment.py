@@ -1,0 +1,53 @@
+"""The whole way: an experiment file, the orchestrator, the profiler, a serial port, the firmware, a known current."""
+
+from __future__ import annotations
+
+import csv
+
+import pytest
+from tests.firmware.measuring import VOLTS
+
+from robot_runner.cli.main import main
+
+CONFIG = """\
+from pathlib import Path
+import time
+from robot_runner import *
+from robot_runner.plugins.profilers import Ina219
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "metered"
+    results_output_path = Path({folder!r})
+    operation_type = OperationType.AUTO
+    plugins = [Ina219(port={port!r})]
+
+    def launch_mission(self, context):
+        context.clock.sleep(2.0)
+
+    def create_run_table(self):
+        return RunTableModel([Factor("Load", ["same"])], repetitions=2, data_columns=["Energy", "MeanPower"])
+"""
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+def test_an_experiment_fills_its_run_table_from_the_meter(free_board, tmp_path, capsys):
+    config = tmp_path / "config.py"
+    with free_board(load="0:0.8", volts=VOLTS, pace=1, openings=2) as meter:
+        config.write_text(CONFIG.format(folder=str(tmp_path), port=meter.port))
+        code = main(["run", str(config)])
+    said = capsys.readouterr()
+    assert code == 0, said
+    with (tmp_path / "metered" / "run_table.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["MeanPower"]) for row in rows] == pytest.approx([0.8 * VOLTS] * 2, rel=0.005)
+    assert [float(row["Energy"]) for row in rows] == pytest.approx([0.8 * VOLTS * 2.0] * 2, rel=0.05)
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+def test_a_meter_that_is_not_plugged_in_refuses_the_experiment(tmp_path, capsys):
+    config = tmp_path / "config.py"
+    config.write_text(CONFIG.format(folder=str(tmp_path), port="/dev/no-such-port"))
+    assert main(["run", str(config)]) == 2
+    assert "there is no serial port '/dev/no-such-port'" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "metered").exists()
