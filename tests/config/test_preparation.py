@@ -225,3 +225,24 @@ class RobotRunnerConfig(ExperimentConfig):
     (finding,) = findings_of(write_config(head=head))
     assert finding.problem.startswith("4 runs will keep about 4,000,000,000,000.02 MB, and ")
     assert " MB are free in " in finding.problem
+
+
+def test_threads_that_loading_starts_are_warned_of_where_runs_are_forked(write_config: Write) -> None:
+    head = """\
+import threading
+from robot_runner import *
+OVER = threading.Event()
+threading.Thread(target=OVER.wait, name="poller", daemon=True).start()
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "x"
+"""
+    path = write_config(head=head)
+    try:
+        (finding,) = findings_of(path)
+        assert "(poller)" in finding.problem
+        assert not finding.is_error
+        assert findings_of(path, run_process="spawn") == ()
+    finally:
+        import sys
+
+        sys.modules["robot_runner_config"].OVER.set()

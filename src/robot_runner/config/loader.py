@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+import threading
 import traceback
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -50,6 +51,7 @@ class LoadedConfig:
         findings: what was found while it was loaded.
         folder: where everything of the experiment is kept, where the static parameters do not say it alone.
         spelling: how its run table's file spells headings and statuses.
+        threads: the threads that it started while it was loaded and that go on.
     """
 
     source: ConfigSource
@@ -61,6 +63,7 @@ class LoadedConfig:
     findings: tuple[Finding, ...] = ()
     folder: ExperimentFolder | None = None
     spelling: TableSpelling = OWN_SPELLING
+    threads: tuple[str, ...] = ()
 
     @property
     def where(self) -> str:
@@ -82,7 +85,7 @@ def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({}))
         recorded_subscriptions() as subscriptions,
         raised_in(source.path, "while it was loaded"),
     ):
-        before = set(sys.modules)
+        before, threads_before = set(sys.modules), set(threading.enumerate())
         module = execute_source(source)
         config_class = getattr(module, source.class_name)
         values = apply_overrides(config_class, overrides)
@@ -91,7 +94,16 @@ def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({}))
             if name in getattr(config, "__dict__", {}):
                 setattr(config, name, value)
         local_modules = local_modules_among(source.path, set(sys.modules) - before)
-    return LoadedConfig(source, config, tuple(subscriptions), tuple(activated), dict(overrides), local_modules)
+        threads = tuple(sorted(thread.name for thread in set(threading.enumerate()) - threads_before))
+    return LoadedConfig(
+        source=source,
+        config=config,
+        subscriptions=tuple(subscriptions),
+        activated=tuple(activated),
+        overrides=dict(overrides),
+        local_modules=local_modules,
+        threads=threads,
+    )
 
 
 @contextmanager
@@ -122,13 +134,15 @@ def place_in(path: Path, error: BaseException) -> str:
 def _placed(path: Path, error: RobotRunnerError) -> tuple[Finding, ...]:
     place = place_in(path, error)
     return tuple(
-        replace(finding, where=finding.where if _says_where(finding) else f"{place}, {finding.where}".rstrip(", "))
+        replace(
+            finding, where=finding.where if _says_where(path, finding) else f"{place}, {finding.where}".rstrip(", ")
+        )
         for finding in error.findings
     )
 
 
-def _says_where(finding: Finding) -> bool:
-    return finding.where.startswith("--set")
+def _says_where(path: Path, finding: Finding) -> bool:
+    return finding.where.startswith(("--set", str(path)))
 
 
 def _fix_of(error: BaseException) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.config.choices import FailurePolicy, OperationType, RunProcess
+from robot_runner.design.analysis_plan import AnalysisPlan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -39,6 +40,7 @@ class Parameters:
     event_deadline_in_s: float | None
     grace_in_s: float
     run_process: RunProcess
+    analysis: AnalysisPlan | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +99,10 @@ def _choice(name: str, choices: type[Enum], default: Enum, description: str) -> 
         expected=f"one of {names}",
         from_text=lambda text: choices(text.casefold().rpartition(".")[2]),
     )
+
+
+def _not_as_text(text: str) -> Any:
+    raise ValueError(f"{text!r} cannot be set from outside")
 
 
 def _deadline(name: str, description: str) -> Parameter:
@@ -211,6 +217,15 @@ PARAMETERS = (
         RunProcess.FORK,
         "Where a run is executed: in a process that is forked (FORK), in a fresh interpreter (SPAWN), or in the "
         "orchestrator itself (IN_PROCESS).",
+    ),
+    Parameter(
+        "analysis",
+        "AnalysisPlan | None",
+        None,
+        "What is fixed for the analysis before the experiment: measures, level of significance, hypotheses.",
+        accepts=lambda value: value is None or isinstance(value, AnalysisPlan),
+        expected="an AnalysisPlan(...) in the config file, or None",
+        from_text=_not_as_text,
     ),
 )
 

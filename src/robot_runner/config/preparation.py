@@ -8,12 +8,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from robot_runner.config.checks.analysis import check_analysis
 from robot_runner.config.checks.names import check_names
 from robot_runner.config.checks.parameters import read_parameters
 from robot_runner.config.checks.plugins import check_plugins, gather_plugins
 from robot_runner.config.checks.results import check_disk_space, check_results_path
 from robot_runner.config.checks.robot import check_robot
 from robot_runner.config.checks.run_table import create_model
+from robot_runner.config.checks.threads import check_threads
 from robot_runner.config.experiment import Experiment, event_manager_for, experiment_folder
 from robot_runner.config.loader import LoadedConfig, load_config
 from robot_runner.errors import ConfigError, Finding
@@ -44,9 +46,7 @@ class Preparation:
     findings: tuple[Finding, ...]
 
 
-def prepare(
-    path: Path, overrides: Mapping[str, str] = MappingProxyType({}), load: Loader = load_config
-) -> Preparation:
+def prepare(path: Path, overrides: Mapping[str, str] = MappingProxyType({}), load: Loader = load_config) -> Preparation:
     """Load and validate a config file; all findings at once, and nothing on disk is touched.
 
     Args:
@@ -69,9 +69,11 @@ def prepare(
     if parameters is not None:
         runs = len(model.plan()) if model is not None else 0
         findings += [
+            *check_analysis(parameters, model, columns),
             *check_robot(loaded, parameters),
             *check_results_path(loaded, parameters),
             *check_disk_space(loaded, parameters, plugins, runs),
+            *check_threads(loaded, parameters),
         ]
     ordered = tuple(sorted(findings, key=lambda finding: not finding.is_error))
     if any(finding.is_error for finding in ordered) or parameters is None or model is None:

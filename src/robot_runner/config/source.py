@@ -11,7 +11,7 @@ from robot_runner.errors import ConfigError, nearest
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["CONFIG_CLASS", "ConfigSource", "read_source"]
+__all__ = ["CONFIG_CLASS", "ConfigSource", "read_source", "read_tree"]
 
 CONFIG_CLASS = "RobotRunnerConfig"
 _CONFIG_BASE = "ExperimentConfig"
@@ -37,9 +37,19 @@ def read_source(path: Path) -> ConfigSource:
     Raises:
         ConfigError: there is no such file, it cannot be read or parsed, or it has no config class.
     """
+    text, tree = read_tree(path)
+    return ConfigSource(path.resolve(), text, _config_class(path, tree))
+
+
+def read_tree(path: Path) -> tuple[str, ast.Module]:
+    """Return the text of a Python file and its syntax tree.
+
+    Raises:
+        ConfigError: there is no such file, or it cannot be read or parsed.
+    """
     text = _read(path)
     try:
-        tree = ast.parse(text, filename=str(path))
+        return text, ast.parse(text, filename=str(path))
     except SyntaxError as error:
         raise ConfigError(
             f"it is not Python: {error.msg}: {(error.text or '').strip()!r}",
@@ -48,7 +58,6 @@ def read_source(path: Path) -> ConfigSource:
         ) from error
     except ValueError as error:
         raise ConfigError(f"it is not Python: {error}", where=str(path), fix="Name a Python file.") from error
-    return ConfigSource(path.resolve(), text, _config_class(path, tree))
 
 
 def _read(path: Path) -> str:

@@ -1,0 +1,164 @@
+"""The text of a config file: names that no version of the tools had, each with its line and the nearest there is."""
+
+from __future__ import annotations
+
+import ast
+import difflib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robot_runner.dialects.profilers.catalogue import plugin_of
+from robot_runner.dialects.recognition import Dialect, Recognised, is_earlier_import
+from robot_runner.dialects.stand_ins.catalogue import MODULES, PACKAGES, names_in
+from robot_runner.dialects.stand_ins.contexts import CONTEXT_ATTRIBUTES
+from robot_runner.dialects.stand_ins.events import RobotRunnerEvents, RunnerEvents
+from robot_runner.dialects.stand_ins.finder import folders_of_forks
+from robot_runner.dialects.syntax import ImportedName, bound_names, classes_of, imports_of
+from robot_runner.errors import Finding, did_you_mean, nearest
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["check_file"]
+
+#: How alike two names are before one is taken for a slip of the other (1.0: equal).
+_ALIKE = 0.85
+
+_EVENTS = {"RobotRunnerEvents": RobotRunnerEvents, "RunnerEvents": RunnerEvents}
+_PARAMETERS = {
+    Dialect.ROBOT_RUNNER: (
+        "name",
+        "required_ros_version",
+        "required_ros_distro",
+        "operation_type",
+        "time_between_runs_in_ms",
+        "results_output_path",
+        "experiment_path",
+    ),
+    Dialect.EXPERIMENT_RUNNER: (
+        "name",
+        "operation_type",
+        "time_between_runs_in_ms",
+        "results_output_path",
+        "experiment_path",
+        "self_measure",
+        "self_measure_bin",
+        "self_measure_logfile",
+    ),
+}
+_TABLES = ("create_run_table", "create_run_table_model")
+
+
+def check_file(recognised: Recognised) -> list[Finding]:
+    """Return what the text alone tells: nothing of it has been executed."""
+    return [
+        *_unknown_imports(recognised),
+        *_unknown_events(recognised),
+        *_unknown_context_attributes(recognised),
+        *_misspelt_members(recognised),
+    ]
+
+
+def _unknown_imports(recognised: Recognised) -> Iterator[Finding]:
+    folders = folders_of_forks(recognised.path)
+    for each in imports_of(recognised.tree):
+        if not is_earlier_import(each.module) or each.is_guarded or _is_in_fork(each, folders):
+            continue
+        where = f"{recognised.path}:{each.line}"
+        plugin = plugin_of(f"{each.module}.{each.name}") or plugin_of(each.module)
+        if plugin is not None and not plugin.names:
+            yield Finding.error(where, f"{plugin.name} has nothing that stands in for it", plugin.note)
+        elif each.module not in MODULES and each.module not in PACKAGES:
+            yield Finding.error(where, _no_module(each.module), _nearest_module(each.module))
+        elif each.name not in {"", "*"} and each.name not in names_in(each.module):
+            known = names_in(each.module)
+            is_plugin = each.module.startswith(("Plugins", "plugins")) and each.module in PACKAGES
+            problem = _no_module(f"{each.module}.{each.name}") if is_plugin else f"{each.module} has no {each.name!r}"
+            yield Finding.error(where, problem, did_you_mean(each.name, known))
+
+
+def _is_in_fork(imported: ImportedName, folders: list[Path]) -> bool:
+    paths = [Path(*imported.module.split("."))]
+    if imported.name:
+        paths.append(paths[0] / imported.name)
+    return any((folder / path).with_suffix(".py").is_file() for folder in folders for path in paths)
+
+
+def _no_module(module: str) -> str:
+    kind = "plugin" if module.startswith(("Plugins", "plugins")) else "module"
+    return f"neither Robot Runner nor Experiment Runner ever had a {kind} {module}"
+
+
+def _nearest_module(module: str) -> str:
+    """Return a fix: the module whose last part is nearest, as folders were moved more often than names changed."""
+    by_last = {known.rpartition(".")[2]: known for known in reversed(list(MODULES))}
+    near = nearest(module.rpartition(".")[2], by_last)
+    if near is not None:
+        return f"Did you mean {by_last[near]!r}?"
+    return (
+        "If it is your own, put it beside the config file as the import names it; otherwise choose one of: "
+        + ", ".join(sorted(name for name in names_in("Plugins.Profilers") if name[:1].isupper()))
+        + "."
+    )
+
+
+def _unknown_events(recognised: Recognised) -> Iterator[Finding]:
+    for node in ast.walk(recognised.tree):
+        match node:
+            case ast.Attribute(value=ast.Name(id=("RobotRunnerEvents" | "RunnerEvents") as name), attr=event):
+                events = _EVENTS[name]
+                if event not in events.__members__ and not event.startswith("_"):
+                    where = f"{recognised.path}:{node.lineno}"
+                    fix = _counterpart(event, events.__members__)
+                    yield Finding.error(where, f"{name} has no event {event!r}", fix)
+            case _:
+                pass
+
+
+def _counterpart(event: str, members: object) -> str:
+    names = list(members) if isinstance(members, dict) else [str(each) for each in iter(members)]  # type: ignore[call-overload]
+    for other, meant in (("LAUNCH_MISSION", "INTERACT"), ("INTERACT", "LAUNCH_MISSION")):
+        if event == other and meant in names:
+            return f"Did you mean {meant!r}?"
+    return did_you_mean(event, names)
+
+
+def _unknown_context_attributes(recognised: Recognised) -> Iterator[Finding]:
+    config = classes_of(recognised.tree).get(recognised.dialect.class_name)
+    functions = [node for node in config.body if isinstance(node, ast.FunctionDef)] if config else []
+    for function in functions:
+        names = {argument.arg for argument in function.args.args if argument.arg == "context"}
+        for node in ast.walk(function):
+            match node:
+                case ast.Attribute(value=ast.Name(id=name), attr=attribute) if name in names:
+                    if attribute not in CONTEXT_ATTRIBUTES and isinstance(node.ctx, ast.Load):
+                        near = _alike(attribute, CONTEXT_ATTRIBUTES)
+                        if near is not None:
+                            where = f"{recognised.path}:{node.lineno}"
+                            yield Finding.error(where, f"the context has no {attribute!r}", f"Did you mean {near!r}?")
+                case _:
+                    pass
+
+
+def _misspelt_members(recognised: Recognised) -> Iterator[Finding]:
+    config = classes_of(recognised.tree).get(recognised.dialect.class_name)
+    if config is None:
+        return
+    parameters = _PARAMETERS[recognised.dialect]
+    methods = {node.name for node in config.body if isinstance(node, ast.FunctionDef)}
+    bound = bound_names(config.body)
+    for name, line in bound.items():
+        known = _TABLES if name in methods else parameters
+        near = None if name in known or name.startswith("_") else _alike(name, known)
+        if near is not None and near not in bound and name not in (*parameters, *_TABLES):
+            what = "no method is called" if name in methods else "there is no static parameter"
+            yield Finding.error(
+                f"{recognised.path}:{line}",
+                f"{what} {name!r}",
+                f"Did you mean {near!r}? Otherwise begin the name with '_'.",
+            )
+
+
+def _alike(name: str, known: tuple[str, ...]) -> str | None:
+    match = difflib.get_close_matches(name.casefold(), known, n=1, cutoff=_ALIKE)
+    return match[0] if match else None

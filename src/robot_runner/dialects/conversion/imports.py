@@ -1,0 +1,132 @@
+"""The import lines: what an earlier tool's names are called here, and which have no name here."""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from robot_runner.dialects.profilers.catalogue import plugin_of
+from robot_runner.dialects.recognition import is_earlier_import
+from robot_runner.dialects.stand_ins.catalogue import MODULES
+from robot_runner.errors import Finding
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from robot_runner.dialects.conversion.edits import Edits
+
+__all__ = ["ConvertedImports", "convert_imports"]
+
+_OUTPUT = "OutputProcedure"
+_OURS = {
+    "EventSubscriptionController": "EventSubscriptionController",
+    "ExperimentFactorModel": "Factor",
+    "ExperimentModel": "RunTableModel",
+    "FactorModel": "Factor",
+    "OperationType": "OperationType",
+    "RobotRunnerConfig": "ExperimentConfig",
+    "RobotRunnerContext": "RobotRunnerContext",
+    "RobotRunnerEvents": "RobotRunnerEvents",
+    "RunTableModel": "RunTableModel",
+    "RunnerConfig": "ExperimentConfig",
+    "RunnerContext": "RobotRunnerContext",
+    "RunnerEvents": "RobotRunnerEvents",
+    "BaseError": "RobotRunnerError",
+}
+#: Names that stand for something that Python has.
+_BUILT_IN = {"SupportsStr": "object"}
+#: The modules of the earlier tools' profilers that need nothing of the tools around them.
+_KEPT_HOMES = ("command_line", "property_lists", "data_source", "nvidia", "nvidia_names", "pico")
+
+
+@dataclass(slots=True)
+class ConvertedImports:
+    """What the imports of a file become.
+
+    Attributes:
+        names: what a name of the file is called afterwards.
+        outputs: the names under which the file prints.
+        events: the names under which it has the events.
+        findings: what has no counterpart.
+    """
+
+    names: dict[str, str] = field(default_factory=dict)
+    outputs: set[str] = field(default_factory=set)
+    events: set[str] = field(default_factory=set)
+    ours: set[str] = field(default_factory=set)
+    profilers: dict[str, set[str]] = field(default_factory=dict)
+    findings: list[Finding] = field(default_factory=list)
+
+    def lines(self) -> str:
+        """Return the import lines that take the place of the earlier tool's."""
+        ours = ", ".join(sorted(self.ours, key=str.casefold))
+        block = f"from robot_runner import {ours}\n"
+        if len(block) > _WIDTH:
+            block = (
+                "from robot_runner import (\n"
+                + "".join(f"    {name},\n" for name in sorted(self.ours, key=str.casefold))
+                + ")\n"
+            )
+        others = [f"from {home} import {', '.join(sorted(names))}\n" for home, names in sorted(self.profilers.items())]
+        return (block if ours else "") + "".join(others)
+
+
+_WIDTH = 120
+
+
+def convert_imports(path: Path, tree: ast.Module, edits: Edits) -> ConvertedImports:
+    """Remove the earlier tool's import lines; the new ones are put in place by `ConvertedImports.lines`."""
+    converted = ConvertedImports()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module and is_earlier_import(node.module):
+            for alias in node.names:
+                _take(converted, f"{path}:{node.lineno}", node.module, alias.name, alias.asname or alias.name)
+            edits.remove_lines(node.lineno, node.end_lineno or node.lineno)
+        elif isinstance(node, ast.Import) and any(is_earlier_import(alias.name) for alias in node.names):
+            converted.findings.append(
+                Finding.error(
+                    f"{path}:{node.lineno}",
+                    "a module of the earlier tool is imported as a whole",
+                    "Import its names: from ... import ...",
+                )
+            )
+    return converted
+
+
+def _take(converted: ConvertedImports, where: str, module: str, name: str, bound: str) -> None:
+    if plugin_of(module) is not None or plugin_of(f"{module}.{name}") is not None:
+        converted.findings += _take_profiler(converted, where, module, name, bound)
+    elif name == _OUTPUT:
+        converted.outputs.add(bound)
+    elif name in _BUILT_IN:
+        converted.names[bound] = _BUILT_IN[name]
+    elif name in _OURS:
+        converted.names[bound] = _OURS[name]
+        converted.ours.add(_OURS[name])
+        if _OURS[name] == "RobotRunnerEvents":
+            converted.events.add(bound)
+    elif name == "*" or name in MODULES.get(module, ()):
+        problem = "everything of a module is imported" if name == "*" else f"{name} has no counterpart here"
+        converted.findings.append(Finding.error(where, problem, "Write this part by hand, then convert the file."))
+
+
+def _take_profiler(converted: ConvertedImports, where: str, module: str, name: str, bound: str) -> Iterator[Finding]:
+    plugin = plugin_of(f"{module}.{name}") or plugin_of(module)
+    home, _, attribute = MODULES.get(module, {}).get(name, "").partition(":")
+    if home.rpartition(".")[2] in _KEPT_HOMES:
+        imported = attribute if attribute == bound else f"{attribute} as {bound}"
+        converted.profilers.setdefault(home, set()).add(imported)
+        ours = plugin.ours if plugin is not None else ""
+        if ours:
+            yield Finding.warning(
+                where,
+                f"{name} is kept as it was, with its own calls",
+                f"List our {ours} in `plugins` instead: it starts, stops and publishes by itself.",
+            )
+        return
+    instead = (
+        f"List our {plugin.ours} in `plugins` instead" if plugin is not None and plugin.ours else "Measure by hand"
+    )
+    yield Finding.error(where, f"{name} cannot be used outside a config of the earlier tool", f"{instead}.")

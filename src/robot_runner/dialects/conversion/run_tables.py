@@ -1,0 +1,114 @@
+"""The run table: models, factors and exclusions in our words."""
+
+from __future__ import annotations
+
+import ast
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.dialects.exclusions import NamedExclusion, named_exclusions
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from robot_runner.dialects.conversion.edits import Edits
+    from robot_runner.dialects.session import Session
+
+__all__ = ["convert_run_tables"]
+
+_MODELS = frozenset({"RunTableModel", "ExperimentModel"})
+_KEYWORDS = {
+    "exclude_variations": "exclude_combinations",
+    "num_repetitions": "repetitions",
+    "iterations": "repetitions",
+    "randomize_order": "shuffle",
+    "treatments": "factors",
+}
+_IN_PLACE = "num_of_repetitions"
+#: Calls of a model or a factor that are attributes here, or that return the model itself.
+_CALLS = {
+    "get_factors": ".factors",
+    "get_data_columns": ".data_columns",
+    "get_factor_name": ".name",
+    "get_treatments": ".treatments",
+    "get_experiment_run_table": "",
+    "generate_experiment_run_table": "",
+}
+
+
+def convert_run_tables(session: Session, tree: ast.Module, edits: Edits) -> None:
+    """Convert every call that makes a run table or asks one."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Call(func=ast.Name(id=name)) if name in _MODELS:
+                _convert_model(session, node, edits)
+            case ast.Call(func=ast.Attribute(value=owner, attr=name), args=[], keywords=[]) if name in _CALLS:
+                edits.replace_span(edits.end_of(owner), edits.end_of(node), _CALLS[name])
+            case ast.Attribute(attr="factor_name", value=owner):
+                edits.replace_span(edits.end_of(owner), edits.end_of(node), ".name")
+            case _:
+                pass
+
+
+def _convert_model(session: Session, call: ast.Call, edits: Edits) -> None:
+    for argument in call.args[2:]:
+        name = _keyword_of(argument)
+        if name:
+            edits.insert(edits.start_of(argument), f"{name}=")
+    exclusions = call.args[1] if len(call.args) > 1 else None
+    for keyword in call.keywords:
+        if keyword.arg == _IN_PLACE:
+            _convert_repetitions_in_place(call, keyword, edits)
+        elif keyword.arg in _KEYWORDS:
+            start = edits.start_of(keyword)
+            edits.replace_span(start, start + len(keyword.arg), _KEYWORDS[keyword.arg])
+        if keyword.arg in {"exclude_variations", "exclude_combinations"}:
+            exclusions = keyword.value
+    if exclusions is not None:
+        _convert_exclusions(session, exclusions, edits)
+
+
+def _keyword_of(argument: ast.expr) -> str:
+    match argument:
+        case ast.Constant(value=bool()):
+            return "shuffle"
+        case ast.Constant(value=int()):
+            return "repetitions"
+        case _:
+            return "data_columns"
+
+
+def _convert_repetitions_in_place(call: ast.Call, keyword: ast.keyword, edits: Edits) -> None:
+    """Make a factor of repetitions that stand together: it changes fastest, and has the fork's column."""
+    factors = next((each.value for each in call.keywords if each.arg == "factors"), call.args[0] if call.args else None)
+    if isinstance(factors, ast.List) and factors.elts:
+        count = edits.source(keyword.value)
+        edits.insert(edits.end_of(factors.elts[-1]), f', Factor("repetition", range(1, {count} + 1))')
+    edits.replace(keyword, "repetitions=1")
+
+
+def _convert_exclusions(session: Session, exclusions: ast.expr, edits: Edits) -> None:
+    """Name the factors of sets of values; mappings from factors are ours already."""
+    if isinstance(exclusions, ast.Constant) and exclusions.value is None:
+        edits.replace(exclusions, "[]")
+    if not isinstance(exclusions, ast.List) or not session.models:
+        return
+    factors = session.models[-1].get_factors()
+    for element in exclusions.elts:
+        if isinstance(element, ast.Set | ast.Tuple | ast.List):
+            (named,) = named_exclusions(session, factors, [_value_of(element)])
+            edits.replace(element, _in_our_words(named, factors))
+
+
+def _value_of(element: ast.expr) -> Any:
+    try:
+        return ast.literal_eval(element)
+    except ValueError:
+        return set()
+
+
+def _in_our_words(named: NamedExclusion, factors: Sequence[Any]) -> str:
+    if named.treatments is not None:
+        parts = [f"{factors[place].factor_name!r}: {list(values)!r}" for place, values in named.treatments.items()]
+        return "{" + ", ".join(parts) + "}"
+    values = "{" + ", ".join(map(repr, named.values)) + "}" if named.values else "set()"
+    return f"lambda combination: {values} <= set(combination.values())"

@@ -1,0 +1,222 @@
+"""From a config file of an earlier tool to a config object of ours, with everything that is to be said about it."""
+
+from __future__ import annotations
+
+import random
+import re
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from secrets import randbits
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.config.choices import OperationType
+from robot_runner.config.loader import LoadedConfig, execute_source, importable, local_modules_among, raised_in
+from robot_runner.config.overrides import apply_overrides
+from robot_runner.config.parameters import PARAMETERS
+from robot_runner.config.source import ConfigSource
+from robot_runner.dialects.checks.callbacks import check_subscriptions
+from robot_runner.dialects.checks.files import check_file
+from robot_runner.dialects.checks.plugins import check_plugins
+from robot_runner.dialects.experiment import EarlierExperiment
+from robot_runner.dialects.profilers.self_measure import COLUMN, SelfMeasure
+from robot_runner.dialects.run_table import EarlierDesign, design_of
+from robot_runner.dialects.session import Session, active_session
+from robot_runner.dialects.stand_ins.finder import StandIns
+from robot_runner.errors import ConfigError, StorageError, did_you_mean
+from robot_runner.storage.layout import ExperimentFolder
+from robot_runner.storage.manifest import read_manifest
+from robot_runner.storage.table_spelling import EARLIER_SPELLING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from robot_runner.dialects.recognition import Recognised
+    from robot_runner.plugins.api.plugin import Plugin
+
+__all__ = ["lift"]
+
+#: What the earlier tools called a static parameter, where it has another name here.
+_EARLIER_NAMES = {"experiment_name": "name"}
+#: Parameters that the earlier tools did not have: an attribute of that name means something else in their configs.
+_NEW_PARAMETERS = frozenset(
+    {
+        "analysis",
+        "attempts",
+        "event_deadline_in_s",
+        "grace_in_s",
+        "on_failure",
+        "robot",
+        "run_deadline_in_s",
+        "run_process",
+    }
+)
+_TABLE_METHODS = ("create_run_table_model", "create_run_table")
+_UNFIT_FOR_NAME = re.compile(r"[^A-Za-z0-9 ._-]")
+
+
+def lift(recognised: Recognised, overrides: Mapping[str, str]) -> LoadedConfig:
+    """Execute a config file of an earlier tool, make its run table, and return it as a config of ours.
+
+    Raises:
+        ConfigError: its code raises, it misuses the tool's API, or a parameter that is to be set does not exist.
+    """
+    refused = check_file(recognised)
+    if any(finding.is_error for finding in refused):
+        raise ConfigError.of_findings(refused)
+    lifting = _Lifting(recognised, overrides)
+    lifting.session.findings += refused
+    with active_session(lifting.session):
+        with lifting.executing("while it was loaded"):
+            lifting.load()
+        return lifting.lifted()
+
+
+class _Lifting:
+    def __init__(self, recognised: Recognised, overrides: Mapping[str, str]) -> None:
+        self.session = Session(recognised)
+        self._recognised = recognised
+        self._overrides = overrides
+        self._stand_ins = StandIns(recognised.path)
+        self._set: dict[str, Any] = {}
+        self._config: Any = None
+        self._local_modules: tuple[Path, ...] = ()
+
+    @contextmanager
+    def executing(self, when: str) -> Iterator[None]:
+        """Have the earlier tool's modules there, and what is raised become a ConfigError."""
+        with (
+            importable(self._recognised.path.parent),
+            active_session(self.session),
+            self._stand_ins.present(),
+            raised_in(self._recognised.path, when),
+        ):
+            yield
+
+    def load(self) -> None:
+        """Execute the file, set what is set from outside, and instantiate the config class."""
+        before = set(sys.modules)
+        class_name = self._recognised.dialect.class_name
+        source = ConfigSource(self._recognised.path, self._recognised.text, class_name)
+        module = execute_source(source)
+        config_class = getattr(module, class_name, None)
+        if not isinstance(config_class, type):
+            raise ConfigError(
+                f"it has no class named {class_name}",
+                fix=f"Describe the experiment in a class {class_name}.",
+            )
+        self._apply(config_class)
+        self._config = config_class()
+        for name, value in self._set.items():
+            earlier_name = _EARLIER_NAMES.get(name, name)
+            if earlier_name in getattr(self._config, "__dict__", {}):
+                setattr(self._config, earlier_name, value)
+        self._local_modules = local_modules_among(self._recognised.path, set(sys.modules) - before)
+
+    def lifted(self) -> LoadedConfig:
+        """Make the run table, and put everything together."""
+        folder = self._folder()
+        self.session.seed = _recorded_seed(folder) if folder else randbits(32)
+        if folder is not None:
+            self._config.experiment_path = folder.root
+        plugins = self._plugins()
+        design = self._design(plugins)
+        self._say_what_changes()
+        config = EarlierExperiment(self.session, self._stand_ins, self._parameters(), design, plugins)
+        class_name = self._recognised.dialect.class_name
+        return LoadedConfig(
+            source=ConfigSource(self._recognised.path, self._recognised.text, class_name),
+            config=config,
+            subscriptions=(),
+            activated=(),
+            overrides=dict(self._overrides),
+            local_modules=self._local_modules,
+            findings=(*self.session.findings, *check_subscriptions(self.session, self._config), *self._plugin_findings),
+            folder=folder,
+            spelling=design.names.spelling if isinstance(design, EarlierDesign) else EARLIER_SPELLING,
+        )
+
+    def _apply(self, config_class: type) -> None:
+        others = {}
+        for name, text in self._overrides.items():
+            if name in {"experiment_name", "name"}:
+                self._set["experiment_name"] = text
+                config_class.name = text  # type: ignore[attr-defined] # what the earlier tools call it
+            else:
+                others[name] = text
+        self._set |= apply_overrides(config_class, others)
+
+    def _value(self, name: str, default: Any) -> Any:
+        if name in _NEW_PARAMETERS:
+            return self._set.get(name, default)
+        return getattr(self._config, _EARLIER_NAMES.get(name, name), default)
+
+    def _parameters(self) -> dict[str, Any]:
+        values = {parameter.name: self._value(parameter.name, parameter.default) for parameter in PARAMETERS}
+        name = values["experiment_name"]
+        if isinstance(name, str):
+            # The folder has the name as it is; what stands here is what the experiment is called.
+            values["experiment_name"] = _UNFIT_FOR_NAME.sub("_", Path(name).name).strip(" ._-") or name
+        return values
+
+    def _folder(self) -> ExperimentFolder | None:
+        """Return the earlier tool's folder: a relative path begins in the current folder; runs stand in the root."""
+        results, name = getattr(self._config, "results_output_path", None), getattr(self._config, "name", None)
+        if not isinstance(results, str | Path) or not isinstance(name, str) or "\0" in f"{results}{name}":
+            return None  # the check of the static parameters says why
+        root = Path(f"{results}/{name}").expanduser().absolute()
+        return ExperimentFolder(root, runs_name="")
+
+    def _plugins(self) -> list[Plugin]:
+        robot = self._set.get("robot")
+        self._plugin_findings = check_plugins((self._recognised.path, *self._local_modules), robot)
+        if not getattr(self._config, "self_measure", False):
+            return []
+        return [
+            SelfMeasure(
+                binary=getattr(self._config, "self_measure_bin", None),
+                logfile=getattr(self._config, "self_measure_logfile", None),
+            )
+        ]
+
+    def _design(self, plugins: list[Plugin]) -> EarlierDesign | ConfigError:
+        state = random.getstate()
+        random.seed(self.session.seed)  # a config that shuffles its own rows gets the same order again
+        try:
+            with self.executing("in the making of the run table"):
+                made = self._table_method()()
+                return design_of(self.session, made, self._config, [COLUMN] if plugins else [])
+        except ConfigError as error:
+            return error
+        finally:
+            random.setstate(state)
+
+    def _table_method(self) -> Any:
+        for name in _TABLE_METHODS:
+            if callable(getattr(self._config, name, None)):
+                return getattr(self._config, name)
+        methods = [name for name in dir(self._config) if not name.startswith("_")]
+        near = did_you_mean(_TABLE_METHODS[0], methods)
+        raise ConfigError(
+            "the config makes no run table",
+            where=type(self._config).__name__,
+            fix=near.replace("Did you mean", "Rename") if near.startswith("Did") else f"Define {_TABLE_METHODS[0]}.",
+        )
+
+    def _say_what_changes(self) -> None:
+        hears = {each.event.value for each in self.session.subscriptions}
+        if getattr(self._config, "operation_type", None) is OperationType.SEMI and "continue" not in hears:
+            self.session.warn(
+                "operation_type",
+                "it is SEMI and nothing hears CONTINUE: the earlier tool went on by itself, and now each run waits "
+                "until the user says to go on",
+                "Write OperationType.AUTO if nobody is to be waited for.",
+            )
+
+
+def _recorded_seed(folder: ExperimentFolder) -> int:
+    """Return the seed with which an experiment began, so that it goes on in its order; a new one where it did not."""
+    try:
+        return int(read_manifest(folder.manifest)["seed"]) if folder.manifest.exists() else randbits(32)
+    except (StorageError, KeyError, TypeError, ValueError):  # whoever executes it says what is wrong with it
+        return randbits(32)

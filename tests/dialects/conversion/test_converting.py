@@ -1,0 +1,307 @@
+"""A converted config says the same in our own words: it plans the same runs, and yields the same measures."""
+
+from __future__ import annotations
+
+import ast
+import csv
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.dialects.earlier_configs import ROBOT, RUNNER
+
+from robot_runner.config.preparation import prepare as prepare_own
+from robot_runner.dialects.conversion.converting import check_conversion, convert
+from robot_runner.dialects.conversion.edits import Edits
+from robot_runner.errors import ConfigError
+from robot_runner.execution.notices import SilentObserver
+from robot_runner.execution.orchestrator import execute_experiment
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from tests.dialects.earlier_configs import Executed
+
+
+@pytest.fixture
+def converted() -> Callable[[Path], Path]:
+    """Return what converts a file, writes the new one beside it, and sees that both plan the same runs."""
+
+    def written(path: Path) -> Path:
+        conversion = convert(path)
+        new = path.with_name("converted.py")
+        new.write_text(conversion.text, encoding="utf-8")
+        assert [str(finding) for finding in check_conversion(conversion, new) if finding.is_error] == []
+        return new
+
+    return written
+
+
+def measures_of(path: Path, columns: list[str]) -> list[list[str]]:
+    experiment = prepare_own(path, {"results_output_path": str(path.parent / "own")}).experiment
+    finished = execute_experiment(experiment, SilentObserver())
+    assert finished.failures == ()
+    with finished.run_table.open(newline="") as file:
+        return [[row[column] for column in columns] for row in csv.DictReader(file)]
+
+
+FULL = """
+def before_experiment(self) -> None:
+    \"\"\"A text that stays.\"\"\"
+    self.base = 100
+
+def before_run(self) -> None:
+    self.extra = 5  # a comment that stays
+
+def start_run(self, context: RunnerContext) -> None:
+    self.size = context.execute_run["size"]
+    (context.run_dir / "id.txt").write_text(context.execute_run["__run_id"])
+
+def interact(self, context: RunnerContext) -> None:
+    print(f"{self.name}: run {context.run_nr}")
+
+def populate_run_data(self, context: RunnerContext):
+    return {"seconds": self.base + self.extra + self.size}
+"""
+
+
+def test_a_config_of_experiment_runner_becomes_one_of_ours(
+    config: Callable[..., Path], converted: Callable[[Path], Path], execute: Callable[..., Executed]
+) -> None:
+    old = config(FULL)
+    new = converted(old)
+    text = new.read_text()
+    assert "EventManager" not in text
+    assert "EventSubscriptionController" not in text
+    assert "class RobotRunnerConfig(ExperimentConfig):" in text
+    assert "def launch_mission(self, context: RobotRunnerContext) -> None:" in text
+    assert "# a comment that stays" in text
+    assert '"""A text that stays."""' in text
+    columns = ["size", "language", "seconds"]
+    assert measures_of(new, columns) == [[row[name] for name in columns] for row in execute(old).table]
+
+
+def test_a_config_of_robot_runner_becomes_one_of_ours(
+    config: Callable[..., Path], converted: Callable[[Path], Path], execute: Callable[..., Executed]
+) -> None:
+    methods = """
+    def launch_mission(self, context: RobotRunnerContext):
+        context.run_variation["energy"] = 1
+        self.task = context.run_variation["task"]
+
+    def populate_run_data(self, context):
+        variation = context.run_variation
+        variation["energy"] = variation["speed"] * 10 + len(self.task)
+        return variation
+    """
+    old = config(methods, head=ROBOT)
+    new = converted(old)
+    columns = ["task", "speed", "energy"]
+    assert measures_of(new, columns) == [[row[name] for name in columns] for row in execute(old).table]
+
+
+def test_callbacks_of_other_names_are_named_after_their_events(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    table = """\
+    def create_run_table_model(self):
+        return RunTableModel([FactorModel("n", [1])])
+
+    def before_experiment(self):
+        raise AssertionError("nobody subscribed this")
+
+    def work(self, context):
+        self.helper()
+
+    def helper(self): ...
+"""
+    new = converted(config(table=table, subscribe="(RunnerEvents.INTERACT, self.work),"))
+    names = {node.name for node in ast.walk(ast.parse(new.read_text())) if isinstance(node, ast.FunctionDef)}
+    assert names == {"create_run_table", "_before_experiment", "launch_mission", "helper"}
+    assert measures_of(new, ["n"]) == [["1"]]
+
+
+def test_several_callbacks_of_one_event_stay_subscribed(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    table = """\
+    def create_run_table_model(self):
+        return RunTableModel([FactorModel("n", [1])], data_columns=["a", "b"])
+
+    def first(self, context): return {"a": 1}
+    def second(self, context): return {"b": 2}
+    def work(self, context): ...
+"""
+    subscribe = "".join(
+        f"(RunnerEvents.{event}, self.{name}),"
+        for event, name in (("POPULATE_RUN_DATA", "first"), ("POPULATE_RUN_DATA", "second"), ("INTERACT", "work"))
+    )
+    new = converted(config(table=table, subscribe=subscribe))
+    assert "(RobotRunnerEvents.LAUNCH_MISSION, self.work)" in new.read_text()
+    assert measures_of(new, ["a", "b"]) == [["1", "2"]]
+
+
+def test_a_continue_callback_says_that_the_user_was_asked(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    head = ROBOT.replace("OperationType.AUTO", "OperationType.SEMI")
+    methods = "def swap(self):\n    self.swapped = True"
+    new = converted(config(methods, head=head, subscribe="(RobotRunnerEvents.CONTINUE, self.swap),"))
+    assert "def continue_experiment(self):" in new.read_text()
+    assert len(measures_of(new, ["task"])) == 4
+
+
+def test_before_run_with_the_row_gets_the_context(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    new = converted(config("def before_run(self, run_variation):\n    print(run_variation['task'])", head=ROBOT))
+    assert "def before_run(self, context):" in new.read_text()
+    assert len(measures_of(new, ["task"])) == 4
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        'RunTableModel(factors=[FactorModel("a", [1, 2])], num_repetitions=3)',
+        'RunTableModel(factors=[FactorModel("a", [1, 2])], iterations=3, data_columns=["x"])',
+        'RunTableModel([FactorModel("a", [1, 2])], [], ["x"], False)',
+        'RunTableModel([FactorModel("a", [1, 2])], None, 2, ["x"], True)',
+        'RunTableModel([FactorModel("a", [1, 2]), FactorModel("b", ["x"])], num_of_repetitions=2, randomize_order=True)',  # noqa: E501 - as its author would write it
+        'RunTableModel(factors=[FactorModel("a", [1, 2]), FactorModel("b", ["x", "y"])], num_of_repetitions=2)',
+        'RunTableModel(factors=[FactorModel("a", ["on", "off"]), FactorModel("b", [1, 2])], exclude_variations=[{"on", 2}])',  # noqa: E501 - as its author would write it
+        'RunTableModel([FactorModel("a", ["on", "off"]), FactorModel("b", ["on", "off"])], exclude_variations=[{"on"}])',  # noqa: E501 - as its author would write it
+        'RunTableModel([FactorModel("a", [1, 2]), FactorModel("b", [1, 2])], exclude_variations=[{2, 1}, {9}])',
+        'RunTableModel([FactorModel("a", [True, False]), FactorModel("b", [0, 1])], exclude_variations=[{True}])',
+        'RunTableModel(factors=[FactorModel("a", range(3))], shuffle=True)',
+    ],
+)
+def test_every_form_of_a_run_table_plans_the_same_runs(
+    config: Callable[..., Path], converted: Callable[[Path], Path], model: str
+) -> None:
+    table = f"""\
+    def create_run_table_model(self):
+        self.run_table_model = {model}
+        return self.run_table_model
+"""
+    converted(config(table=table))
+
+
+@pytest.mark.parametrize("ending", ["get_experiment_run_table", "generate_experiment_run_table"])
+def test_rows_of_a_model_become_the_model(
+    config: Callable[..., Path], converted: Callable[[Path], Path], ending: str
+) -> None:
+    table = f"""\
+    def create_run_table(self):
+        first = FactorModel("a", [1, 2])
+        assert first.factor_name == "a" and list(first.get_treatments()) == [1, 2]
+        model = RunTableModel(factors=[first], exclude_variations=[{{first: [1]}}])
+        model.create_experiment_run_table()
+        return model.{ending}()
+"""
+    assert "FactorModel" not in converted(config(table=table)).read_text()
+
+
+def test_a_path_that_began_in_the_current_folder_still_does(
+    config: Callable[..., Path], converted: Callable[[Path], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    head = ROBOT.replace('Path(__file__).parent / "results"', 'Path("out")')
+    new = converted(config(head=head))
+    assert prepare_own(new).experiment.folder.root == elsewhere / "out" / "patrol"
+
+
+def test_a_config_that_derives_from_the_tools_class_derives_from_ours(
+    write: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    old = write(
+        """
+        from ConfigValidator.Config.RunnerConfig import RunnerConfig as Original
+        from ConfigValidator.Config.Models.RunTableModel import RunTableModel
+        from ConfigValidator.Config.Models.FactorModel import FactorModel
+
+        class RunnerConfig(Original):
+            name = "derived"
+
+            def __init__(self):
+                super().__init__()
+                self.counter = 0
+
+            def create_run_table_model(self):
+                return RunTableModel([FactorModel("n", [1, 2])], data_columns=["double"])
+
+            def populate_run_data(self, context):
+                return {"double": 2 * context.execute_run["n"]}
+        """
+    )
+    new = converted(old)
+    assert "class RobotRunnerConfig(ExperimentConfig):" in new.read_text()
+    assert measures_of(new, ["double"]) == [["2"], ["4"]]
+
+
+def test_a_profiler_that_needs_no_tool_around_it_is_kept(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    head = RUNNER.replace("from pathlib", "from Plugins.Profilers.Ps import Ps as Meter\nfrom pathlib")
+    text = converted(config("def start_measurement(self, context): self.meter = Meter()", head=head)).read_text()
+    assert "from robot_runner.dialects.profilers.command_line import Ps as Meter" in text
+
+
+@pytest.mark.parametrize(
+    ("line", "problem"),
+    [
+        (
+            "from Plugins.Profilers.WattsUpPro import WattsUpPro",
+            "WattsUpPro cannot be used outside a config of the earlier tool → List our WattsUpPro in `plugins` instead.",  # noqa: E501 - as its author would write it
+        ),
+        (
+            "from ProgressManager.Output.CSVOutputManager import CSVOutputManager",
+            "CSVOutputManager has no counterpart here",
+        ),
+        ("from ConfigValidator.Config.Models.FactorModel import *", "everything of a module is imported"),
+    ],
+)
+def test_what_has_no_counterpart_is_named_with_its_line(config: Callable[..., Path], line: str, problem: str) -> None:
+    path = config(head=RUNNER.replace("from pathlib", f"{line}\nfrom pathlib"))
+    with pytest.raises(ConfigError) as refused:
+        convert(path)
+    assert f"{path}:7: {problem}" in str(refused.value)
+
+
+def test_a_neighbour_that_is_written_for_the_earlier_tool_has_to_be_mended_first(
+    config: Callable[..., Path], write: Callable[..., Path]
+) -> None:
+    write("from ProgressManager.Output.OutputProcedure import OutputProcedure\n", "neighbour_of_conversion.py")
+    path = config(head=RUNNER.replace("from pathlib", "import neighbour_of_conversion\nfrom pathlib"))
+    with pytest.raises(ConfigError, match=r"neighbour_of_conversion\.py:1: the config imports this module"):
+        convert(path)
+
+
+def test_our_own_spelling_needs_no_converting(write: Callable[..., Path]) -> None:
+    path = write("from robot_runner import ExperimentConfig\nclass RobotRunnerConfig(ExperimentConfig): ...\n")
+    with pytest.raises(ConfigError, match="it is written in our own spelling already"):
+        convert(path)
+
+
+def test_a_difference_is_found(config: Callable[..., Path]) -> None:
+    path = config()
+    conversion = convert(path)
+    new = path.with_name("changed.py")
+    new.write_text(conversion.text.replace("[10, 20]", "[10, 30]"))
+    problems = [finding.problem for finding in check_conversion(conversion, new)]
+    assert "size=20, language=c is planned 2 times less than before" in problems
+    assert "size=30, language=c is planned 2 times more than before" in problems
+
+
+def test_edits_that_touch_are_all_applied() -> None:
+    text = "f(ä, b)"
+    call = ast.parse(text).body[0].value
+    edits = Edits(text)
+    edits.replace(call.args[1], "c")
+    edits.insert(edits.start_of(call.args[1]), "x=")
+    edits.insert(edits.end_of(call.args[1]), ", d")
+    edits.replace(call.func, "g")
+    assert edits.applied() == "g(ä, x=c, d)"
+    edits.replace(call, "whole")
+    assert edits.applied() == "whole"
