@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from robot_runner.config.choices import FailurePolicy, OperationType, RunProcess
     from robot_runner.config.experiment_config import ExperimentConfig
+    from robot_runner.design.analysis_plan import AnalysisPlan, Correction, Hypothesis
     from robot_runner.design.factor import Factor
     from robot_runner.design.run_table_model import RunTableModel
     from robot_runner.errors import RobotRunnerError
@@ -20,11 +21,14 @@ if TYPE_CHECKING:
     from robot_runner.events.subscription import EventSubscriptionController
 
 __all__ = [
+    "AnalysisPlan",
+    "Correction",
     "EventSubscriptionController",
     "ExperimentConfig",
     "ExperimentContext",
     "Factor",
     "FailurePolicy",
+    "Hypothesis",
     "Measure",
     "OperationType",
     "Origin",
@@ -36,6 +40,9 @@ __all__ = [
 ]
 
 _HOMES = {
+    "AnalysisPlan": "robot_runner.design.analysis_plan",
+    "Correction": "robot_runner.design.analysis_plan",
+    "Hypothesis": "robot_runner.design.analysis_plan",
     "EventSubscriptionController": "robot_runner.events.subscription",
     "ExperimentConfig": "robot_runner.config.experiment_config",
     "ExperimentContext": "robot_runner.events.context",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.cli.wording import counted, plain
+from robot_runner.design.listed_runs import ListedRunTableModel
 
 if TYPE_CHECKING:
     from robot_runner.design.run_table import PlannedRun
@@ -24,6 +25,8 @@ def in_words(model: RunTableModel) -> str:
         '6 runs: Task (2) x Speed (1) x 3 repetitions'
     """
     parts = [f"{factor.name} ({len(factor.treatments):,})" for factor in model.factors]
+    if isinstance(model, ListedRunTableModel):
+        return f"{counted(len(model.runs), 'run')}, listed one by one: {', '.join(parts)}"
     combinations = 1
     for factor in model.factors:
         combinations *= len(factor.treatments)

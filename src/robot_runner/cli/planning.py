@@ -10,8 +10,9 @@ from robot_runner.config.checks.parameters import read_parameters
 from robot_runner.config.checks.plugins import gather_plugins
 from robot_runner.config.checks.run_table import create_model
 from robot_runner.config.experiment import experiment_folder
-from robot_runner.config.loader import LoadedConfig, load_config
+from robot_runner.design.listed_runs import ListedRunTableModel
 from robot_runner.design.run_table import PlannedRun
+from robot_runner.dialects.loading import load_config
 from robot_runner.errors import ConfigError, StorageError
 from robot_runner.events.columns import resolve_columns
 from robot_runner.storage.manifest import read_manifest
@@ -22,10 +23,12 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from robot_runner.config.loader import LoadedConfig
     from robot_runner.design.run_table_model import RunTableModel
     from robot_runner.errors import Finding
     from robot_runner.events.columns import MeasureColumns
     from robot_runner.storage.layout import ExperimentFolder
+    from robot_runner.storage.table_spelling import TableSpelling
 
 __all__ = ["Plan", "folder_of", "plan_of"]
 
@@ -66,6 +69,8 @@ class Plan:
             return ""
         if self.is_recorded:
             return "the experiment has begun: executing it goes on in this order"
+        if isinstance(self.model, ListedRunTableModel):
+            return "another order is drawn each time until the experiment has begun: then it is recorded"
         if self.model.seed_is_given:
             return "the config gives the seed: this order comes again each time"
         blocks = f", blocks={self.model.blocks!r}" if self.model.blocks else ""
@@ -92,10 +97,10 @@ def plan_of(config: Path, overrides: Mapping[str, str]) -> Plan:
     refused = [finding for finding in column_findings if finding.is_error]
     if refused:
         raise ConfigError.of_findings(refused)
-    warnings = (*findings, *column_findings)
+    warnings = (*loaded.findings, *findings, *column_findings)
     folder = folder_of(loaded)
     if folder is not None and folder.run_table.exists():
-        return _plan_on_disk(folder, model, columns, warnings)
+        return _plan_on_disk(folder, model, columns, warnings, loaded.spelling)
     table = model.plan()
     return Plan(model, columns, table, None, table.seed, is_recorded=False, findings=warnings)
 
@@ -109,7 +114,11 @@ def folder_of(loaded: LoadedConfig) -> ExperimentFolder | None:
 
 
 def _plan_on_disk(
-    folder: ExperimentFolder, model: RunTableModel, columns: MeasureColumns, warnings: tuple[Finding, ...]
+    folder: ExperimentFolder,
+    model: RunTableModel,
+    columns: MeasureColumns,
+    warnings: tuple[Finding, ...],
+    spelling: TableSpelling,
 ) -> Plan:
     try:
         manifest = read_manifest(folder.manifest)
@@ -118,7 +127,7 @@ def _plan_on_disk(
     if manifest.get("design", {}).get("source") == "config":
         table = model.plan(manifest["seed"])
         return Plan(model, columns, table, None, table.seed, is_recorded=True, findings=warnings)
-    rows = read_run_table(folder.run_table, TableLayout.of_model(model, columns.names))
+    rows = read_run_table(folder.run_table, TableLayout.of_model(model, columns.names, spelling=spelling))
     runs = [
         PlannedRun(rows.run_id(place), place + 1, rows.combination(place), rows.repetition(place))
         for place in range(len(rows))

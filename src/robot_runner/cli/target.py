@@ -10,8 +10,8 @@ from robot_runner.cli.parser import UsageError
 from robot_runner.cli.planning import folder_of
 from robot_runner.cli.wording import listed
 from robot_runner.config.checks.parameters import read_parameters
-from robot_runner.config.loader import load_config
 from robot_runner.config.overrides import parse_assignments
+from robot_runner.dialects.loading import load_config
 from robot_runner.errors import ConfigError, StorageError, did_you_mean
 from robot_runner.storage.layout import ExperimentFolder
 
@@ -45,7 +45,7 @@ _MOST_NAMES = 20
 
 
 def _in_folder(path: Path) -> ExperimentFolder:
-    folder = ExperimentFolder(path.resolve())
+    folder = ExperimentFolder.found_at(path.resolve())
     if folder.manifest.exists():
         return folder
     within = sorted(each.name for each in path.iterdir() if ExperimentFolder(each).manifest.exists())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from keyword import iskeyword
+
 __all__ = ["COMMANDS", "module_of"]
 
 #: What each command does, in the order in which a user meets them.
@@ -13,7 +15,14 @@ COMMANDS = {
     "run": "Execute an experiment, or resume it.",
     "status": "Show how far an experiment is, also while it is executed.",
     "continue": "Let an experiment that waits between two runs go on.",
+    "convert": "Write a config of an earlier tool in our own spelling.",
+    "export": "Write an experiment's results for other tools: Parquet and a data package.",
+    "import": "Adopt results of an earlier tool, or made by hand.",
+    "report": "Write the report of an experiment: tables, figures, tests, threats to validity.",
+    "compare": "Compare two experiments, and say whether they are equivalent.",
+    "fit-power-model": "Fit a software power model to the measured runs of an experiment.",
     "plugins": "List the installed plugins, with their measures and parameters.",
+    "try": "Try a profiler without an experiment.",
 }
 
 
@@ -24,4 +33,4 @@ def module_of(command: str) -> str:
         >>> module_of("continue")  # a word of Python, so its module has another name
         'robot_runner.cli.commands.continue_'
     """
-    return f"{__name__}.{command}{'_' if command == 'continue' else ''}"
+    return f"{__name__}.{command.replace('-', '_')}{'_' if iskeyword(command) else ''}"

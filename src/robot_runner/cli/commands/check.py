@@ -15,13 +15,14 @@ from robot_runner.cli.facts import print_facts
 from robot_runner.cli.findings import as_json, print_findings, tally
 from robot_runner.cli.guard import REFUSED
 from robot_runner.config.overrides import parse_assignments
-from robot_runner.config.preparation import Preparation, prepare
+from robot_runner.dialects.preparation import prepare
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
     from robot_runner.cli.parser import Parser
     from robot_runner.config.experiment import Experiment
+    from robot_runner.config.preparation import Preparation
 
 __all__ = ["add_arguments", "execute"]
 

@@ -18,7 +18,7 @@ from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.screens.outcome import print_outcome
 from robot_runner.cli.screens.prompts import terminal_input
 from robot_runner.config.overrides import parse_assignments
-from robot_runner.config.preparation import prepare
+from robot_runner.dialects.preparation import prepare
 from robot_runner.execution.changes import config_changes
 from robot_runner.execution.resumption import Resumption
 

@@ -46,7 +46,7 @@ def print_verdict(console: UserConsole, finished: ExperimentFinished, progress: 
 def whereabouts(finished: ExperimentFinished, progress: Progress) -> list[tuple[str, str]]:
     """Return where the results are, and which of them were not measured."""
     facts = [("Results", shown_path(finished.run_table))]
-    runs = ExperimentFolder(finished.folder).runs
+    runs = ExperimentFolder.found_at(finished.folder).runs
     if runs.is_dir() and any(runs.iterdir()):
         facts.append(("", f"{shown_path(runs)}/<run>/ has what the run printed, and its raw data"))
     return facts + [("Origin", line) for line in _origins(progress.origins)]
@@ -72,7 +72,7 @@ def _verdict(finished: ExperimentFinished, progress: Progress) -> str:
 
 
 def _story_of_failure(finished: ExperimentFinished) -> Path:
-    folder = ExperimentFolder(finished.folder)
+    folder = ExperimentFolder.found_at(finished.folder)
     log = folder.log(finished.failed[0])
     return log if log.exists() else folder.journal  # it may have failed before its process could print
 

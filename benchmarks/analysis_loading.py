@@ -1,0 +1,136 @@
+"""What it costs to load 10 million raw samples of 500 runs as one table, beside pandas alone."""
+
+from __future__ import annotations
+
+import multiprocessing
+import resource
+import shutil
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from benchmarks.table import Row, print_table
+from robot_runner.design.factor import Factor
+from robot_runner.design.run_table_model import RunTableModel
+from robot_runner.storage.layout import ExperimentFolder
+from robot_runner.storage.manifest import write_manifest
+from robot_runner.storage.run_status import RunStatus
+from robot_runner.storage.run_table_file import write_run_table
+from robot_runner.storage.run_table_rows import RunTableRows
+from robot_runner.storage.table_description import describe_columns
+from robot_runner.storage.table_layout import TableLayout
+from robot_runner.storage.table_schema import write_schema
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+_RUNS = 500
+_SAMPLES = 20_000  # 100 s at 200 Hz
+_SECONDS_BOUND = 5.0
+_BYTES_BOUND = 1e9
+
+
+def make_experiment(root: Path) -> None:
+    """Make an experiment of 500 runs, each with the samples of an INA219 and the phases of a mission."""
+    folder = ExperimentFolder(root)
+    factors = [Factor("Task", ["Computation", "Video", "Network"]), Factor("Repetition", range(1, 168))]
+    model = RunTableModel(factors, data_columns=["Energy"])
+    rows = RunTableRows.of_plan(model.plan(), TableLayout.of_model(model, ["Energy"]))
+    folder.runs.mkdir(parents=True)
+    template = root / "samples.csv"
+    _write_samples(template)
+    for place in range(_RUNS):
+        run_id = rows.run_id(place)
+        rows.record(run_id, status=RunStatus.DONE, measures={"Energy": 870.0})
+        _fill(folder.run(run_id), template)
+    write_run_table(folder.run_table, rows)
+    write_schema(folder.schema, describe_columns(rows))
+    write_manifest(folder.manifest, {"experiment_name": "loading", "design": {}, "seed": 1})
+
+
+def _write_samples(path: Path) -> None:
+    with path.open("w", encoding="ascii") as file:
+        file.write("time_s,shunt_raw,bus_raw,current_A,voltage_V,power_W\n")
+        for place in range(_SAMPLES):
+            shunt, bus = 6000 + place % 991, 24900 + place % 83
+            current, voltage = shunt * 1e-4, bus * 5e-4
+            line = f"{place * 0.005:.6f},{shunt},{bus},{current:.6f},{voltage:.3f},{current * voltage:.6f}\n"
+            file.write(line)
+
+
+def _fill(run: Path, samples: Path) -> None:
+    (run / "Ina219").mkdir(parents=True)
+    shutil.copyfile(samples, run / "Ina219" / "samples.csv")
+    (run / "BasicTurtlebot3").mkdir()
+    lines = [f"{number},sleep,{number * 10.0},{number * 10.0 + 10.0}" for number in range(10)]
+    text = "\n".join(["number,phase,start_s,end_s", *lines]) + "\n"
+    (run / "BasicTurtlebot3" / "phases.csv").write_text(text, encoding="ascii")
+
+
+def load(root: str, columns: Sequence[str] | None) -> tuple[float, int]:
+    """Load the samples; return seconds, the libraries' import included, and the peak of memory in bytes."""
+    begun = time.perf_counter()
+    from robot_runner.analysis import load_results  # noqa: PLC0415 - what it costs is to be measured
+
+    frame = load_results(root).samples("Ina219", columns=columns)
+    seconds = time.perf_counter() - begun
+    if len(frame) != _RUNS * _SAMPLES or frame["power_W"].isna().any():
+        raise SystemExit("What was read is not what was written.")
+    return seconds, _peak()
+
+
+def load_with_pandas(root: str, columns: Sequence[str] | None) -> tuple[float, int]:
+    """Load the same with `pandas.read_csv` and `concat`; without treatments, phases and the start of measurement."""
+    begun = time.perf_counter()
+    import pandas as pd  # noqa: PLC0415 - as above
+
+    paths = sorted(Path(root).glob("runs/*/Ina219/samples.csv"))
+    wanted = None if columns is None else ["time_s", *columns]
+    frame = pd.concat([pd.read_csv(path, usecols=wanted).assign(run_id=path.parent.parent.name) for path in paths])
+    return time.perf_counter() - begun, _peak() if len(frame) else 0
+
+
+def _peak() -> int:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def _measured(
+    measure: Callable[[str, Sequence[str] | None], tuple[float, int]], root: Path, columns: Sequence[str] | None
+) -> tuple[float, int]:
+    # A process of its own: the peak of memory is that of this one thing.
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(measure, str(root), columns).result()
+
+
+def main() -> None:
+    """Print the figures."""
+    with tempfile.TemporaryDirectory() as scratch:
+        root = Path(scratch) / "loading"
+        make_experiment(root)
+        rows = []
+        for columns, what in ((None, "all 6 columns"), (["power_W"], "time and power")):
+            seconds, peak = _measured(load, root, columns)
+            plain_seconds, plain_peak = _measured(load_with_pandas, root, columns)
+            rows += [
+                Row(
+                    f"load 10 M samples, {what}",
+                    f"{seconds:.1f} s",
+                    f"{plain_seconds:.1f} s (pandas)",
+                    f"{seconds / plain_seconds:.2f}",
+                    f"{_SECONDS_BOUND:.0f} s",
+                ),
+                Row(
+                    f"peak memory, {what}",
+                    f"{peak / 1e9:.2f} GB",
+                    f"{plain_peak / 1e9:.2f} GB (pandas)",
+                    f"{peak / plain_peak:.2f}",
+                    f"{_BYTES_BOUND / 1e9:.0f} GB",
+                ),
+            ]
+        print_table("Loading raw samples", rows)
+
+
+if __name__ == "__main__":
+    main()

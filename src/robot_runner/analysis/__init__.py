@@ -1,0 +1,47 @@
+"""From an experiment's folder to data frames, statistics, figures and a report; the folder is all that is needed.
+
+It reads, and needs neither a robot nor a plugin nor the config. `load_results` is where everything begins:
+
+```python
+from robot_runner.analysis import load_results
+
+results = load_results("experiments/basic_experiment")
+results.runs.groupby("Task", observed=True)["Energy"].mean()
+```
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.analysis.libraries import require_libraries
+
+if TYPE_CHECKING:
+    from robot_runner.analysis.results import Results, load_results
+    from robot_runner.analysis.statistics.experiment import analyse
+    from robot_runner.analysis.statistics.outcome import ExperimentStatistics
+
+__all__ = ["ExperimentStatistics", "Results", "analyse", "load_results"]
+
+_HOMES = {
+    "ExperimentStatistics": "robot_runner.analysis.statistics.outcome",
+    "Results": "robot_runner.analysis.results",
+    "analyse": "robot_runner.analysis.statistics.experiment",
+    "load_results": "robot_runner.analysis.results",
+}
+
+# Every module of this package passes here first, so that none fails with a bare ModuleNotFoundError.
+require_libraries()
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return __all__

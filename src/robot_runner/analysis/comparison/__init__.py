@@ -1,0 +1,1 @@
+"""Two experiments compared: real against simulated, measured against estimated, original against replication."""

@@ -1,0 +1,156 @@
+"""Which runs of two experiments are compared with each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from robot_runner.design.columns import RUN_ID
+from robot_runner.errors import AnalysisError, did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from robot_runner.analysis.results import Results
+
+__all__ = ["MatchedRuns", "Matching", "chosen_measures", "match_runs"]
+
+
+@dataclass(frozen=True, slots=True)
+class MatchedRuns:
+    """The runs of one combination in both experiments.
+
+    Attributes:
+        treatments: the combination, by factor.
+        first, second: their rows in the run tables; of pairs in the same order.
+    """
+
+    treatments: Mapping[str, str]
+    first: pd.DataFrame
+    second: pd.DataFrame
+
+    def values(self, first: str, second: str, *, is_paired: bool) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the values of a measure in each, without missing ones; of pairs, both or none."""
+        ours, theirs = _numbers(self.first[first]), _numbers(self.second[second])
+        if not is_paired:
+            return ours[np.isfinite(ours)], theirs[np.isfinite(theirs)]
+        both = np.isfinite(ours) & np.isfinite(theirs)
+        return ours[both], theirs[both]
+
+
+@dataclass(frozen=True, slots=True)
+class Matching:
+    """How the runs of two experiments were matched.
+
+    Attributes:
+        factors: by which.
+        groups: one a combination.
+        notes: what a reader has to know about it.
+    """
+
+    factors: tuple[str, ...]
+    groups: tuple[MatchedRuns, ...]
+    notes: tuple[str, ...]
+
+
+def match_runs(first: Results, second: Results, *, is_paired: bool) -> Matching:
+    """Match the runs that are done by the treatments of the factors that both experiments have.
+
+    Args:
+        first: the experiment that is compared with.
+        second: the other one.
+        is_paired: whether the runs of a combination belong together one by one, by run id or else by repetition.
+    """
+    factors = tuple(name for name in first.factors if name in second.factors)
+    notes = _notes_on_factors(first, second, factors)
+    ours, theirs = (_by_combination(each, factors) for each in (first, second))
+    for name, here, there in ((first.name, ours, theirs), (second.name, theirs, ours)):
+        alone = [" / ".join(key) for key in here if key not in there]
+        if alone:
+            notes.append(f"Only {name} has {', '.join(alone[:6])}{' and others' if len(alone) > 6 else ''}.")  # noqa: PLR2004
+    groups = []
+    for key, rows in ours.items():
+        if key in theirs:
+            pair = _paired(first, second, rows, theirs[key]) if is_paired else (rows, theirs[key])
+            groups.append(MatchedRuns(dict(zip(factors, key, strict=True)), *pair))
+    return Matching(factors, tuple(groups), tuple(notes))
+
+
+def chosen_measures(first: Results, second: Results, wanted: Sequence[str] | None) -> list[tuple[str, str]]:
+    """Return the measures to compare, by their names in each experiment.
+
+    Args:
+        first: the experiment that is compared with.
+        second: the other one.
+        wanted: names, or `one=other` where they differ; None for all that both have.
+
+    Raises:
+        AnalysisError: an experiment has no such measure, or there is none that both have.
+    """
+    if wanted is None:
+        shared = [(name, name) for name in first.measures if name in second.measures]
+        if not shared:
+            fix = (
+                f"Say which to compare: --measure {next(iter(first.measures), 'A')}={next(iter(second.measures), 'B')}."
+            )
+            raise AnalysisError("the experiments have no measure of one name", where=second.name, fix=fix)
+        return shared
+    return [_named(first, second, text) for text in wanted]
+
+
+def _named(first: Results, second: Results, text: str) -> tuple[str, str]:
+    if text in first.measures and text in second.measures:  # it may hold a = of its own
+        return text, text
+    ours, equals, theirs = text.partition("=")
+    names = (ours, theirs if equals else ours)
+    for results, name in zip((first, second), names, strict=True):
+        if name not in results.measures:
+            fix = did_you_mean(name, results.measures) or "Look at its run table."
+            raise AnalysisError(f"there is no measure {name!r}", where=results.name, fix=fix)
+    return names
+
+
+def _notes_on_factors(first: Results, second: Results, factors: tuple[str, ...]) -> list[str]:
+    notes = []
+    for results in (first, second):
+        own = [name for name in results.factors if name not in factors]
+        if own:
+            notes.append(f"Only {results.name} has the factor {', '.join(own)}: its runs are taken together.")
+    if not factors:
+        notes.append("The experiments have no factor in common: all runs are compared as one group.")
+    return notes
+
+
+def _by_combination(results: Results, factors: tuple[str, ...]) -> dict[tuple[str, ...], pd.DataFrame]:
+    done = results.done
+    if not factors:
+        return {(): done}
+    by: dict[tuple[str, ...], pd.DataFrame] = {}
+    for key, rows in done.groupby(list(factors), observed=True, sort=True):
+        by[tuple(map(str, key))] = rows
+    return by
+
+
+def _paired(
+    first: Results, second: Results, ours: pd.DataFrame, theirs: pd.DataFrame
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the rows that belong together: by run id within one experiment, else by repetition, else in order."""
+    if first.folder == second.folder:
+        keys = (ours[RUN_ID], theirs[RUN_ID])
+    elif first.repetition and second.repetition:
+        keys = (ours[first.repetition].astype("str"), theirs[second.repetition].astype("str"))
+    else:
+        keys = (pd.Series(range(len(ours))), pd.Series(range(len(theirs))))
+    places = {key: place for place, key in enumerate(keys[1])}
+    pairs = [(place, places[key]) for place, key in enumerate(keys[0]) if key in places]
+    return ours.iloc[[ours_at for ours_at, _ in pairs]], theirs.iloc[[theirs_at for _, theirs_at in pairs]]
+
+
+def _numbers(values: pd.Series) -> NDArray[np.float64]:
+    numbers: NDArray[np.float64] = pd.to_numeric(values, errors="coerce").to_numpy(dtype="float64", na_value=np.nan)
+    return numbers

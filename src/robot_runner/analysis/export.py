@@ -1,0 +1,179 @@
+"""An experiment's results for other tools: Parquet files, and a data package that describes them.
+
+The data package follows https://specs.frictionlessdata.io/data-package/; the run table in it is the CSV file with its
+Table Schema, which every tool can read and validate, and the rest are Parquet files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import shutil
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+import pyarrow as pa
+from pyarrow import parquet
+
+from robot_runner.design.columns import RUN_ID
+from robot_runner.storage.safe_write import storage_error, write_beside_and_rename
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.analysis.results import Results
+    from robot_runner.analysis.sample_files import SampleFile
+
+__all__ = ["arrow_table", "export_results"]
+
+_PROFILE = "data-package"
+_RUNS_AT_ONCE = 50  # so that an export takes no more memory than the samples of so many runs
+_UNIT = b"unit"
+
+#: Units as they stand at the end of a sample column's heading, as in `power_W`.
+_UNIT_SUFFIX = re.compile(r"_(s|A|V|W|J|m|rad|percent|Hz|K|Pa|N|m_s|rad_s)$")
+_UNIT_NAMES = {"percent": "%", "m_s": "m/s", "rad_s": "rad/s"}
+
+
+def export_results(results: Results, folder: Path | None = None) -> tuple[Path, ...]:
+    """Write everything into `folder` (None: `export/` in the experiment's folder), replacing an earlier export.
+
+    Returns:
+        The files: the run table as CSV with its schema and as Parquet, phases and events, a file for each kind of raw
+        samples, and `datapackage.json`.
+
+    Raises:
+        StorageError: a file cannot be written.
+    """
+    target = results.folder / "export" if folder is None else folder.expanduser()
+    try:
+        (target / "samples").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise storage_error(target, "made", error) from error
+    written = list(_copied_table(results, target))
+    tables = {"run_table.parquet": results.runs, "phases.parquet": results.phases(), "events.parquet": results.events()}
+    for name, frame in tables.items():
+        _write_parquet(target / name, [arrow_table(frame, _units(results, frame))])
+        written.append(target / name)
+    for kind in results.sample_files:
+        path = target / "samples" / f"{kind.plugin}.{kind.name.removesuffix('.csv')}.parquet"
+        try:
+            _write_parquet(path, _sample_tables(results, kind))
+        except pa.ArrowInvalid:  # whole numbers in some runs, fractions or missing values in others
+            _write_parquet(path, _sample_tables(results, kind, as_floats=True))
+        written.append(path)
+    package = target / "datapackage.json"
+    text = json.dumps(_package(results, target, written), indent=2, ensure_ascii=False) + "\n"
+    write_beside_and_rename(package, lambda file: file.write(text))
+    return (*written, package)
+
+
+def arrow_table(frame: pd.DataFrame, units: Mapping[str, str]) -> pa.Table:
+    """Return a data frame as an Arrow table; treatments that are text as ordered dictionaries (factors, in R).
+
+    Args:
+        frame: the data frame.
+        units: the units of its columns, kept as the fields' metadata.
+    """
+    plain = frame.copy(deep=False)
+    for name in plain.columns:
+        if isinstance(plain[name].dtype, pd.CategoricalDtype):
+            categories = plain[name].cat.categories
+            if not all(isinstance(each, str) for each in categories):  # numbers are more use as numbers
+                plain[name] = plain[name].astype(categories.dtype if plain[name].notna().all() else "object")
+        elif plain[name].dtype == object:
+            plain[name] = plain[name].map(lambda value: None if value is None else str(value))
+    table = pa.Table.from_pandas(plain, preserve_index=False)
+    fields = [_field(field, units.get(field.name, "")) for field in table.schema]
+    return table.cast(pa.schema(fields, metadata=table.schema.metadata))
+
+
+def _field(field: pa.Field, unit: str) -> pa.Field:
+    kind = field.type
+    if pa.types.is_dictionary(kind):  # of one width, so that tables of several runs fit together
+        kind = pa.dictionary(pa.int32(), pa.string(), kind.ordered)
+    described = field.with_type(kind)
+    return described.with_metadata({_UNIT: unit.encode()}) if unit else described
+
+
+def _copied_table(results: Results, target: Path) -> Iterator[Path]:
+    for name in ("run_table.csv", "run_table.schema.json"):
+        source = results.folder / name
+        if source.exists():
+            with _renamed(target / name) as beside:
+                shutil.copyfile(source, beside)
+            yield target / name
+
+
+def _units(results: Results, frame: pd.DataFrame) -> dict[str, str]:
+    return {name: results.unit(name) or _unit_of(name) for name in frame.columns}
+
+
+def _unit_of(heading: str) -> str:
+    found = _UNIT_SUFFIX.search(heading)
+    return _UNIT_NAMES.get(found[1], found[1]) if found else ""
+
+
+def _sample_tables(results: Results, kind: SampleFile, *, as_floats: bool = False) -> Iterator[pa.Table]:
+    for start in range(0, len(kind.run_ids), _RUNS_AT_ONCE):
+        runs = kind.run_ids[start : start + _RUNS_AT_ONCE]
+        frame = results.samples(kind.plugin, file=kind.name, runs=runs)
+        whole = frame[list(kind.columns)].select_dtypes("integer").columns
+        frame = frame.astype(dict.fromkeys(whole, "float64")) if as_floats else frame
+        yield arrow_table(frame, _units(results, frame))
+
+
+def _write_parquet(path: Path, tables: Iterator[pa.Table] | Sequence[pa.Table]) -> None:
+    with _renamed(path) as beside:
+        writer: parquet.ParquetWriter | None = None
+        try:
+            for table in tables:
+                if writer is None:
+                    writer = parquet.ParquetWriter(beside, table.schema, compression="zstd")
+                writer.write_table(table.cast(writer.schema) if table.schema != writer.schema else table)
+        finally:
+            if writer is not None:
+                writer.close()
+
+
+@contextmanager
+def _renamed(path: Path) -> Iterator[Path]:
+    """Yield a path beside `path` to write to, then rename it over `path`."""
+    beside = path.with_name(f".{path.name}.tmp")
+    try:
+        yield beside
+        beside.replace(path)
+    except OSError as error:
+        raise storage_error(path, "written", error) from error
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def _package(results: Results, target: Path, files: Sequence[Path]) -> dict[str, Any]:
+    return {
+        "profile": _PROFILE,
+        "name": re.sub(r"[^a-z0-9._-]+", "-", results.name.casefold()).strip("-") or "experiment",
+        "title": results.name,
+        "description": f"Results of the experiment {results.name}, executed with Robot Runner.",
+        "resources": [_resource(target, path) for path in files if path.name != "run_table.schema.json"],
+    }
+
+
+def _resource(target: Path, path: Path) -> dict[str, Any]:
+    relative = path.relative_to(target).as_posix()
+    content = path.read_bytes()
+    resource: dict[str, Any] = {
+        "name": re.sub(r"[^a-z0-9._-]+", "-", relative.casefold()),
+        "path": relative,
+        "format": path.suffix.removeprefix("."),
+        "bytes": len(content),
+        "hash": f"sha256:{hashlib.sha256(content).hexdigest()}",
+    }
+    if path.suffix == ".csv":
+        tabular = {"profile": "tabular-data-resource", "mediatype": "text/csv", "encoding": "utf-8"}
+        schema = {"schema": "run_table.schema.json"} if (target / "run_table.schema.json").exists() else {}
+        return resource | tabular | schema
+    return resource | {"type": "file", "mediatype": "application/vnd.apache.parquet", "robot_runner:key": RUN_ID}

@@ -1,0 +1,155 @@
+"""How a measure is distributed in each group: a box, every run as a point, and a violin where there are enough."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from robot_runner.analysis.figures.style import COLUMN, INK, Look, figure_style, looks, new_figure, verbatim
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from robot_runner.analysis.figures.groups import Group
+
+__all__ = ["draw_distribution"]
+
+#: Fewer values than this make a density that says more about the method than about the values.
+_ENOUGH_FOR_A_VIOLIN = 20
+_MOST_UPRIGHT = 8  # groups beside each other; more lie beneath each other
+_MOST_NAMED_OUTLIERS = 6
+_ROW = 0.17
+_HIGHEST = 8.5  # what a page holds, inches
+_LONGEST_NAME = 28
+_LETTERS_BESIDE = 46  # of names along the axis
+_MANY_POINTS = 60
+_MOST_NAMES = 60
+
+
+@figure_style()
+def draw_distribution(
+    groups: Sequence[Group], *, value_label: str, group_label: str, outliers: frozenset[str] = frozenset()
+) -> Figure:
+    """Draw boxes (median, quartiles, Tukey's whiskers) with a point for each run and a diamond for the mean.
+
+    Args:
+        groups: in order; those without values keep their place.
+        value_label: the measure, with its unit.
+        group_label: the factor, or several.
+        outliers: ids of the runs that are named.
+    """
+    is_upright = len(groups) <= _MOST_UPRIGHT
+    height = 2.3 if is_upright else min(_HIGHEST, 0.6 + _ROW * len(groups))
+    figure = new_figure(COLUMN, height)
+    axes = figure.subplots()
+    names = [_short(group.label) for group in groups]
+    for place, (group, look) in enumerate(zip(groups, looks(len(groups)), strict=True)):
+        if len(group.values):
+            _draw_group(axes, place, group, look, is_upright=is_upright)
+    _name_outliers(axes, groups, outliers, is_upright=is_upright)
+    step = -(-max(1, len(groups)) // _MOST_NAMES)
+    ticks = list(range(0, len(groups), step))
+    if is_upright:
+        is_crowded = sum(map(len, names)) > _LETTERS_BESIDE
+        axes.set_xticks(ticks, names, rotation=30 if is_crowded else 0, ha="right" if is_crowded else "center")
+        axes.set_xlim(-0.6, len(groups) - 0.4)
+        axes.set_ylabel(verbatim(value_label))
+        axes.set_xlabel(verbatim(group_label))
+        axes.grid(visible=True, axis="y")
+    else:
+        axes.set_yticks(ticks, names[::step])
+        axes.set_ylim(len(groups) - 0.4, -0.6)
+        axes.set_xlabel(verbatim(value_label))
+        axes.set_ylabel(verbatim(group_label))
+        axes.grid(visible=True, axis="x")
+    return figure
+
+
+def _draw_group(axes: Axes, place: int, group: Group, look: Look, *, is_upright: bool) -> None:
+    values = np.asarray(group.values, dtype=float)
+    orientation: Literal["vertical", "horizontal"] = "vertical" if is_upright else "horizontal"
+    if len(values) >= _ENOUGH_FOR_A_VIOLIN and np.ptp(values) > 0:
+        parts = axes.violinplot(values, [place], widths=0.85, showextrema=False, orientation=orientation)
+        bodies: Any = parts["bodies"]  # a list, whatever matplotlib declares
+        for body in bodies:
+            body.set(facecolor=look.colour, alpha=0.15, edgecolor="none")
+    axes.boxplot(
+        values,
+        positions=[place],
+        widths=0.5,
+        orientation=orientation,
+        manage_ticks=False,
+        showfliers=False,
+        patch_artist=True,
+        boxprops={"facecolor": f"{look.colour}2e", "edgecolor": look.colour, "linewidth": 0.8},
+        whiskerprops={"color": look.colour, "linewidth": 0.8},
+        capprops={"color": look.colour, "linewidth": 0.8},
+        medianprops={"color": look.colour, "linewidth": 1.6},
+    )
+    beside = place + _spread(values)
+    xs, ys = (beside, values) if is_upright else (values, beside)
+    axes.plot(
+        xs,
+        ys,
+        linestyle="none",
+        marker=look.marker,
+        color=look.colour,
+        markeredgecolor="white",
+        markeredgewidth=0.35,
+        markersize=3.4 if len(values) < _MANY_POINTS else 2.0,
+        alpha=0.9,
+        zorder=3,
+    )
+    _draw_mean(axes, place, group, is_upright=is_upright)
+
+
+def _draw_mean(axes: Axes, place: int, group: Group, *, is_upright: bool) -> None:
+    mean = float(np.mean(group.values))
+    at = place + 0.36
+    xs, ys = ([at], [mean]) if is_upright else ([mean], [at])
+    axes.plot(xs, ys, marker="D", markersize=2.6, color="white", markeredgecolor=INK, markeredgewidth=0.8, zorder=4)
+    if group.mean_low is not None and group.mean_high is not None:
+        ends = [group.mean_low, group.mean_high]
+        xs, ys = ([at, at], ends) if is_upright else (ends, [at, at])
+        axes.plot(xs, ys, color=INK, linewidth=0.9, zorder=3.5)
+
+
+def _spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how far each point steps aside, so that points of near values do not hide each other."""
+    offsets = np.zeros(len(values))
+    if len(values) < 2 or np.ptp(values) == 0:  # noqa: PLR2004 - one point hides no other
+        return np.linspace(-0.15, 0.15, len(values)) if len(values) > 1 else offsets
+    bins = np.digitize(values, np.linspace(values.min(), values.max(), 13))
+    for each in np.unique(bins):
+        members = np.flatnonzero(bins == each)
+        if len(members) > 1:
+            reach = min(0.2, 0.05 * len(members))
+            offsets[members] = np.linspace(-reach, reach, len(members))
+    return offsets
+
+
+def _name_outliers(axes: Axes, groups: Sequence[Group], outliers: frozenset[str], *, is_upright: bool) -> None:
+    named = 0
+    for place, group in enumerate(groups):
+        for value, run_id in zip(group.values, group.run_ids, strict=True):
+            if run_id in outliers and named < _MOST_NAMED_OUTLIERS:
+                named += 1
+                point = (place, value) if is_upright else (value, place)
+                axes.annotate(
+                    verbatim(run_id),
+                    point,
+                    xytext=(-4, 0) if is_upright else (0, 4),
+                    textcoords="offset points",
+                    fontsize=5.5,
+                    ha="right" if is_upright else "center",
+                    va="center" if is_upright else "bottom",
+                )
+
+
+def _short(label: str) -> str:
+    return verbatim(label if len(label) <= _LONGEST_NAME else f"{label[: _LONGEST_NAME - 1]}…")

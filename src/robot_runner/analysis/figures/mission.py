@@ -1,0 +1,156 @@
+"""A sampled measure over the time of a mission: the paper's Fig. 4."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from robot_runner.analysis.figures.phases import draw_events, draw_phase_names, shade_phases, strip_height
+from robot_runner.analysis.figures.style import COLUMN, Look, figure_style, looks, new_figure, verbatim
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from robot_runner.analysis.figures.courses import Course
+    from robot_runner.analysis.figures.phases import PhaseSpan
+
+__all__ = ["draw_mean_courses", "draw_single_courses"]
+
+_PANEL = 1.0  # height of one run's panel, inches
+_FOOT = 0.42
+_SIDE = 0.55
+_TIME = "Time since the start of measurement (s)"
+
+
+@figure_style()
+def draw_single_courses(
+    courses: Mapping[str, Course],
+    *,
+    order: Sequence[str],
+    value_label: str,
+    phases: Sequence[PhaseSpan] = (),
+    events: Mapping[str, float] | None = None,
+    width: float = COLUMN,
+) -> Figure:
+    """Draw one run for each treatment, one above the other: the mean of each bin, and all samples as a band.
+
+    Args:
+        courses: one run for each treatment.
+        order: the treatments in the order in which all figures show them.
+        value_label: what is measured, with its unit.
+        phases: of the mission; named above the topmost run.
+        events: when they were, s since the start of measurement.
+        width: of the figure, inches.
+    """
+    seconds = _seconds(list(courses.values()))
+    strip = strip_height(phases, seconds, width - _SIDE) if phases else 0.0
+    figure = new_figure(width, strip + _PANEL * len(courses) + _FOOT)
+    ratios = ([strip] if phases else []) + [_PANEL] * len(courses)
+    grid = figure.subplots(
+        len(ratios), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": ratios, "hspace": 0.02}
+    )[:, 0]
+    panels = grid[1:] if phases else grid
+    if phases:
+        draw_phase_names(grid[0], phases, seconds, width - _SIDE)
+    low, high = _limits(list(courses.values()))
+    by_name = dict(zip(order, looks(len(order)), strict=True))
+    for axes, (treatment, course) in zip(panels, courses.items(), strict=True):
+        shade_phases(axes, phases)
+        _draw_run(axes, course, by_name[treatment])
+        axes.set_ylim(low, high)
+        axes.text(
+            0.99,
+            0.96,
+            _title(treatment, course),
+            transform=axes.transAxes,
+            ha="right",
+            va="top",
+            fontsize=6.5,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0},
+        )
+        axes.grid(visible=True, axis="y")
+        draw_events(axes, (events or {}) if axes is panels[-1] else {}, seconds)
+    panels[-1].set_xlabel(_TIME)
+    panels[-1].set_xlim(0, seconds)
+    if len(panels) == 1:
+        panels[0].set_ylabel(verbatim(value_label))
+    else:
+        figure.supylabel(verbatim(value_label), fontsize=7.5)
+    return figure
+
+
+@figure_style()
+def draw_mean_courses(
+    courses: Sequence[Course],
+    *,
+    order: Sequence[str],
+    value_label: str,
+    phases: Sequence[PhaseSpan] = (),
+    events: Mapping[str, float] | None = None,
+    width: float = COLUMN,
+    height: float = 2.3,
+) -> Figure:
+    """Draw the mean of each treatment's runs, with a band of one standard deviation between runs.
+
+    Args:
+        courses: one for each treatment.
+        order: the treatments in the order in which all figures show them.
+        value_label: what is measured, with its unit.
+        phases: of the mission, where all runs have the same.
+        events: when they were, s since the start of measurement.
+        width: of the figure, inches.
+        height: of it without the strip of phases, inches.
+    """
+    seconds = _seconds(courses)
+    strip = strip_height(phases, seconds, width - _SIDE) if phases else 0.0
+    figure = new_figure(width, height + strip)
+    ratios = [strip, height] if phases else [height]
+    grid = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": ratios})[:, 0]
+    axes = grid[-1]
+    if phases:
+        draw_phase_names(grid[0], phases, seconds, width - _SIDE)
+    shade_phases(axes, phases)
+    by_name = dict(zip(order, looks(len(order)), strict=True))
+    for course in courses:
+        look = by_name[course.label]
+        axes.fill_between(course.time, course.low, course.high, color=look.colour, alpha=0.22, linewidth=0)
+        axes.plot(course.time, course.middle, color=look.colour, linestyle=look.line, label=verbatim(course.label))
+    draw_events(axes, events or {}, seconds)
+    axes.set_xlim(0, seconds)
+    axes.set_xlabel(_TIME)
+    axes.set_ylabel(verbatim(value_label))
+    axes.grid(visible=True, axis="y")
+    if len(courses) > 1:
+        figure.legend(loc="outside lower center", ncols=min(len(courses), 3))
+    return figure
+
+
+def _draw_run(axes: Axes, course: Course, look: Look) -> None:
+    axes.fill_between(course.time, course.low, course.high, color=look.colour, alpha=0.25, linewidth=0)
+    axes.plot(course.time, course.middle, color=look.colour, linewidth=0.9)
+
+
+def _title(treatment: str, course: Course) -> str:
+    name = verbatim(course.label)
+    return f"{verbatim(treatment)} ({name})" if treatment else name
+
+
+def _seconds(courses: Sequence[Course]) -> float:
+    ends = [
+        float(course.time[-1] + (course.time[-1] - course.time[-2]) / 2) for course in courses if len(course.time) > 1
+    ]
+    return max(ends, default=1.0)
+
+
+def _limits(courses: Sequence[Course]) -> tuple[float, float]:
+    everything = np.concatenate([each for course in courses for each in (course.low, course.high)] or [np.empty(0)])
+    there = everything[np.isfinite(everything)]
+    if not len(there):
+        return 0.0, 1.0
+    low, high = float(there.min()), float(there.max())
+    margin = 0.06 * (high - low) or abs(high) * 0.05 or 1.0
+    return low - margin, high + margin + 0.16 * (high - low)  # above: room for the name of the run

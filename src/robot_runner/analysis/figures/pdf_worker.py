@@ -1,0 +1,111 @@
+"""PDF files of figures, made by a second process: embedding fonts takes longer than all else that a figure needs."""
+
+from __future__ import annotations
+
+import gc
+import json
+import pickle
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Self
+
+from robot_runner.analysis.figures.files import FigureFormat, figure_bytes
+from robot_runner.errors import AnalysisError
+from robot_runner.storage.safe_write import storage_error
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    from matplotlib.figure import Figure
+
+__all__ = ["PdfWorker"]
+
+_MODULE = "robot_runner.analysis.figures.pdf_worker"
+_DEADLINE = 300.0  # s, for what is left when the last figure was handed over
+_COULD_NOT_WRITE = 3
+
+
+class PdfWorker:
+    """Takes figures and writes them as PDF, while its user goes on; leaving it waits for the last one.
+
+    Example:
+        >>> with PdfWorker() as worker:  # doctest: +SKIP
+        ...     worker.write(figure, Path("figure.pdf"))
+
+    Raises:
+        StorageError: on leaving: a file cannot be written.
+        AnalysisError: on leaving: the process failed.
+    """
+
+    def __init__(self) -> None:
+        self._complaint = tempfile.TemporaryFile()  # noqa: SIM115 - closed on leaving; a pipe could fill up
+        # -P: what lies in the user's folder is no module of ours.
+        self._process = subprocess.Popen(  # noqa: S603 - this Python, and a module of ours
+            [sys.executable, "-P", "-m", _MODULE],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._complaint,
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._complaint:
+            try:
+                if error is None:
+                    self._finish()
+            finally:
+                self._process.kill()
+                self._process.communicate()
+
+    def write(self, figure: Figure, path: Path) -> None:
+        """Have a figure written; the figure may be used further, or not."""
+        data = pickle.dumps((figure, str(path)))
+        try:
+            _stdin(self._process).write(len(data).to_bytes(8, "big") + data)
+        except BrokenPipeError:
+            self._finish()
+
+    def _finish(self) -> None:
+        try:
+            answer, _ = self._process.communicate(timeout=_DEADLINE)
+        except subprocess.TimeoutExpired as error:
+            fix = "Ask for fewer formats of figures."
+            problem = f"figures were not written as PDF within {_DEADLINE:g} s"
+            raise AnalysisError(problem, where="figures", fix=fix) from error
+        if self._process.returncode == _COULD_NOT_WRITE:
+            facts = json.loads(answer)
+            raise storage_error(Path(facts["path"]), "written", OSError(facts["errno"], facts["reason"]))
+        if self._process.returncode != 0:
+            self._complaint.seek(0)
+            last = self._complaint.read().decode("utf-8", "replace").strip().splitlines()[-1:]
+            raise AnalysisError(f"figures cannot be written as PDF: {''.join(last)}", where="figures", fix="Try again.")
+
+
+def _stdin(process: subprocess.Popen[bytes]) -> IO[bytes]:
+    if process.stdin is None:
+        raise AnalysisError("the process takes no figures", where="figures", fix="Try again.")
+    return process.stdin
+
+
+def main() -> int:
+    """Write the figures that come in, until there are no more."""
+    gc.freeze()  # fonts make many short-lived objects, and what was imported stays anyway
+    while head := sys.stdin.buffer.read(8):
+        # What comes in was pickled by the process that started this one.
+        figure, path = pickle.loads(sys.stdin.buffer.read(int.from_bytes(head, "big")))  # noqa: S301
+        try:
+            Path(path).write_bytes(figure_bytes(figure, FigureFormat.PDF))
+        except OSError as error:
+            sys.stdout.write(json.dumps({"path": path, "errno": error.errno, "reason": error.strerror}))
+            return _COULD_NOT_WRITE
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,160 @@
+"""How figures look: sizes, colours, markers and lines, chosen so that they can be told apart without colour."""
+
+from __future__ import annotations
+
+import warnings
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import matplotlib as mpl
+from matplotlib import colormaps, font_manager
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["COLUMN", "GREY", "INK", "PAGE", "Look", "figure_style", "looks", "new_figure", "verbatim"]
+
+#: Widths of a column and of a page of IEEE's transactions and conferences, inches.
+COLUMN = 3.5
+PAGE = 7.16
+
+INK = "#1f2933"
+GREY = "#8a94a0"
+
+#: Paul Tol's high-contrast scheme (https://sronpersonalpages.nl/~pault/): three that are told apart in grey, too.
+_HIGH_CONTRAST = ("#004488", "#BB5566", "#DDAA33")
+#: Okabe and Ito's palette, "Color Universal Design" (2008), without black and yellow: six that the colour-blind tell
+#: apart; markers and lines tell them apart in grey.
+_UNIVERSAL = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p")
+_LINES: tuple[str | tuple[float, tuple[float, ...]], ...] = (
+    "-",
+    (0, (5, 1.4)),
+    (0, (1.2, 1.2)),
+    (0, (5, 1.2, 1.2, 1.2)),
+    (0, (3, 1, 1, 1, 1, 1)),
+    (0, (8, 2)),
+)
+
+#: It comes with matplotlib, so that a figure is the same on each machine.
+_FONT = "DejaVu Sans"
+#: For letters that it lacks, where one of these is installed.
+_FONTS_OF_OTHER_SCRIPTS = (
+    "Noto Sans CJK SC",
+    "Noto Sans CJK JP",
+    "Noto Sans CJK KR",
+    "WenQuanYi Zen Hei",
+    "IPAexGothic",
+    "Hiragino Sans",
+    "PingFang SC",
+    "Microsoft YaHei",
+    "Noto Sans Devanagari",
+    "Noto Sans Thai",
+    "Noto Emoji",
+)
+
+_STYLE: dict[Any, Any] = {
+    "font.size": 7.5,
+    "axes.labelsize": 7.5,
+    "axes.titlesize": 7.5,
+    "axes.titleweight": "bold",
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.unicode_minus": True,
+    "axes.formatter.useoffset": False,
+    "text.color": INK,
+    "text.parse_math": False,  # a name with two dollar signs is no formula
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.labelsize": 6.5,
+    "ytick.labelsize": 6.5,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "grid.color": "#dde2e7",
+    "grid.linewidth": 0.5,
+    "legend.fontsize": 6.5,
+    "legend.frameon": False,
+    "legend.handlelength": 2.2,
+    "lines.linewidth": 1.1,
+    "lines.markersize": 3.5,
+    "figure.constrained_layout.h_pad": 0.03,
+    "figure.constrained_layout.w_pad": 0.03,
+    "savefig.facecolor": "white",
+    "svg.fonttype": "path",  # looks the same in each browser and each drawing program
+    "svg.hashsalt": "robot-runner",  # the same figure is the same file
+    "pdf.fonttype": 42,  # TrueType, as publishers ask for
+    "path.simplify_threshold": 0.2,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """How one treatment is drawn in all figures.
+
+    Attributes:
+        colour: as `#rrggbb`.
+        marker: matplotlib's name of it.
+        line: matplotlib's line style.
+    """
+
+    colour: str
+    marker: str
+    line: str | tuple[float, tuple[float, ...]]
+
+
+def looks(count: int) -> tuple[Look, ...]:
+    """Return as many looks as there are treatments, told apart by colour, by marker and by line.
+
+    Example:
+        >>> [look.marker for look in looks(3)]
+        ['o', 's', '^']
+    """
+    return tuple(
+        Look(colour, _MARKERS[place % len(_MARKERS)], _LINES[place % len(_LINES)])
+        for place, colour in enumerate(_colours(count))
+    )
+
+
+def _colours(count: int) -> tuple[str, ...]:
+    if count <= len(_HIGH_CONTRAST):
+        return _HIGH_CONTRAST[:count]
+    if count <= len(_UNIVERSAL):
+        return _UNIVERSAL[:count]
+    # Cividis grows lighter evenly, for the colour-blind as well; its lightest part is lost on white paper.
+    cividis = colormaps["cividis"]
+    return tuple(to_hex(cividis(0.9 * place / (count - 1))) for place in range(count))
+
+
+@contextmanager
+def figure_style() -> Iterator[None]:
+    """While it is entered, matplotlib draws and saves in the style of this module."""
+    fonts = {font.name for font in font_manager.fontManager.ttflist}
+    style = _STYLE | {"font.family": [_FONT, *(name for name in _FONTS_OF_OTHER_SCRIPTS if name in fonts)]}
+    with mpl.rc_context(style), warnings.catch_warnings():
+        # A letter that no font has becomes a box; the name stands in full beside the figure.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        yield
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure of a size in inches; it belongs to no window and no global list."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def verbatim(text: str) -> str:
+    r"""Return a text on one line, without characters that no font has.
+
+    Example:
+        >>> verbatim("two\nlines")
+        'two lines'
+    """
+    return "".join(character if character.isprintable() else " " for character in text)

@@ -1,0 +1,1 @@
+"""Results made elsewhere, adopted as an experiment folder of our own format."""

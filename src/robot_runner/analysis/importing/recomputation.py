@@ -1,0 +1,165 @@
+"""Measures computed anew from the samples, and how they differ from the table's own values."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from robot_runner.analysis.importing.description import Aggregation, Recipe
+from robot_runner.analysis.importing.units import split_heading
+from robot_runner.errors import AnalysisError, did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from robot_runner.analysis.importing.foreign_samples import ForeignSamples, RunSamples
+    from robot_runner.analysis.importing.units import Unit
+
+__all__ = ["Difference", "check_recipes", "guess_recipes", "recompute", "unit_of_recipe"]
+
+_LEAST_FOR_TIME = 2
+_MEANS = re.compile(r"^(?:avg|average|mean)[_ ]+|[_ ]+(?:avg|average|mean)$", re.IGNORECASE)
+_PRODUCTS = {"W": "J"}
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """A measure's value in the table beside the one that was computed from the samples, both in SI.
+
+    Attributes:
+        relative: the difference as a share of the table's value; None where that is 0.
+    """
+
+    run_id: str
+    measure: str
+    table: float
+    recomputed: float
+
+    @property
+    def absolute(self) -> float:
+        """The recomputed value less the table's."""
+        return self.recomputed - self.table
+
+    @property
+    def relative(self) -> float | None:
+        """The difference as a share of the table's value; None where that is 0 and the other is not."""
+        if self.table == 0:
+            return 0.0 if self.recomputed == 0 else None
+        return self.absolute / abs(self.table)
+
+
+def recompute(recipe: Recipe, run: RunSamples) -> float | None:
+    """Return a measure of one run in SI; None where the samples do not suffice.
+
+    Samples without a value are left out. `mean` is the plain mean, as most tools compute it.
+    """
+    times = run.times
+    if recipe.how is Aggregation.COUNT:
+        return float(len(times))
+    if recipe.how is Aggregation.DURATION:
+        return float(times[-1] - times[0]) if len(times) >= _LEAST_FOR_TIME else None
+    values = np.asarray(run.values[recipe.column], dtype=np.float64)
+    valid = np.isfinite(values)
+    return _aggregated(recipe.how, times[valid], values[valid])
+
+
+def _aggregated(how: Aggregation, times: NDArray[np.float64], values: NDArray[np.float64]) -> float | None:
+    least = _LEAST_FOR_TIME if how in _OVER_TIME else 1
+    if len(values) < least or (how is Aggregation.TIME_MEAN and times[-1] == times[0]):
+        return None
+    found = float(_COMPUTED[how](times, values))
+    return found if math.isfinite(found) else None
+
+
+_OVER_TIME = frozenset({Aggregation.INTEGRAL, Aggregation.TIME_MEAN, Aggregation.ENERGY_PT})
+
+_COMPUTED: Mapping[Aggregation, Callable[[NDArray[np.float64], NDArray[np.float64]], Any]] = {
+    Aggregation.INTEGRAL: lambda times, values: np.trapezoid(values, times),
+    Aggregation.TIME_MEAN: lambda times, values: np.trapezoid(values, times) / (times[-1] - times[0]),
+    Aggregation.ENERGY_PT: lambda times, values: np.mean(values) * (times[-1] - times[0]),
+    Aggregation.CHANGE: lambda _, values: values[-1] - values[0],
+    Aggregation.MEAN: lambda _, values: np.mean(values),
+    Aggregation.SUM: lambda _, values: np.sum(values),
+    Aggregation.MIN: lambda _, values: np.min(values),
+    Aggregation.MAX: lambda _, values: np.max(values),
+    Aggregation.MEDIAN: lambda _, values: np.median(values),
+}
+
+
+def unit_of_recipe(recipe: Recipe, samples: ForeignSamples) -> str:
+    """Return the SI unit of a recomputed measure, empty where it is not known."""
+    if recipe.how is Aggregation.COUNT:
+        return "1"
+    if recipe.how is Aggregation.DURATION:
+        return "s"
+    unit = samples.units.get(recipe.column)
+    if unit is None:
+        return ""
+    if recipe.how in {Aggregation.INTEGRAL, Aggregation.ENERGY_PT}:
+        return _PRODUCTS.get(unit.si, f"{unit.si} s")
+    return unit.si
+
+
+def check_recipes(recipes: Sequence[Recipe], samples: Sequence[ForeignSamples]) -> None:
+    """Refuse recipes whose file or column is not there.
+
+    Raises:
+        AnalysisError: names the nearest that is.
+    """
+    by_file = {each.file: each for each in samples}
+    for recipe in recipes:
+        where = f"recompute {recipe.measure}"
+        if recipe.file not in by_file:
+            fix = did_you_mean(recipe.file, by_file) or "Describe the file with samples."
+            raise AnalysisError(f"no samples are in {recipe.file!r}", where=where, fix=fix)
+        columns = by_file[recipe.file].columns
+        if recipe.how.needs_column and recipe.column not in columns:
+            fix = did_you_mean(recipe.column, columns)
+            raise AnalysisError(f"{recipe.file} has no column {recipe.column!r}", where=where, fix=fix)
+
+
+def guess_recipes(
+    measures: Mapping[str, Unit | None], samples: Sequence[ForeignSamples], told: Sequence[Recipe]
+) -> list[Recipe]:
+    """Return recipes that nobody told, where a measure and a column of samples can hardly be meant otherwise.
+
+    A measure in joules is the integral of the one power that was sampled; `avg_x`, `mean_x` and `x` are the mean of the
+    one column of samples that is called `x`, or its change where that counts joules.
+    """
+    known = {recipe.measure for recipe in told}
+    powers = [(each, name) for each in samples for name, unit in each.units.items() if unit and unit.si == "W"]
+    energies = [name for name, unit in measures.items() if unit and unit.si == "J"]
+    guessed = []
+    for measure in measures:
+        if measure in known:
+            continue
+        if measure in energies and len(powers) == 1 and len(energies) == 1:
+            source, column = powers[0]
+            guessed.append(Recipe(measure, Aggregation.INTEGRAL, source.file, column, is_guessed=True))
+            continue
+        named = _columns_named(_base(measure), samples)
+        if len(named) == 1:
+            source, column = named[0]
+            unit = source.units.get(column)
+            how = Aggregation.CHANGE if unit and unit.si == "J" else Aggregation.MEAN
+            guessed.append(Recipe(measure, how, source.file, column, is_guessed=True))
+    return guessed
+
+
+def _columns_named(base: str, samples: Sequence[ForeignSamples]) -> list[tuple[ForeignSamples, str]]:
+    return [
+        (each, name)
+        for each in samples
+        for name in each.columns
+        if name in each.numeric and split_heading(name)[0].casefold() == base
+    ]
+
+
+def _base(measure: str) -> str:
+    return _MEANS.sub("", split_heading(measure)[0]).casefold()

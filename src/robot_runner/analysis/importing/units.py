@@ -1,0 +1,170 @@
+"""Units as people write them into headings, and what they are in SI."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Any
+
+__all__ = ["TIME_UNITS", "Unit", "known_units", "si_heading", "split_heading", "unit_of"]
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A unit and its way to SI.
+
+    Attributes:
+        symbol: as it was written.
+        si: the SI symbol (`%` and `B` stand for themselves).
+        factor: multiplies a value to bring it to SI.
+        offset: added afterwards.
+
+    Example:
+        >>> unit_of("mW").factor
+        0.001
+    """
+
+    symbol: str
+    si: str
+    factor: float
+    offset: float = 0.0
+
+    @property
+    def is_si(self) -> bool:
+        """Whether values need no conversion."""
+        return self.factor == 1.0 and self.offset == 0.0
+
+    def to_si(self, values: Any) -> Any:
+        """Return a number, or an array of them, in SI."""
+        if self.is_si:
+            return values
+        parts = round(1 / self.factor)
+        # Dividing by a whole number rounds once: 14.849 ms are 0.014849 s, and not 0.014849000000000001 s.
+        is_whole_part = self.factor < 1 and math.isclose(parts * self.factor, 1.0, rel_tol=1e-12)
+        return (values / parts if is_whole_part else values * self.factor) + self.offset
+
+
+_PI_DEGREES = 3.141592653589793 / 180
+
+_UNITS = {
+    unit.symbol: unit
+    for unit in (
+        Unit("s", "s", 1.0),
+        Unit("ms", "s", 1e-3),
+        Unit("us", "s", 1e-6),
+        Unit("ns", "s", 1e-9),
+        Unit("min", "s", 60.0),
+        Unit("h", "s", 3600.0),
+        Unit("W", "W", 1.0),
+        Unit("kW", "W", 1e3),
+        Unit("mW", "W", 1e-3),
+        Unit("uW", "W", 1e-6),
+        Unit("J", "J", 1.0),
+        Unit("kJ", "J", 1e3),
+        Unit("mJ", "J", 1e-3),
+        Unit("uJ", "J", 1e-6),
+        Unit("Wh", "J", 3600.0),
+        Unit("mWh", "J", 3.6),
+        Unit("kWh", "J", 3.6e6),
+        Unit("V", "V", 1.0),
+        Unit("mV", "V", 1e-3),
+        Unit("uV", "V", 1e-6),
+        Unit("A", "A", 1.0),
+        Unit("mA", "A", 1e-3),
+        Unit("uA", "A", 1e-6),
+        Unit("Hz", "Hz", 1.0),
+        Unit("kHz", "Hz", 1e3),
+        Unit("MHz", "Hz", 1e6),
+        Unit("GHz", "Hz", 1e9),
+        Unit("B", "B", 1.0),
+        Unit("kB", "B", 1e3),
+        Unit("KB", "B", 1e3),
+        Unit("MB", "B", 1e6),
+        Unit("GB", "B", 1e9),
+        Unit("KiB", "B", 1024.0),
+        Unit("MiB", "B", 1024.0**2),
+        Unit("GiB", "B", 1024.0**3),
+        Unit("K", "K", 1.0),
+        Unit("degC", "K", 1.0, 273.15),
+        Unit("m", "m", 1.0),
+        Unit("cm", "m", 1e-2),
+        Unit("mm", "m", 1e-3),
+        Unit("km", "m", 1e3),
+        Unit("rad", "rad", 1.0),
+        Unit("deg", "rad", _PI_DEGREES),
+        Unit("m/s", "m/s", 1.0),
+        Unit("rad/s", "rad/s", 1.0),
+        Unit("N", "N", 1.0),
+        Unit("Pa", "Pa", 1.0),
+        Unit("%", "%", 1.0),
+        Unit("1", "1", 1.0),
+    )
+}
+
+_SPELLINGS = {
+    "percent": "%",
+    "pct": "%",
+    "µs": "us",
+    "μs": "us",
+    "sec": "s",
+    "seconds": "s",
+    "msec": "ms",
+    "°C": "degC",
+    "celsius": "degC",
+    "m_s": "m/s",
+    "rad_s": "rad/s",
+    "joules": "J",
+    "watts": "W",
+    "bytes": "B",
+}
+
+#: What a time may be counted in.
+TIME_UNITS = ("s", "ms", "us", "ns", "min", "h")
+
+# At the end of a heading: `power_mW`, `Power (mW)`, `power [mW]`.
+_BRACKETED = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]+?)\s*[\])]$")
+_SUFFIXED = re.compile(r"^(.+?)[_ ](m_s|rad_s|[A-Za-zµμ°%/]+)$")
+_SAFE_SUFFIX = {"%": "percent", "m/s": "m_s", "rad/s": "rad_s", "1": ""}
+
+
+def known_units() -> tuple[str, ...]:
+    """Return the symbols of all units that are known."""
+    return tuple(_UNITS)
+
+
+def unit_of(text: str) -> Unit | None:
+    """Return the unit that is written so, or None."""
+    trimmed = text.strip()
+    return _UNITS.get(_SPELLINGS.get(trimmed, _SPELLINGS.get(trimmed.casefold(), trimmed)))
+
+
+def split_heading(heading: str) -> tuple[str, Unit | None]:
+    """Return a heading without its unit, and the unit; the whole heading where it names none.
+
+    Example:
+        >>> split_heading("power_mW")[0], split_heading("PACKAGE_ENERGY (J)")[1].si, split_heading("cpu_util")
+        ('power', 'J', ('cpu_util', None))
+    """
+    for pattern in (_BRACKETED, _SUFFIXED):
+        found = pattern.match(heading.strip())
+        unit = unit_of(found[2]) if found else None
+        if found and unit is not None and found[1].strip():
+            return found[1].strip(), unit
+    return heading.strip(), None
+
+
+def si_heading(heading: str, unit: Unit | None) -> str:
+    """Return the heading of a column once its values are in SI.
+
+    Example:
+        >>> si_heading("power_mW", unit_of("mW")), si_heading("Watts", unit_of("W"))
+        ('power_W', 'Watts_W')
+    """
+    if unit is None:
+        return heading.strip()
+    base, named = split_heading(heading)
+    if named is None:
+        base = heading.strip()
+    suffix = _SAFE_SUFFIX.get(unit.si, unit.si)
+    return f"{base}_{suffix}" if suffix else base

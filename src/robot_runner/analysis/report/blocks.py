@@ -1,0 +1,334 @@
+"""What a report is made of, whatever it is written as: sections of paragraphs, tables, figures, remarks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "Badge",
+    "Block",
+    "Card",
+    "Cards",
+    "Cell",
+    "Chart",
+    "Code",
+    "Column",
+    "Document",
+    "Facts",
+    "FigureBlock",
+    "Gallery",
+    "Paragraph",
+    "Part",
+    "Place",
+    "Remark",
+    "Remarks",
+    "Section",
+    "Table",
+    "Tone",
+]
+
+
+class Place(Enum):
+    """Where a column of a table is shown."""
+
+    EVERYWHERE = "everywhere"
+    PAGE = "page"
+    FILE = "file"
+
+
+class Tone(Enum):
+    """What something means to the reader; it is told by a word or a sign as well, never by colour alone."""
+
+    GOOD = "good"
+    PLAIN = "plain"
+    NOTE = "note"
+    WARNING = "warning"
+    BAD = "bad"
+
+
+@dataclass(frozen=True, slots=True)
+class Badge:
+    """A word that labels what stands beside it, such as `simulated`."""
+
+    text: str
+    tone: Tone = Tone.PLAIN
+    explanation: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Paragraph:
+    """Text in sentences.
+
+    Attributes:
+        text: plain text.
+        tone: NOTE for small print, GOOD for a conclusion that is made to stand out.
+        lead: the words that it begins with, in bold.
+        badges: labels after the text.
+    """
+
+    text: str
+    tone: Tone = Tone.PLAIN
+    lead: str = ""
+    badges: tuple[Badge, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """Names with what is known of each, in two columns."""
+
+    rows: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Card:
+    """One figure that a reader should see first.
+
+    Attributes:
+        value: as short as can be.
+        label: what it counts.
+        note: what else there is to it.
+    """
+
+    value: str
+    label: str
+    note: str = ""
+    tone: Tone = Tone.PLAIN
+
+
+@dataclass(frozen=True, slots=True)
+class Cards:
+    """Several cards beside each other."""
+
+    cards: tuple[Card, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of a table.
+
+    Attributes:
+        name: its heading.
+        is_number: whether its cells are aligned on the right.
+        place: whether it is for readers only, or only for the CSV file that programs read.
+    """
+
+    name: str
+    is_number: bool = False
+    place: Place = Place.EVERYWHERE
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """A cell of a table.
+
+    Attributes:
+        value: what it holds, for files that are computed with; None where it is missing.
+        text: what a reader sees.
+        tone: how it stands out.
+    """
+
+    value: Any
+    text: str
+    tone: Tone = Tone.PLAIN
+
+    @classmethod
+    def of_text(cls, text: str, tone: Tone = Tone.PLAIN) -> Cell:
+        """Make a cell that holds what it shows."""
+        return cls(text, text, tone)
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table, which also becomes a CSV and a LaTeX file.
+
+    Attributes:
+        name: of its files; unique in a document.
+        caption: one sentence.
+        columns, rows: as many cells a row as there are columns.
+        note: small print beneath it.
+    """
+
+    name: str
+    caption: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    note: str = ""
+
+    def without(self, place: Place) -> Table:
+        """Return the table without the columns that are only for this place."""
+        kept = [number for number, column in enumerate(self.columns) if column.place is not place]
+        if len(kept) == len(self.columns):
+            return self
+        rows = tuple(tuple(row[number] for number in kept) for row in self.rows)
+        return replace(self, columns=tuple(self.columns[number] for number in kept), rows=rows)
+
+    def without_blank(self, *names: str) -> Table:
+        """Return the table without those of these columns in which all cells are blank, or hold nothing but 0."""
+        kept = [
+            number
+            for number, column in enumerate(self.columns)
+            if column.name not in names or any(row[number].value not in {None, "", 0} for row in self.rows)
+        ]
+        rows = tuple(tuple(row[number] for number in kept) for row in self.rows)
+        return replace(self, columns=tuple(self.columns[number] for number in kept), rows=rows)
+
+
+@dataclass(frozen=True, slots=True)
+class FigureBlock:
+    """A figure, which also becomes SVG, PDF and PNG files.
+
+    Attributes:
+        name: of its files; unique in a document.
+        caption: what is seen, and how it is drawn.
+        alternative: what somebody who cannot see it should know.
+        draw: draws it; called once.
+        is_wide: whether it takes the whole width of a page.
+    """
+
+    name: str
+    caption: str
+    alternative: str
+    draw: Callable[[], Figure]
+    is_wide: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Gallery:
+    """Figures beside each other, where there is room."""
+
+    figures: tuple[FigureBlock, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """A chart that answers to the reader's pointer; figures beside it say the same on paper.
+
+    Attributes:
+        name: unique in a document.
+        kind: `course` or `points`, as `charts.js` knows them.
+        caption: what is seen, and what can be done with it.
+        data: plain data, as `charts.js` expects it.
+    """
+
+    name: str
+    kind: str
+    caption: str
+    data: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """Something that the reader should know, such as a threat to validity.
+
+    Attributes:
+        title: in a few words.
+        text: in sentences.
+        kind: a word for its kind, as in `Internal validity`.
+    """
+
+    title: str
+    text: str
+    tone: Tone = Tone.NOTE
+    kind: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Remarks:
+    """Several remarks beneath each other."""
+
+    remarks: tuple[Remark, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Code:
+    """Lines that can be pasted into a shell or a file."""
+
+    text: str
+    language: str = "sh"
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A part of a section, with a heading of its own.
+
+    Attributes:
+        name: unique in a document; links lead to it.
+        is_folded: whether a page shows it only when it is asked for.
+        is_printed: whether paper shows it although it is folded.
+    """
+
+    name: str
+    title: str
+    blocks: tuple[Block, ...]
+    badges: tuple[Badge, ...] = ()
+    is_folded: bool = False
+    is_printed: bool = True
+
+
+Block = Paragraph | Facts | Cards | Table | FigureBlock | Gallery | Chart | Remarks | Code | Part
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A section of a report; links lead to its `name`."""
+
+    name: str
+    title: str
+    blocks: tuple[Block, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """A whole report.
+
+    Attributes:
+        kicker: what kind of document it is.
+        title: what it is about.
+        subtitle: the most important circumstances, on one line.
+        badges: labels of the whole.
+        made: when and by what it was made.
+    """
+
+    kicker: str
+    title: str
+    subtitle: str
+    badges: tuple[Badge, ...]
+    sections: tuple[Section, ...]
+    made: str = ""
+    summary: Mapping[str, Any] = field(default_factory=dict)
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield all blocks, those inside of others after them."""
+        for section in self.sections:
+            yield from _flat(section.blocks)
+
+    @property
+    def tables(self) -> tuple[Table, ...]:
+        """All tables, in order."""
+        return tuple(block for block in self.blocks() if isinstance(block, Table))
+
+    @property
+    def figures(self) -> tuple[FigureBlock, ...]:
+        """All figures, in order."""
+        return tuple(block for block in self.blocks() if isinstance(block, FigureBlock))
+
+    @property
+    def charts(self) -> tuple[Chart, ...]:
+        """All charts, in order."""
+        return tuple(block for block in self.blocks() if isinstance(block, Chart))
+
+
+def _flat(blocks: Sequence[Block]) -> Iterator[Block]:
+    for block in blocks:
+        yield block
+        if isinstance(block, Part):
+            yield from _flat(block.blocks)
+        elif isinstance(block, Gallery):
+            yield from block.figures

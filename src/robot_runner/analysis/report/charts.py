@@ -1,0 +1,147 @@
+"""Data of the charts that answer to a reader's pointer, as `assets/charts.js` expects them."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from robot_runner.analysis.figures.style import Look, looks
+from robot_runner.analysis.report.blocks import Chart
+from robot_runner.analysis.report.numbers import counted
+from robot_runner.design.columns import RUN_ID
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from robot_runner.analysis.figures.courses import Course
+    from robot_runner.analysis.figures.phases import PhaseSpan
+    from robot_runner.analysis.report.material import Material
+
+__all__ = ["course_chart", "points_chart"]
+
+#: Single runs in a chart: each is some 3 kB of the page.
+_MOST_RUNS = 40
+_DIGITS = 4
+
+
+def course_chart(
+    name: str,
+    *,
+    label: str,
+    unit: str,
+    order: Sequence[str],
+    means: Sequence[Course],
+    runs: Mapping[str, Sequence[Course]],
+    phases: Sequence[PhaseSpan],
+    events: Mapping[str, float],
+) -> Chart:
+    """Return a chart of a sampled measure over the time of the mission.
+
+    Args:
+        name: unique in the document.
+        label: what is measured, with its unit.
+        unit: of it.
+        order: the treatments in the order in which all figures show them.
+        means: the mean course of each treatment.
+        runs: the courses of each treatment's runs.
+        phases: of the mission.
+        events: when they were, s since the start of measurement.
+    """
+    width = _width(means)
+    last = max((float(course.time[-1]) for course in means if len(course.time)), default=0.0)
+    first = min((float(course.time[0]) for course in means if len(course.time)), default=0.0)
+    count = round((last - first) / width) + 1 if width else 0
+    share = max(1, -(-sum(map(len, runs.values())) // _MOST_RUNS))
+    by_name = dict(zip(order, looks(len(order)), strict=True))
+    data = {
+        "label": label,
+        "unit": unit,
+        "time": [round(first + place * width, 4) for place in range(count)],
+        "groups": [
+            {
+                "name": course.label,
+                "colour": look.colour,
+                "dash": _dash(look),
+                "runs": course.runs,
+                "middle": _on_grid(course.time, course.middle, first, width, count),
+                "low": _on_grid(course.time, course.low, first, width, count),
+                "high": _on_grid(course.time, course.high, first, width, count),
+                "each": [
+                    {"name": run.label, "values": _on_grid(run.time, run.middle, first, width, count)}
+                    for run in list(runs[course.label])[::share]
+                ],
+            }
+            for course, look in ((each, by_name[each.label]) for each in means)
+        ],
+        "phases": [{"name": each.name, "start": each.start, "end": each.end} for each in phases],
+        "events": [{"name": each.replace("_", " "), "at": at} for each, at in events.items()],
+    }
+    some = f" Of single runs, one in {share} is shown." if share > 1 else ""
+    caption = (
+        f"{label}: mean of each treatment with a band of one standard deviation between runs, or each run. Drag to "
+        f"look closer; press twice for the whole.{some}"
+    )
+    return Chart(name, "course", caption, data)
+
+
+def points_chart(material: Material) -> Chart | None:
+    """Return a chart of all measures of all runs that are done, in the order of execution; None if there are none."""
+    numeric = [each.name for each in material.statistics.measures if each.overall is not None and each.overall.n]
+    done = material.done
+    if not numeric or done.empty:
+        return None
+    places = _places(material)
+    ordered = done.assign(place=done[RUN_ID].map(places)).sort_values("place", kind="stable")
+    data = {
+        "order": [int(place) for place in ordered["place"]],
+        "runs": list(map(str, ordered[RUN_ID])),
+        "groups": [
+            {"name": name, "colour": look.colour, "marker": look.marker}
+            for name, look in zip(material.order, looks(len(material.order)), strict=True)
+        ],
+        "group": [material.order.index(material.labels[run_id]) for run_id in ordered[RUN_ID]],
+        "measures": [
+            {
+                "name": name,
+                "label": material.results.label(name),
+                "unit": material.results.unit(name),
+                "values": _plain(pd.to_numeric(ordered[name], errors="coerce").to_numpy(dtype="float64"), digits=6),
+            }
+            for name in numeric
+        ],
+    }
+    caption = f"{counted(len(ordered), 'run')} in the order of execution. Point at one for its id and its value."
+    return Chart("chart-runs", "points", caption, data)
+
+
+def _places(material: Material) -> dict[str, int]:
+    """Return the place of each run in the order of execution, from 1: by its last attempt, else as in the table."""
+    attempts = material.results.attempts.drop_duplicates("run_id", keep="last")
+    order = list(attempts.sort_values("started_at")["run_id"])
+    order += [run_id for run_id in material.runs[RUN_ID] if run_id not in set(order)]
+    return {run_id: place for place, run_id in enumerate(order, start=1)}
+
+
+def _dash(look: Look) -> list[float]:
+    return [] if isinstance(look.line, str) else [round(each * 1.6, 1) for each in look.line[1]]
+
+
+def _width(courses: Sequence[Course]) -> float:
+    return next((float(course.time[1] - course.time[0]) for course in courses if len(course.time) > 1), 0.0)
+
+
+def _on_grid(time: Any, values: Any, first: float, width: float, count: int) -> list[float | None]:
+    cells: list[float | None] = [None] * count
+    if len(time) and width:
+        offset = round((float(time[0]) - first) / width)
+        for place, value in enumerate(_plain(values), start=offset):
+            if 0 <= place < count:
+                cells[place] = value
+    return cells
+
+
+def _plain(values: Iterable[float], digits: int = _DIGITS) -> list[float | None]:
+    """Return numbers as JSON has them, in as many digits as a screen shows."""
+    return [float(f"{value:.{digits}g}") if math.isfinite(value) else None for value in map(float, values)]

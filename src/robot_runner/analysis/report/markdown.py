@@ -1,0 +1,110 @@
+"""A document as Markdown, with links to the files of its figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from robot_runner.analysis.report.blocks import (
+    Block,
+    Cards,
+    Chart,
+    Code,
+    Facts,
+    FigureBlock,
+    Gallery,
+    Paragraph,
+    Part,
+    Place,
+    Remarks,
+    Table,
+)
+from robot_runner.analysis.report.markup import markdown_text as _
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from robot_runner.analysis.report.blocks import Badge, Document
+
+__all__ = ["markdown_of"]
+
+
+def markdown_of(document: Document, figure_path: Callable[[str], str]) -> str:
+    """Return a document as Markdown.
+
+    Args:
+        document: what is written.
+        figure_path: returns the path of a figure's file by the figure's name, relative to the document.
+    """
+    lines = [f"# {_(document.title)}", "", f"{_(document.kicker)}. {_(document.subtitle)}", ""]
+    lines += [f"**{_(badge.text)}** {_(badge.explanation)}".rstrip() + "\n" for badge in document.badges]
+    lines += [f"{number}. [{_(section.title)}](#{section.name})" for number, section in enumerate(document.sections, 1)]
+    writer = _Writer(figure_path)
+    for section in document.sections:
+        lines += ["", f'<a id="{section.name}"></a>', "", f"## {_(section.title)}"]
+        for block in section.blocks:
+            lines += ["", *writer.lines(block, 3)]
+    return "\n".join([*lines, "", _(document.made), ""])
+
+
+@dataclass(frozen=True, slots=True)
+class _Writer:
+    """Writes blocks as lines."""
+
+    figure_path: Callable[[str], str]
+
+    def lines(self, block: Block, level: int) -> Iterator[str]:
+        """Yield the lines of a block; headings inside of it are of this level."""
+        match block:
+            case FigureBlock():
+                yield from self._figure(block)
+            case Gallery():
+                for figure in block.figures:
+                    yield from (*self._figure(figure), "")
+            case Part():
+                yield f"{'#' * level} {_(block.title)}{_badges(block.badges)}"
+                for inner in block.blocks:
+                    yield from ("", *self.lines(inner, level + 1))
+            case Table():
+                yield from _table(block)
+            case Chart():  # for pages only; figures say the same
+                return
+            case _:
+                yield from _text(block)
+
+    def _figure(self, figure: FigureBlock) -> Iterator[str]:
+        yield f"![{_(figure.alternative)}]({self.figure_path(figure.name)})"
+        yield from ("", _(figure.caption))
+
+
+def _text(block: Paragraph | Facts | Cards | Remarks | Code) -> Iterator[str]:
+    match block:
+        case Paragraph():
+            lead = f"**{_(block.lead)}**{_badges(block.badges)} " if block.lead else ""
+            yield f"{lead}{_(block.text)}"
+        case Facts():
+            yield from (f"- {_(name)}: {_(fact)}" for name, fact in block.rows)
+        case Cards():
+            yield from (f"- **{_(card.value)}** {_(card.label)}, {_(card.note)}".rstrip(", ") for card in block.cards)
+        case Remarks():
+            for remark in block.remarks:
+                kind = f" ({_(remark.kind)})" if remark.kind else ""
+                yield f"- **{_(remark.title)}**{kind}: {_(remark.text)}"
+        case Code():
+            yield from (f"```{block.language}", block.text, "```")
+
+
+def _badges(badges: Sequence[Badge]) -> str:
+    return "".join(f" *{_(badge.text)}*" for badge in badges)
+
+
+def _table(table: Table) -> Iterator[str]:
+    table = table.without(Place.FILE)
+    yield f"{_(table.caption)}"
+    yield ""
+    yield f"| {' | '.join(_(column.name) for column in table.columns)} |"
+    yield f"|{'|'.join('---:' if column.is_number else '---' for column in table.columns)}|"
+    for row in table.rows:
+        yield f"| {' | '.join(_(cell.text) for cell in row)} |"
+    if table.note:
+        yield from ("", _(table.note))

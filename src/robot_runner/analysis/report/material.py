@@ -1,0 +1,127 @@
+"""What a report is written from: the results, their statistics, and what both together say of each run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.analysis.report.blocks import Badge, Tone
+from robot_runner.analysis.report.quality import RunQuality, read_qualities
+from robot_runner.design.columns import RUN_ID, STATUS
+from robot_runner.storage.layout import ExperimentFolder
+from robot_runner.storage.run_status import RunStatus
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from robot_runner.analysis.results import Results
+    from robot_runner.analysis.statistics.outcome import ExperimentStatistics
+
+__all__ = ["ALL_RUNS", "JOINT", "Material", "origin_badges", "origin_in_words"]
+
+#: Stands where there are no factors, or only one combination.
+ALL_RUNS = "all runs"
+#: Between the treatments of a combination.
+JOINT = " / "
+
+_EXPLANATIONS = {
+    "simulated": "It comes from a simulated sensor; it was not measured on a real robot.",
+    "estimated": "A model estimates it; it was not measured.",
+}
+
+
+@dataclass(frozen=True)
+class Material:
+    """Results and statistics of one experiment; everything else is derived when it is first asked for.
+
+    Attributes:
+        results: the experiment.
+        statistics: of the runs that are done.
+    """
+
+    results: Results
+    statistics: ExperimentStatistics
+
+    @cached_property
+    def runs(self) -> pd.DataFrame:
+        """The run table."""
+        return self.results.runs
+
+    @cached_property
+    def done(self) -> pd.DataFrame:
+        """The runs that are done."""
+        return self.results.done
+
+    @cached_property
+    def labels(self) -> Mapping[str, str]:
+        """The treatments of each run, as one text, by the run's id."""
+        return self.labels_by(self.results.factors)
+
+    def labels_by(self, factors: tuple[str, ...]) -> Mapping[str, str]:
+        """Return each run's treatments of these factors, as one text, by the run's id."""
+        if not factors:
+            return dict.fromkeys(self.runs[RUN_ID], ALL_RUNS)
+        texts = zip(*(self.runs[name].astype("str") for name in factors), strict=True)
+        return dict(zip(self.runs[RUN_ID], map(JOINT.join, texts), strict=True))
+
+    @cached_property
+    def order(self) -> tuple[str, ...]:
+        """All combinations that the run table has, in the order in which the config has the treatments."""
+        return self.order_by(self.results.factors)
+
+    def order_by(self, factors: tuple[str, ...]) -> tuple[str, ...]:
+        """Return what `labels_by` yields, each text once, in the order in which the config has the treatments."""
+        if not factors:
+            return (ALL_RUNS,)
+        rows = self.runs[list(factors)].drop_duplicates().sort_values(list(factors))
+        texts = zip(*(rows[name].astype("str") for name in factors), strict=True)
+        return tuple(map(JOINT.join, texts))
+
+    @cached_property
+    def qualities(self) -> tuple[RunQuality, ...]:
+        """What plugins noted about their raw samples."""
+        return read_qualities(ExperimentFolder(self.results.folder), list(self.runs[RUN_ID]))
+
+    @cached_property
+    def counts(self) -> Mapping[RunStatus, int]:
+        """How many runs there are in each status."""
+        found = self.runs[STATUS].astype("str").value_counts()
+        return {status: int(found.get(status.value, 0)) for status in RunStatus}
+
+    @cached_property
+    def is_simulated(self) -> bool:
+        """Whether some of its measures come from simulated sensors or estimating models."""
+        return any(origin_badges(column.origin) for column in self.results.columns.values())
+
+    def manifest(self, *keys: str, default: Any = None) -> Any:
+        """Return what the manifest says under these keys, one within the other."""
+        found: Any = self.results.manifest
+        for key in keys:
+            if not isinstance(found, Mapping) or key not in found:
+                return default
+            found = found[key]
+        return default if found is None else found
+
+
+def origin_in_words(origin: str | None) -> str:
+    """Return a sentence, with a space before it, about values that were not measured; else nothing.
+
+    Example:
+        >>> origin_in_words("simulated")
+        ' The values are simulated.'
+    """
+    words = " and ".join(badge.text for badge in origin_badges(origin))
+    return f" The values are {words}." if words else ""
+
+
+def origin_badges(origin: str | None) -> tuple[Badge, ...]:
+    """Return labels for a value that was not, or not always, measured.
+
+    Example:
+        >>> [badge.text for badge in origin_badges("measured, simulated")]
+        ['simulated']
+    """
+    words = [word.strip() for word in (origin or "").split(",")]
+    return tuple(Badge(word, Tone.NOTE, _EXPLANATIONS[word]) for word in words if word in _EXPLANATIONS)

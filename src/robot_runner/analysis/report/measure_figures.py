@@ -1,0 +1,149 @@
+"""The figures of one measure: its distribution, and how factors act together."""
+
+from __future__ import annotations
+
+from functools import partial
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from robot_runner.analysis.figures.distribution import draw_distribution
+from robot_runner.analysis.figures.groups import Group
+from robot_runner.analysis.figures.interaction import Mean, draw_interaction
+from robot_runner.analysis.figures.quantiles import draw_quantiles
+from robot_runner.analysis.report.blocks import FigureBlock
+from robot_runner.analysis.report.material import JOINT, origin_in_words
+from robot_runner.analysis.report.numbers import counted
+from robot_runner.design.columns import RUN_ID
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from robot_runner.analysis.report.material import Material
+    from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics
+
+__all__ = ["distribution_figures", "interaction_figures", "quantile_figure"]
+
+_MOST_COMBINATIONS = 16
+_MOST_LINES = 8
+
+
+def quantile_figure(material: Material, measure: MeasureStatistics) -> FigureBlock | None:
+    """Return the Q-Q figure of a measure's residuals, if they could be computed."""
+    pairs = measure.quantiles
+    if pairs is None:
+        return None
+    return FigureBlock(
+        f"qq {measure.name}",
+        f"Residuals of {measure.name} (value less the mean of its combination) against the normal distribution; "
+        "points on the dashed line would be normal. The line goes through the quartiles.",
+        f"Q-Q figure of {counted(len(pairs.observed), 'residual')} of {measure.name}.",
+        lambda: draw_quantiles(
+            pairs.theoretical,
+            pairs.observed,
+            slope=pairs.slope,
+            intercept=pairs.intercept,
+            value_label=material.results.label(measure.name),
+        ),
+    )
+
+
+def distribution_figures(material: Material, measure: MeasureStatistics) -> Iterator[FigureBlock]:
+    """Yield how a measure is distributed, by combination or by each factor; nothing where no run has a number."""
+    if measure.overall is None or not measure.overall.n:
+        return
+    factors = material.results.factors
+    if len(factors) > 1 and 1 < len(material.order) <= _MOST_COMBINATIONS:
+        yield _distribution(material, measure, factors)
+        return
+    for factor in factors:
+        yield _distribution(material, measure, (factor,))
+    if not factors:
+        yield _distribution(material, measure, ())
+
+
+def _distribution(material: Material, measure: MeasureStatistics, factors: tuple[str, ...]) -> FigureBlock:
+    groups = _groups(material, measure, factors)
+    outliers = frozenset(outlier.run_id for group in _descriptions(measure, factors) for outlier in group.outliers)
+    by = f" by {JOINT.join(factors)}" if factors else ""
+    described = "; ".join(
+        f"{group.label}: mean {group.mean:.4g}, n = {group.size}" for group in groups[:8] if group.size
+    )
+    return FigureBlock(
+        f"distribution {measure.name}{by}",
+        f"{material.results.label(measure.name)}{by}. Each point is a run; box: quartiles and median, whiskers: "
+        "Tukey's; diamond and bar: mean and its confidence interval."
+        + (" Named runs are outliers." if outliers else "")
+        + origin_in_words(measure.origin),
+        f"Distribution of {measure.name}{by}. {described}.",
+        partial(
+            draw_distribution,
+            groups,
+            value_label=material.results.label(measure.name),
+            group_label=JOINT.join(factors),
+            outliers=outliers,
+        ),
+    )
+
+
+def _descriptions(measure: MeasureStatistics, factors: tuple[str, ...]) -> tuple[Description, ...]:
+    several = (*measure.by_treatment, *measure.by_combination)
+    if not factors:
+        return (measure.overall,) if measure.overall is not None else ()
+    return tuple(group for group in several if tuple(group.treatments) == factors)
+
+
+def _groups(material: Material, measure: MeasureStatistics, factors: tuple[str, ...]) -> list[Group]:
+    labels = material.labels_by(factors)
+    described = {JOINT.join(each.treatments.values()): each for each in _descriptions(measure, factors)}
+    done = material.done
+    values = pd.to_numeric(done[measure.name], errors="coerce")
+    members: dict[str, list[tuple[float, str]]] = {label: [] for label in material.order_by(factors)}
+    for run_id, value in zip(done[RUN_ID], values, strict=True):
+        if pd.notna(value):
+            members[labels[run_id]].append((float(value), str(run_id)))
+    groups = []
+    for label, pairs in members.items():
+        description = described.get(label)
+        interval = description.mean_interval if description is not None else None
+        low, high = (interval.low, interval.high) if interval is not None else (None, None)
+        groups.append(Group(label, tuple(value for value, _ in pairs), tuple(run for _, run in pairs), low, high))
+    return groups
+
+
+def interaction_figures(material: Material, measure: MeasureStatistics) -> Iterator[FigureBlock]:
+    """Yield how each two factors act together on a measure; nothing where no run has a number."""
+    if measure.overall is None or not measure.overall.n:
+        return
+    varied = material.statistics.design.factors
+    for along, across in combinations(varied, 2):
+        if material.done[along].nunique() < material.done[across].nunique():
+            along, across = across, along  # noqa: PLW2901 - fewer lines over more places are easier to read
+        if material.done[across].nunique() <= _MOST_LINES:
+            yield _interaction(material, measure, along, across)
+
+
+def _interaction(material: Material, measure: MeasureStatistics, along: str, across: str) -> FigureBlock:
+    groups = {group.label: group for group in _groups(material, measure, (along, across)) if group.size}
+    treatments = [str(each) for each in material.runs[along].cat.categories]
+    means: dict[str, dict[str, Mean]] = {}
+    for second in map(str, material.runs[across].cat.categories):
+        found = {first: groups[key] for first in treatments if (key := f"{first}{JOINT}{second}") in groups}
+        cells = {first: Mean(group.mean, group.mean_low, group.mean_high) for first, group in found.items()}
+        if cells:
+            means[second] = cells
+    return FigureBlock(
+        f"interaction {measure.name} {along} {across}",
+        f"Mean {material.results.label(measure.name)} of each combination of {along} and {across}. Lines that are not "
+        f"parallel hint at an interaction.{origin_in_words(measure.origin)}",
+        f"Interaction of {along} and {across} on {measure.name}.",
+        partial(
+            draw_interaction,
+            means,
+            treatments=treatments,
+            value_label=material.results.label(measure.name),
+            along=along,
+            across=across,
+        ),
+    )

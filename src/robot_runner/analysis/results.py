@@ -1,0 +1,308 @@
+"""The results of an experiment as typed data frames, from its folder alone: also partial ones, also while it runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.analysis.export import export_results
+from robot_runner.analysis.history import History, read_history
+from robot_runner.analysis.phases import phase_files, phase_spans, read_phases
+from robot_runner.analysis.run_frame import RunFrame, column_descriptions, read_run_frame
+from robot_runner.analysis.sample_files import SampleFile, choose_file, find_sample_files, run_files
+from robot_runner.analysis.samples import PhaseSpans, SampleRequest, read_samples
+from robot_runner.design.analysis_plan import AnalysisPlan
+from robot_runner.design.columns import REPETITION, RUN_ID, STATUS
+from robot_runner.errors import AnalysisError, StorageError, did_you_mean
+from robot_runner.storage.layout import ExperimentFolder
+from robot_runner.storage.lock import holder_of
+from robot_runner.storage.manifest import read_manifest
+from robot_runner.storage.run_status import RunStatus
+from robot_runner.storage.table_layout import ColumnRole
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    import pandas as pd
+
+    from robot_runner.errors import Finding
+    from robot_runner.storage.table_schema import ColumnDescription
+
+__all__ = ["Results", "load_results"]
+
+
+@dataclass(frozen=True)
+class Results:
+    """Everything that an experiment's folder holds, each part read when it is first asked for.
+
+    Attributes:
+        folder: the experiment's folder.
+        manifest: the circumstances, as in `manifest.json`.
+        columns: what each column of the run table is, by its heading: role, type, unit, owner, origin.
+
+    Example:
+        >>> results = load_results("experiments/basic_experiment")  # doctest: +SKIP
+        >>> results.runs.groupby("Task", observed=True)["Energy"].mean()  # doctest: +SKIP
+        >>> results.samples("Ina219", columns=["power_W"])  # doctest: +SKIP
+    """
+
+    folder: Path
+    manifest: Mapping[str, Any] = field(repr=False)
+    columns: Mapping[str, ColumnDescription] = field(repr=False)
+
+    @property
+    def name(self) -> str:
+        """The experiment's name."""
+        return str(self.manifest.get("experiment_name", self.folder.name))
+
+    @property
+    def factors(self) -> tuple[str, ...]:
+        """The factors, without the one that only counts repetitions (as in the paper's Listing 1)."""
+        return tuple(name for name in self._named(ColumnRole.FACTOR) if name != self.repetition)
+
+    @property
+    def repetition(self) -> str | None:
+        """The column that counts the repetitions of a combination (ours, or a factor of that name), if there is one."""
+        counted = self._named(ColumnRole.REPETITION)
+        named = [name for name in self._named(ColumnRole.FACTOR) if name.casefold() == REPETITION.casefold()]
+        return next(iter((*counted, *named)), None)
+
+    @property
+    def block(self) -> str | None:
+        """The column of the blocks within which the order was randomised (a factor, or the repetition), if any."""
+        blocks = self.manifest.get("design", {}).get("blocks")
+        return blocks if blocks in self.columns else None
+
+    @property
+    def measures(self) -> tuple[str, ...]:
+        """The measures that have a column in the run table, in its order."""
+        return self._named(ColumnRole.MEASURE)
+
+    @property
+    def plan(self) -> AnalysisPlan | None:
+        """What was fixed for the analysis before the experiment, or None."""
+        plain = self.manifest.get("analysis")
+        return AnalysisPlan.of_mapping(plain) if plain else None
+
+    @property
+    def seed(self) -> int | None:
+        """What the order of the runs comes from; None where it is not known."""
+        seed = self.manifest.get("seed")
+        return None if seed is None else int(seed)
+
+    @property
+    def is_running(self) -> bool:
+        """Whether somebody executes the experiment at this moment."""
+        return holder_of(self._files.lock) is not None
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What looked odd in the run table's file."""
+        return self._run_frame.findings
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a column (SI symbol, `%`, `1`); empty where there is none or it is not known."""
+        column = self.columns.get(name)
+        return column.unit if column else ""
+
+    def label(self, name: str) -> str:
+        """Return a heading for an axis or a table: the name with its unit in brackets, as in `Energy (J)`."""
+        unit = self.unit(name)
+        return f"{name} ({unit})" if unit not in {"", "1"} else name
+
+    @property
+    def runs(self) -> pd.DataFrame:
+        """The run table: one row a run, in the order of the file.
+
+        Columns are those of `run_table.csv`: `run_id` (str), `status` (ordered categorical), time stamps
+        (datetime64, UTC), factors (ordered categoricals, in the order in which the config has the treatments), the
+        repetition (Int64), measures (float64, Int64, boolean or str), a user's own columns. What is missing is NaN,
+        NaT or <NA>. `attrs["units"]` has the units.
+        """
+        return self._run_frame.frame.copy(deep=False)
+
+    @property
+    def done(self) -> pd.DataFrame:
+        """The rows of `runs` that are done: what statistics are computed from."""
+        return self.runs[self.runs[STATUS] == RunStatus.DONE.value].reset_index(drop=True)
+
+    @property
+    def attempts(self) -> pd.DataFrame:
+        """All attempts: `run_id`, `attempt`, `status` (done, failed, unfinished), `started_at`, `seconds`, `failure`.
+
+        `seconds` are of real time, as the orchestrator saw them.
+        """
+        return self._history.attempts
+
+    @property
+    def published(self) -> pd.DataFrame:
+        """All measures that runs published in their last attempt, with a column in the run table or without.
+
+        One row a value: `run_id`, `measure`, `value` (object), `owner`, `origin`.
+        """
+        return self._history.published
+
+    @property
+    def odd(self) -> pd.DataFrame:
+        """What plugins found odd about runs: `run_id`, `attempt`, `owner`, `problem`, `fix`."""
+        return self._history.odd
+
+    def events(self, runs: Sequence[str] | None = None) -> pd.DataFrame:
+        """Return the events of runs (of all for None), of the last attempt at each.
+
+        Columns: `run_id`, `event` (ordered categorical), `at` (datetime64, UTC), `clock_s` (s on the run's clock) and
+        `since_start_s` (s since the event `start_measurement`); the last two are missing for `before_run` and
+        `continue`, which are not heard on the run's clock.
+
+        Raises:
+            AnalysisError: there is no such run.
+        """
+        events = self._history.events
+        return events[events["run_id"].isin(self._chosen(runs))].reset_index(drop=True)
+
+    def phases(self, runs: Sequence[str] | None = None) -> pd.DataFrame:
+        """Return the phases of missions (of all runs for None), as systems wrote them to `phases.csv`.
+
+        Columns: `run_id`, the factors, `plugin`, `number`, `phase`, `start_s` and `end_s` (s since the start of
+        measurement), and whatever else the system wrote, such as `task`, `x_m`, `y_m`, `heading_rad`.
+
+        Raises:
+            AnalysisError: there is no such run, or a file of phases does not say when they are.
+        """
+        phases = self._phases[self._phases["run_id"].isin(self._chosen(runs))]
+        first = phases.groupby("run_id")["start_s"].transform("min")
+        start = phases["run_id"].map(self._history.starts).astype("float64").fillna(first)
+        phases = phases.assign(start_s=phases["start_s"] - start, end_s=phases["end_s"] - start)
+        treatments = self.runs[[RUN_ID, *self._labels]]
+        joined = phases.merge(treatments, on=RUN_ID, how="left")
+        own = [name for name in joined.columns if name not in {RUN_ID, *self._labels}]
+        return joined[[RUN_ID, *self._labels, *own]]
+
+    @cached_property
+    def sample_files(self) -> tuple[SampleFile, ...]:
+        """The kinds of raw-sample files that there are: plugin, file, columns, and the runs that have one."""
+        return find_sample_files(self._run_files)
+
+    def samples(
+        self,
+        plugin: str | None = None,
+        *,
+        file: str | None = None,
+        runs: Sequence[str] | None = None,
+        columns: Sequence[str] | None = None,
+        with_factors: bool = True,
+        with_phases: bool = True,
+    ) -> pd.DataFrame:
+        """Return raw samples of any or all runs as one tidy table, one row a sample.
+
+        Columns: `run_id` (categorical), the factors (ordered categoricals), `time_s` (s since the start of
+        measurement), `phase` (categorical) and `phase_number` (0 outside all phases), then the value columns as the
+        plugin wrote them, such as `power_W`. Where the start of measurement is not known, times are counted from the
+        first sample.
+
+        Args:
+            plugin: whose samples; may be left out where only one plugin has any.
+            file: which file, such as `samples.csv`; may be left out where the plugin has only one kind.
+            runs: ids of the runs; None for all that have samples.
+            columns: the value columns; None for all. Few are read faster than many.
+            with_factors: whether each row carries the treatments of its run (and the repetition).
+            with_phases: whether each row carries the phase that it falls into.
+
+        Raises:
+            AnalysisError: there are no such samples, runs or columns; names those that there are.
+            StorageError: a file cannot be read.
+        """
+        kind = choose_file(self.sample_files, plugin, file)
+        run_ids = [run_id for run_id in self._chosen(runs) if run_id in kind.paths]
+        table = self.runs.set_index(RUN_ID).loc[run_ids]
+        is_done = table[STATUS] == RunStatus.DONE.value
+        request = SampleRequest(
+            kind,
+            run_ids,
+            tuple(kind.columns if columns is None else columns),
+            starts=self._history.starts,
+            phases=self._phase_spans if with_phases else None,
+            factors={name: table[name].array for name in self._labels} if with_factors else {},
+            unfinished=frozenset(table.index[~is_done]),
+        )
+        return read_samples(request)
+
+    def export(self, folder: Path | str | None = None) -> tuple[Path, ...]:
+        """Write the run table and all raw samples as Parquet, and a data package that describes everything.
+
+        `datapackage.json` is written into the experiment's folder, beside the `run_table.csv` and its schema that it
+        describes.
+
+        Args:
+            folder: where the Parquet files go; None is `export/` in the experiment's folder.
+
+        Returns:
+            The files that were written.
+
+        Raises:
+            StorageError: a file cannot be written.
+        """
+        return export_results(self, None if folder is None else Path(folder))
+
+    @property
+    def _files(self) -> ExperimentFolder:
+        return ExperimentFolder.found_at(self.folder)
+
+    @property
+    def _labels(self) -> list[str]:
+        """The columns that say which combination a run is of: the factors, declared repetitions among them."""
+        return list(self._named(ColumnRole.FACTOR))
+
+    @cached_property
+    def _run_frame(self) -> RunFrame:
+        return read_run_frame(self._files, tuple(self.columns.values()), self.manifest)
+
+    @cached_property
+    def _history(self) -> History:
+        return read_history(self._files.journal)
+
+    @cached_property
+    def _run_files(self) -> dict[tuple[str, str], dict[str, Path]]:
+        return run_files(self._files, self._run_frame.frame[RUN_ID])
+
+    @cached_property
+    def _phases(self) -> pd.DataFrame:
+        return read_phases(phase_files(self._run_files))
+
+    @cached_property
+    def _phase_spans(self) -> dict[str, PhaseSpans]:
+        return phase_spans(self._phases)
+
+    def _named(self, role: ColumnRole) -> tuple[str, ...]:
+        return tuple(column.name for column in self.columns.values() if column.role is role)
+
+    def _chosen(self, runs: Sequence[str] | None) -> list[str]:
+        known = list(self._run_frame.frame[RUN_ID])
+        if runs is None:
+            return known
+        wanted = [runs] if isinstance(runs, str) else list(runs)
+        for run_id in set(wanted).difference(known):
+            raise AnalysisError(f"there is no run {run_id!r}", where=self.name, fix=did_you_mean(run_id, known))
+        return wanted
+
+
+def load_results(folder: Path | str) -> Results:
+    """Read the results of an experiment.
+
+    Args:
+        folder: the experiment's folder: the one that holds `run_table.csv` and `manifest.json`.
+
+    Raises:
+        StorageError: there is no experiment here, or it cannot be read.
+    """
+    root = Path(folder).expanduser().resolve()
+    files = ExperimentFolder.found_at(root)
+    if not files.manifest.exists() and files.run_table.exists():
+        fix = f"Adopt it: robot-runner import {folder}"
+        raise StorageError("there is a run table here, but no manifest.json", where=str(folder), fix=fix)
+    manifest = read_manifest(files.manifest)
+    columns = {column.name: column for column in column_descriptions(files, manifest)}
+    return Results(root, MappingProxyType(manifest), MappingProxyType(columns))

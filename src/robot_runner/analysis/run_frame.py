@@ -1,0 +1,175 @@
+"""The run table as a typed data frame: what the file says, and what the journal knows better."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from robot_runner.design.columns import REPETITION, RUN_ID, STATUS
+from robot_runner.errors import StorageError
+from robot_runner.storage.cells import typed_value, typed_values
+from robot_runner.storage.journal import read_journal
+from robot_runner.storage.run_status import RunStatus
+from robot_runner.storage.run_table_reading import read_run_table
+from robot_runner.storage.table_description import type_of_values
+from robot_runner.storage.table_layout import ColumnRole, TableLayout
+from robot_runner.storage.table_schema import ColumnDescription, read_schema
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from robot_runner.errors import Finding
+    from robot_runner.storage.layout import ExperimentFolder
+    from robot_runner.storage.run_table_rows import RunTableRows
+    from robot_runner.storage.table_columns import CodedColumn
+
+__all__ = ["RunFrame", "column_descriptions", "read_run_frame", "treatment_texts"]
+
+_ENDS = {"done": RunStatus.DONE, "failed": RunStatus.FAILED}
+_TYPED_TREATMENTS = frozenset({"integer", "number", "boolean"})
+
+
+@dataclass(frozen=True, slots=True)
+class RunFrame:
+    """The run table.
+
+    Attributes:
+        frame: one row a run, in the order of the file.
+        findings: what looked odd in the file.
+    """
+
+    frame: pd.DataFrame
+    findings: tuple[Finding, ...]
+
+
+def column_descriptions(folder: ExperimentFolder, manifest: Mapping[str, Any]) -> tuple[ColumnDescription, ...]:
+    """Return what each column of the run table is; from the manifest where there is no schema.
+
+    Raises:
+        StorageError: the schema cannot be read.
+    """
+    if folder.schema.exists():
+        return read_schema(folder.schema)
+    design = manifest.get("design", {})
+    factors = [ColumnDescription(name=name, role=ColumnRole.FACTOR) for name in design.get("factors", {})]
+    if int(design.get("repetitions", 1)) > 1:
+        factors.append(ColumnDescription(name=REPETITION, role=ColumnRole.REPETITION, type="integer"))
+    measures = {
+        name: ColumnDescription(name=name, role=ColumnRole.MEASURE, owner=plugin.get("name", ""))
+        for plugin in manifest.get("plugins", ())
+        for name in plugin.get("measures", ())
+    }
+    progress = [ColumnDescription(name=name, role=ColumnRole.PROGRESS, type="string") for name in (RUN_ID, STATUS)]
+    return (*progress, *factors, *measures.values())
+
+
+def read_run_frame(
+    folder: ExperimentFolder, columns: Sequence[ColumnDescription], manifest: Mapping[str, Any]
+) -> RunFrame:
+    """Read the run table, with what the journal has of runs that ended since the file was written last.
+
+    Raises:
+        StorageError: there is no run table, or it cannot be read.
+    """
+    # The journal comes first: a table written meanwhile is newer than what the journal adds to it, never older.
+    newer = _ended_since_table(read_journal(folder.journal, kinds={"attempt_finished", "table_written"}))
+    if not folder.run_table.exists():
+        raise StorageError(
+            "there is no run table in it", where=str(folder.root), fix="Restore run_table.csv from a backup."
+        )
+    rows = read_run_table(folder.run_table, TableLayout.of_schema(columns))
+    known = {rows.run_ids.value(place) for place in range(len(rows))}
+    for record in newer.values():
+        if record["run"] in known:
+            _take(rows, record)
+    return RunFrame(_frame(rows, columns, manifest), rows.warnings)
+
+
+def treatment_texts(values: pd.Series) -> pd.Series:
+    """Return a factor's column as text, as the treatments are written in the run table."""
+    return values.cat.rename_categories([str(each) for each in values.cat.categories])
+
+
+def _ended_since_table(records: Iterable[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+    ended: dict[str, Mapping[str, Any]] = {}
+    for record in records:
+        if record["kind"] == "table_written":
+            ended.clear()
+        else:
+            ended[record["run"]] = record
+    return ended
+
+
+def _take(rows: RunTableRows, record: Mapping[str, Any]) -> None:
+    stamps = {f"{event}_at": at for event, at in record["stamps"].items() if f"{event}_at" in rows.stamps}
+    measures = {name: each["value"] for name, each in record["measures"].items() if name in rows.measures}
+    rows.record(record["run"], status=_ENDS.get(record["status"], RunStatus.TODO), stamps=stamps, measures=measures)
+
+
+def _frame(rows: RunTableRows, columns: Sequence[ColumnDescription], manifest: Mapping[str, Any]) -> pd.DataFrame:
+    types = {column.name: column.type for column in columns}
+    declared = manifest.get("design", {}).get("factors", {})
+    count = range(len(rows))
+    words = [status.value for status in RunStatus]
+    data: dict[str, Any] = {
+        RUN_ID: pd.array([rows.run_id(place) for place in count], dtype="str"),
+        STATUS: pd.Categorical([rows.status(place).value for place in count], words, ordered=True),
+    }
+    for name, stamp in rows.stamps.items():
+        data[name] = pd.to_datetime(pd.Series(stamp.texts, dtype="object"), utc=True, errors="coerce", format="ISO8601")
+    for name, factor in rows.factors.items():
+        if name in rows.layout.factor_names:
+            data[name] = _factor(factor, types.get(name, "any"), declared.get(name, ()))
+        else:
+            data[name] = pd.array([factor.value(place) for place in count], dtype="Int64")
+    for name, measure in rows.measures.items():
+        data[name] = _values(measure.values, types.get(name, "any"))
+    for name, extra in rows.extras.items():
+        data[name] = _values(typed_values([text or "" for text in extra.texts], None), "string")
+    frame = pd.DataFrame(data)
+    frame.attrs["units"] = {column.name: column.unit for column in columns if column.unit and column.name in frame}
+    return frame
+
+
+def _factor(column: CodedColumn, kind: str, declared: Sequence[str]) -> pd.Categorical:
+    """Return an ordered categorical: first the treatments as the config has them, then others as they come."""
+    texts = [_text(value) for value in column.values]  # noqa: PD011 - not a data frame's
+    order = list(dict.fromkeys([*declared, *(texts if declared else _in_order(column.values))]))
+    codes = np.array([order.index(text) for text in texts], dtype=np.int64)[np.asarray(column.places, dtype=np.int64)]
+    categories: list[Any] = order
+    if kind in _TYPED_TREATMENTS:
+        typed = [typed_value(text, kind) for text in order]
+        if len(set(map(str, typed))) == len(order) and type_of_values(typed) == kind:
+            categories = typed
+    return pd.Categorical.from_codes(codes, categories, ordered=True)
+
+
+def _text(value: Any) -> str:
+    return "" if value is None else str(value)
+
+
+def _in_order(values: Iterable[Any]) -> list[str]:
+    """Return the texts of treatments whose order nobody declared: numbers ascending, else as they come."""
+    listed = list(values)
+    if type_of_values(listed) in {"integer", "number"} and None not in listed:
+        listed.sort()
+    return list(map(_text, listed))
+
+
+def _values(values: Sequence[Any], kind: str) -> Any:
+    """Return a measure's values as an array of the type that they all have; None becomes a missing value."""
+    found = type_of_values(values)
+    if found == "any" and all(value is None for value in values):
+        found = kind
+    if found == "integer":
+        return pd.array(list(values), dtype="Int64")
+    if found == "boolean":
+        return pd.array(list(values), dtype="boolean")
+    if found == "string":
+        return pd.array(list(values), dtype="str")
+    if found == "number" or all(value is None for value in values):
+        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+    return np.array(list(values), dtype=object)

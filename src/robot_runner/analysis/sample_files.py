@@ -1,0 +1,139 @@
+"""Which raw samples there are: `runs/<run id>/<plugin>/<file>.csv` with a column of times on the run's clock."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from robot_runner.errors import AnalysisError, did_you_mean
+from robot_runner.storage.safe_write import storage_error
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.storage.layout import ExperimentFolder
+
+__all__ = ["PHASES", "SampleFile", "choose_file", "find_sample_files", "run_files"]
+
+#: The name under which systems write the phases of their mission.
+PHASES = "phases.csv"
+
+#: Whose files are those that are in no plugin's folder.
+_CONFIG = "config"
+
+#: Headings of the column of times, s on the run's clock; the first one that a file has counts.
+_TIME_HEADINGS = ("time_s", "t_s", "timestamp_s", "time", "t")
+
+
+@dataclass(frozen=True, slots=True)
+class SampleFile:
+    """One kind of raw-sample file: the same plugin writes it in each run.
+
+    Attributes:
+        plugin: the plugin's name, which names its folder.
+        name: the file's name.
+        time: the heading of its times.
+        columns: the headings of its values, of all runs together.
+        paths: the file of each run, by the run's id, in the order of the run table.
+
+    Example:
+        >>> SampleFile("Ina219", "samples.csv", "time_s", ("power_W",), {}).label
+        'Ina219/samples.csv'
+    """
+
+    plugin: str
+    name: str
+    time: str
+    columns: tuple[str, ...]
+    paths: Mapping[str, Path]
+
+    @property
+    def label(self) -> str:
+        """The plugin and the file, as below a run's folder."""
+        return f"{self.plugin}/{self.name}"
+
+    @property
+    def run_ids(self) -> tuple[str, ...]:
+        """The runs that have such a file."""
+        return tuple(self.paths)
+
+
+def run_files(folder: ExperimentFolder, run_ids: Iterable[str]) -> dict[tuple[str, str], dict[str, Path]]:
+    """Return the CSV files below the folders of runs: by plugin and file name, then by run.
+
+    Raises:
+        StorageError: a folder cannot be read.
+    """
+    found: dict[tuple[str, str], dict[str, Path]] = {}
+    for run_id in run_ids:
+        try:
+            run = folder.run(run_id)
+            for path in sorted(run.glob("*.csv")):  # written by a config, as those of the earlier tools do
+                found.setdefault((_CONFIG, path.name), {})[run_id] = path
+            for path in sorted(run.glob("*/*.csv")):
+                found.setdefault((path.parent.name, path.name), {})[run_id] = path
+        except OSError as error:
+            raise storage_error(folder.run(run_id), "read", error) from error
+    return found
+
+
+def find_sample_files(files: Mapping[tuple[str, str], Mapping[str, Path]]) -> tuple[SampleFile, ...]:
+    """Return the kinds of raw-sample files among the CSV files below runs, as `run_files` returns them.
+
+    Raises:
+        StorageError: a file cannot be read.
+    """
+    kinds = []
+    for (plugin, name), paths in sorted(files.items()):
+        if name == PHASES:
+            continue
+        headings = {run_id: headings_of(path) for run_id, path in paths.items()}
+        times = [time for cells in headings.values() if (time := _time_of(cells))]
+        if times:
+            time = max(set(times), key=times.count)
+            usable = {run_id: path for run_id, path in paths.items() if time in headings[run_id]}
+            union = dict.fromkeys(cell for run_id in usable for cell in headings[run_id] if cell and cell != time)
+            kinds.append(SampleFile(plugin, name, time, tuple(union), usable))
+    return tuple(kinds)
+
+
+def choose_file(files: Sequence[SampleFile], plugin: str | None, name: str | None) -> SampleFile:
+    """Return the kind of file that is meant.
+
+    Raises:
+        AnalysisError: none or several fit; names those that there are.
+    """
+    if not files:
+        raise AnalysisError("there are no raw samples", where="samples", fix="Look at the runs' folders.")
+    plugins = list(dict.fromkeys(file.plugin for file in files))
+    if plugin is not None and plugin not in plugins:
+        raise AnalysisError(f"plugin {plugin!r} has no raw samples", where="samples", fix=did_you_mean(plugin, plugins))
+    fitting = [file for file in files if plugin in {None, file.plugin}]
+    names = [file.name for file in fitting]
+    if name is not None and name not in names:
+        raise AnalysisError(f"there is no file {name!r}", where="samples", fix=did_you_mean(name, names))
+    fitting = [file for file in fitting if name in {None, file.name}]
+    if len(fitting) > 1:
+        labels = ", ".join(file.label for file in fitting)
+        raise AnalysisError(f"several files fit: {labels}", where="samples", fix="Say which plugin and which file.")
+    return fitting[0]
+
+
+def headings_of(path: Path) -> tuple[str, ...]:
+    """Return the headings of a CSV file; none where it is empty.
+
+    Raises:
+        StorageError: it cannot be read.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
+            return tuple(next(csv.reader([file.readline()]), ()))
+    except OSError as error:
+        raise storage_error(path, "read", error) from error
+
+
+def _time_of(headings: Sequence[str]) -> str | None:
+    folded = {heading.strip().casefold(): heading for heading in reversed(headings)}
+    return next((folded[name] for name in _TIME_HEADINGS if name in folded), None)

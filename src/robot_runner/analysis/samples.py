@@ -1,0 +1,223 @@
+"""Raw samples of many runs as one table, made column by column, so that hardly more than the table itself is held."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from os import cpu_count
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from pyarrow import csv as arrow_csv
+
+from robot_runner.analysis.growing_column import GrowingColumn
+from robot_runner.errors import AnalysisError, did_you_mean
+from robot_runner.storage.safe_write import storage_error
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from robot_runner.analysis.sample_files import SampleFile
+
+__all__ = ["PhaseSpans", "SampleRequest", "read_samples"]
+
+_MOST_THREADS = 8
+
+#: Memory that is asked for and not touched costs nothing; growing later costs a copy.
+_SPARE = 1.05
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseSpans:
+    """The phases of one run, in order.
+
+    Attributes:
+        starts, ends: s on the run's clock.
+        numbers: the number of each phase.
+        names: its name.
+    """
+
+    starts: NDArray[np.float64]
+    ends: NDArray[np.float64]
+    numbers: NDArray[np.int16]
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SampleRequest:
+    """What is to be read.
+
+    Attributes:
+        file: the kind of file.
+        run_ids: the runs, in the order in which they are to stand.
+        columns: the value columns.
+        starts: when each run's measurement began, s on the run's clock; where that is not known, the run's times are
+            counted from its first sample.
+        phases: the phases of each run; None to leave them out.
+        factors: the treatments of each run as categoricals of the length of `run_ids`, by factor.
+        unfinished: runs that are not done: the last line of their files may be cut off.
+    """
+
+    file: SampleFile
+    run_ids: Sequence[str]
+    columns: Sequence[str]
+    starts: Mapping[str, float] = field(default_factory=dict)
+    phases: Mapping[str, PhaseSpans] | None = None
+    factors: Mapping[str, pd.Categorical] = field(default_factory=dict)
+    unfinished: frozenset[str] = frozenset()
+
+
+def read_samples(request: SampleRequest) -> pd.DataFrame:
+    """Read raw samples of several runs; `attrs["skipped_rows"]` counts, by run, rows that are no rows of the table.
+
+    Raises:
+        AnalysisError: there is no such column, or a file is no table.
+        StorageError: a file cannot be read.
+    """
+    for name in request.columns:
+        if name not in request.file.columns:
+            fix = did_you_mean(name, request.file.columns)
+            raise AnalysisError(f"there is no column {name!r}", where=request.file.label, fix=fix)
+    reader = _Reader(request)
+    lengths, columns = _gather(reader)
+    frame = pd.DataFrame(_columns(request, lengths, columns), copy=False)
+    frame.attrs["source"] = request.file.label
+    frame.attrs["skipped_rows"] = dict(reader.skipped)
+    return frame
+
+
+def _gather(reader: _Reader) -> tuple[NDArray[np.int64], dict[str, Any]]:
+    """Copy each table into the columns as soon as it is read; only a few tables are held at once."""
+    lengths: list[int] = []
+    columns: dict[str, GrowingColumn] = {}
+    for table in reader.tables():
+        if not columns:
+            columns = {name: GrowingColumn(reader.expected_rows(table.num_rows)) for name in reader.wanted}
+        lengths.append(table.num_rows)
+        for name, column in columns.items():
+            column.append(table.column(name))
+    return np.array(lengths, dtype=np.int64), {
+        name: columns[name].values() if columns else [] for name in reader.wanted
+    }
+
+
+def _columns(request: SampleRequest, lengths: NDArray[np.int64], columns: dict[str, Any]) -> dict[str, Any]:
+    slices = _slices(request.run_ids, lengths)
+    times = np.asarray(columns.pop(request.file.time), dtype=np.float64)
+    labels = _labels(request, lengths)
+    phases = {} if request.phases is None else _phases(request.phases, times, slices)
+    for run, place in slices.items():
+        if place.stop > place.start:
+            times[place] -= request.starts.get(run, times[place.start])
+    return {**labels, "time_s": times, **phases, **columns}
+
+
+def _slices(run_ids: Sequence[str], lengths: NDArray[np.int64]) -> dict[str, slice]:
+    ends = np.cumsum(lengths)
+    return {run: slice(int(end - length), int(end)) for run, end, length in zip(run_ids, ends, lengths, strict=True)}
+
+
+class _Reader:
+    """Reads the files of a request, several at once."""
+
+    def __init__(self, request: SampleRequest) -> None:
+        self._request = request
+        self.wanted = [request.file.time, *request.columns]
+        self.skipped: Counter[str] = Counter()
+
+    def tables(self) -> Iterator[pa.Table]:
+        """Yield the table of each run, in order; a few are read ahead."""
+        run_ids = self._request.run_ids
+        if not run_ids:
+            return
+        first = self._read_one(run_ids[0], {})
+        yield first
+        # What the first file holds is taken for what all hold, so that types need not be found out anew for each.
+        types = {each.name: each.type for each in first.schema if not pa.types.is_null(each.type)}
+        del first
+        threads = min(_MOST_THREADS, cpu_count() or 1)
+        with ThreadPoolExecutor(max_workers=threads) as pool:
+            ahead: deque[Future[pa.Table]] = deque()
+            for run_id in run_ids[1:]:
+                ahead.append(pool.submit(self._read_one, run_id, types))
+                if len(ahead) > 2 * threads:
+                    yield ahead.popleft().result()
+            while ahead:
+                yield ahead.popleft().result()
+
+    def expected_rows(self, first: int) -> int:
+        """Return about how many rows all files have, by their sizes and the rows of the first."""
+        sizes = [self._request.file.paths[run_id].stat().st_size for run_id in self._request.run_ids]
+        return int(first * sum(sizes) / max(1, sizes[0]) * _SPARE) + first
+
+    def _read_one(self, run_id: str, types: Mapping[str, pa.DataType]) -> pa.Table:
+        path = self._request.file.paths[run_id]
+        try:
+            return self._parsed(run_id, path, types)
+        except pa.ArrowInvalid as error:
+            if not types:
+                fix = "Mend it, or move it away."
+                raise AnalysisError(f"it is no table of samples: {error}", where=str(path), fix=fix) from error
+        except OSError as error:
+            raise storage_error(path, "read", error) from error
+        return self._read_one(run_id, {})
+
+    def _parsed(self, run_id: str, path: Path, types: Mapping[str, pa.DataType]) -> pa.Table:
+        def skip(row: object) -> str:
+            del row
+            self.skipped[run_id] += 1
+            return "skip"
+
+        source: Any = path
+        if run_id in self._request.unfinished:
+            content = path.read_bytes()
+            source = pa.BufferReader(content[: content.rfind(b"\n") + 1])
+        self.skipped.pop(run_id, None)
+        return arrow_csv.read_csv(
+            source,
+            read_options=arrow_csv.ReadOptions(use_threads=False),
+            parse_options=arrow_csv.ParseOptions(invalid_row_handler=skip),
+            convert_options=arrow_csv.ConvertOptions(
+                include_columns=self.wanted,
+                include_missing_columns=True,
+                column_types=dict(types),
+                strings_can_be_null=True,
+            ),
+        )
+
+
+def _labels(request: SampleRequest, lengths: NDArray[np.int64]) -> dict[str, Any]:
+    """Return the run and its treatments for each sample: one small number each."""
+    count = len(request.run_ids)
+    kind = next(kind for kind in (np.int8, np.int16, np.int32) if count <= np.iinfo(kind).max)
+    places = np.repeat(np.arange(count, dtype=kind), lengths)
+    labels: dict[str, Any] = {"run_id": pd.Categorical.from_codes(places, list(request.run_ids))}
+    for name, treatments in request.factors.items():
+        codes = np.repeat(np.asarray(treatments.codes), lengths)
+        labels[name] = pd.Categorical.from_codes(codes, treatments.categories, ordered=True)
+    return labels
+
+
+def _phases(
+    phases: Mapping[str, PhaseSpans], times: NDArray[np.float64], slices: Mapping[str, slice]
+) -> dict[str, Any]:
+    """Return the phase of each sample, by its time on the run's clock; none, and number 0, outside all phases."""
+    names = list(dict.fromkeys(name for spans in phases.values() for name in spans.names))
+    codes = np.full(len(times), -1, dtype=np.int8 if len(names) <= np.iinfo(np.int8).max else np.int32)
+    numbers = np.zeros(len(times), dtype=np.int16)
+    for run, place in slices.items():
+        spans = phases.get(run)
+        if spans is None or not spans.names:
+            continue
+        within = times[place]
+        found = np.searchsorted(spans.starts, within, side="right") - 1
+        inside = (found >= 0) & (within < spans.ends[found])
+        numbers[place] = np.where(inside, spans.numbers[found], 0)
+        codes[place] = np.where(inside, np.array([names.index(name) for name in spans.names])[found], -1)
+    return {"phase": pd.Categorical.from_codes(codes, names), "phase_number": numbers}

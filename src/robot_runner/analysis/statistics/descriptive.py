@@ -1,0 +1,123 @@
+"""Descriptive statistics: n, mean, standard deviation, quartiles, confidence interval of the mean, outliers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy import stats
+
+from robot_runner.analysis.statistics.described import Description, Interval, Outlier
+from robot_runner.analysis.statistics.quiet import quiet
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from robot_runner.analysis.statistics.design import Group
+
+__all__ = ["RESAMPLES", "bootstrap_interval", "describe"]
+
+#: How often a bootstrap draws; the error of an interval's end is then well below its width.
+RESAMPLES = 5000
+
+#: Intervals are the same each time they are computed.
+_SEED = 20210525
+
+#: Tukey's fences (Tukey, Exploratory Data Analysis, 1977): interquartile ranges beyond the quartiles.
+_FENCE = 1.5
+_OUTER_FENCE = 3.0
+
+#: Fewer values have no spread to speak of.
+_LEAST_FOR_SPREAD = 2
+_LEAST_FOR_OUTLIERS = 4
+
+
+def describe(group: Group, *, level: float = 0.95) -> Description:
+    """Describe the values of one group.
+
+    Quartiles are interpolated linearly (type 7 of Hyndman and Fan 1996, as R and numpy do by default).
+
+    Args:
+        group: the runs.
+        level: the confidence of the mean's interval.
+
+    Example:
+        >>> from robot_runner.analysis.statistics.design import Group
+        >>> describe(Group({"Task": "Video"}, np.array([1.0, 2.0, 3.0]), ("r_1", "r_2", "r_3"))).median
+        2.0
+    """
+    values = group.values
+    if not len(values):
+        nothing: dict[str, Any] = dict.fromkeys(
+            ("mean", "sd", "median", "first_quartile", "third_quartile", "minimum", "maximum", "mean_interval")
+        )
+        return Description(treatments=group.treatments, n=0, missing=group.missing, **nothing)
+    first, median, third = (float(each) for each in np.quantile(values, [0.25, 0.5, 0.75]))
+    return Description(
+        treatments=group.treatments,
+        n=len(values),
+        missing=group.missing,
+        mean=float(np.mean(values)),
+        sd=float(np.std(values, ddof=1)) if len(values) >= _LEAST_FOR_SPREAD else None,
+        median=median,
+        first_quartile=first,
+        third_quartile=third,
+        minimum=float(np.min(values)),
+        maximum=float(np.max(values)),
+        mean_interval=bootstrap_interval((values,), np.mean, level=level),
+        outliers=_outliers(group, first, third),
+    )
+
+
+def bootstrap_interval(
+    samples: tuple[NDArray[np.float64], ...],
+    statistic: Callable[..., Any],
+    *,
+    level: float = 0.95,
+    paired: bool = False,
+) -> Interval | None:
+    """Return a bootstrap confidence interval of a statistic: bias-corrected and accelerated (BCa), else by percentiles.
+
+    Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), chapter 14.
+
+    Args:
+        samples: one array a group; each is drawn from by itself.
+        statistic: takes the arrays and `axis`.
+        level: the confidence.
+        paired: whether the arrays belong together element by element.
+
+    Returns:
+        None for fewer than two values in a group, or where no draw differs from another.
+    """
+    if min(map(len, samples)) < _LEAST_FOR_SPREAD or all(np.ptp(sample) == 0 for sample in samples):
+        return None
+    for method in ("BCa", "percentile"):
+        with quiet():  # a degenerate distribution: percentiles are tried next
+            found = stats.bootstrap(
+                samples,
+                statistic,
+                n_resamples=RESAMPLES,
+                confidence_level=level,
+                method=method,
+                paired=paired,
+                vectorized=True,
+                batch=500,
+                rng=np.random.default_rng(_SEED),
+            ).confidence_interval
+        if np.isfinite(found.low) and np.isfinite(found.high):
+            return Interval(float(found.low), float(found.high), level, f"bootstrap ({method})")
+    return None
+
+
+def _outliers(group: Group, first: float, third: float) -> tuple[Outlier, ...]:
+    if len(group.values) < _LEAST_FOR_OUTLIERS:
+        return ()
+    beyond = np.maximum(first - group.values, group.values - third)
+    width = third - first
+    return tuple(
+        Outlier(run_id, float(value), is_extreme=bool(distance > _OUTER_FENCE * width))
+        for run_id, value, distance in zip(group.run_ids, group.values, beyond, strict=True)
+        if distance > _FENCE * width and distance > 0
+    )

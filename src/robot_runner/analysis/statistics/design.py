@@ -1,0 +1,207 @@
+"""The design of an experiment as statistics see it: from the runs that are done."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from robot_runner.analysis.run_frame import treatment_texts
+from robot_runner.analysis.statistics.outcome import DesignSummary
+from robot_runner.analysis.statistics.wording import counted, listed
+from robot_runner.design.columns import RUN_ID
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from robot_runner.analysis.results import Results
+
+__all__ = ["PLACE", "VALUE", "Design", "Group", "MeasureData", "design_of"]
+
+#: Columns of a measure's data beside the factors. Names of factors never begin with a blank.
+VALUE = " value"
+PLACE = " place"
+_BLOCK = " block"
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """The runs of one treatment, or of one combination, that have a value.
+
+    Attributes:
+        treatments: which treatment of which factor, as texts.
+        missing: how many of its runs have no value.
+    """
+
+    treatments: dict[str, str]
+    values: NDArray[np.float64]
+    run_ids: tuple[str, ...]
+    missing: int = 0
+
+    @property
+    def label(self) -> str:
+        """The group in words."""
+        return " / ".join(self.treatments.values()) or "all runs"
+
+
+@dataclass(frozen=True, slots=True)
+class MeasureData:
+    """The values of one measure, with the treatments of each run.
+
+    Attributes:
+        name: the measure.
+        frame: one row a run that has a value: `run_id`, ` place` (in the order of execution, from 1), ` value`,
+            ` block` (where the design has blocks), and each factor as an ordered categorical of texts.
+        every: the same for all runs that are done; ` value` is NaN where there is none.
+        factors: those that have two and more treatments among the runs with a value.
+        is_blocked: whether runs belong to blocks.
+    """
+
+    name: str
+    frame: pd.DataFrame
+    every: pd.DataFrame
+    factors: tuple[str, ...]
+    is_blocked: bool
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """The values of all runs that have one."""
+        return np.asarray(self.frame[VALUE], dtype=np.float64)
+
+    @property
+    def blocks(self) -> NDArray[np.str_]:
+        """The block of each run that has a value."""
+        return np.asarray(self.frame[_BLOCK], dtype=str)
+
+    def levels(self, factor: str) -> list[str]:
+        """Return the treatments of a factor that occur among runs with a value, in their order."""
+        present = set(self.frame[factor])
+        return [str(level) for level in self.frame[factor].cat.categories if level in present]
+
+    def groups(self, factors: Sequence[str]) -> list[Group]:
+        """Return the runs of each combination of treatments of these factors that has a value."""
+        return [group for group in self.described_groups(factors) if len(group.values)]
+
+    def described_groups(self, factors: Sequence[str]) -> list[Group]:
+        """Return the runs of each combination of treatments of these factors that has a run that is done."""
+        if not factors:
+            return [self._group({}, self.every)]
+        return list(self._groups(factors))
+
+    def by_block(self) -> pd.DataFrame:
+        """Return the values of one factor's treatments (columns) in each block (rows)."""
+        return self.frame.pivot_table(index=_BLOCK, columns=self.factors[0], values=VALUE, observed=True)
+
+    def residuals(self) -> NDArray[np.float64]:
+        """Return each value less the mean of its combination."""
+        if not self.factors:
+            return np.asarray(self.values - np.mean(self.values), dtype=np.float64)
+        grouped = self.frame.groupby(list(self.factors), observed=True)[VALUE]
+        return np.asarray(self.frame[VALUE] - grouped.transform("mean"), dtype=np.float64)
+
+    def _groups(self, factors: Sequence[str]) -> Iterator[Group]:
+        by_key = dict(iter(self.every.groupby(list(factors), observed=True)))
+        for treatments in product(*(self.every[factor].cat.categories for factor in factors)):
+            rows = by_key.get(treatments)
+            if rows is not None:
+                yield self._group(dict(zip(factors, treatments, strict=True)), rows)
+
+    def _group(self, treatments: dict[str, str], rows: pd.DataFrame) -> Group:
+        valued = rows[rows[VALUE].notna()]
+        values = np.asarray(valued[VALUE], dtype=np.float64)
+        return Group(treatments, values, tuple(valued[RUN_ID]), len(rows) - len(valued))
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """What was varied, among the runs that are done.
+
+    Attributes:
+        frame: one row a run that is done: `run_id`, ` place`, the factors as ordered categoricals of texts, ` block`.
+        factors: those with two and more treatments.
+        constant: those with one.
+        block: the column of the blocks, or None.
+        left_out: how many runs of the table are not done.
+    """
+
+    results: Results
+    frame: pd.DataFrame
+    factors: tuple[str, ...]
+    constant: tuple[str, ...]
+    block: str | None
+    left_out: int
+
+    def data(self, measure: str) -> MeasureData | None:
+        """Return the data of a measure, or None where its values are no numbers."""
+        values = self.results.done[measure]
+        if isinstance(values.dtype, pd.StringDtype | pd.BooleanDtype) or values.dtype == object:
+            return None
+        every = self.frame.assign(**{VALUE: values.to_numpy(dtype=np.float64, na_value=np.nan)})
+        frame = every[every[VALUE].notna()].reset_index(drop=True)
+        factors = tuple(name for name in self.factors if _distinct(frame[name]) > 1)
+        return MeasureData(measure, frame, every, factors, self.block is not None)
+
+    def summary(self) -> DesignSummary:
+        """Return the design in figures and in a sentence."""
+        counts = self.frame.groupby(list(self.factors), observed=True).size() if self.factors else None
+        possible = int(np.prod([_distinct(self.frame[name]) for name in self.factors], dtype=np.int64))
+        found = [len(self.frame)] if counts is None else [int(count) for count in counts]
+        return DesignSummary(
+            factors=self.factors,
+            constant_factors=self.constant,
+            block=self.block,
+            used=len(self.frame),
+            left_out=self.left_out,
+            combinations=len(found),
+            empty_combinations=possible - len(found),
+            smallest_group=min(found, default=0),
+            largest_group=max(found, default=0),
+            sentence=self._sentence(found),
+        )
+
+    def _sentence(self, counts: Sequence[int]) -> str:
+        if not len(self.frame):
+            return "No run is done."
+        runs = f"{counted(len(self.frame), 'run')} {'is' if len(self.frame) == 1 else 'are'} done"
+        if not self.factors:
+            return f"{runs}, all with the same treatments."
+        named = [f"{name} ({counted(_distinct(self.frame[name]), 'treatment')})" for name in self.factors]
+        sizes = f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
+        blocks = f", in blocks of {self.block}" if self.block else ""
+        return f"{runs}; varied: {listed(named)}; {sizes} runs a combination{blocks}."
+
+
+def design_of(results: Results) -> Design:
+    """Return the design of an experiment from its runs that are done."""
+    done = results.done
+    columns = {RUN_ID: done[RUN_ID], PLACE: _places(done)}
+    counted_only = {results.repetition, results.block}
+    names = [name for name in results.factors if name not in counted_only]
+    for name in names:
+        texts = treatment_texts(done[name])
+        columns[name] = texts.cat.remove_unused_categories()
+    if results.block is not None:
+        columns[_BLOCK] = done[results.block].astype("str")
+    frame = pd.DataFrame(columns)
+    varied = tuple(name for name in names if _distinct(frame[name]) > 1)
+    constant = tuple(name for name in names if name not in varied)
+    has_blocks = results.block is not None and _distinct(frame[_BLOCK]) > 1
+    block = results.block if has_blocks else None
+    return Design(results, frame, varied, constant, block, len(results.runs) - len(done))
+
+
+def _distinct(values: pd.Series) -> int:
+    return len(set(values))
+
+
+def _places(done: pd.DataFrame) -> NDArray[np.int64]:
+    """Return the place of each run in the order of execution: by its time stamp, where all have one."""
+    stamp = "start_measurement_at"
+    if stamp in done and done[stamp].notna().all():
+        return np.asarray(done[stamp].rank(method="first"), dtype=np.int64)
+    return np.arange(1, len(done) + 1, dtype=np.int64)

@@ -1,0 +1,205 @@
+"""Adopt a folder of results: of an earlier tool, or made by hand.
+
+The run table and the raw files in the runs' folders are read as they are; what cannot be seen is told by options, or in
+a TOML file. What was understood is shown before anything is written. The originals are never changed. Exit code 0:
+adopted (or shown, with --dry-run); 2: refused.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.cli.arguments import add_json
+from robot_runner.cli.console import output, print_json
+from robot_runner.cli.import_words import (
+    differences_as_json,
+    print_adoption,
+    print_understanding,
+    understanding_as_json,
+)
+from robot_runner.cli.parser import UsageError
+from robot_runner.cli.screens.prompts import terminal_input
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    from robot_runner.analysis.importing.description import ImportDescription
+    from robot_runner.analysis.importing.understanding import Understanding
+    from robot_runner.cli.parser import Parser
+
+__all__ = ["add_arguments", "execute"]
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add what the command takes."""
+    parser.add_argument("folder", metavar="FOLDER", help="the folder that holds the run table and the runs' folders")
+    parser.add_argument(
+        "--to", metavar="FOLDER", help="the experiment folder to make; NAME_imported in the current folder if left out"
+    )
+    parser.add_argument("--description", metavar="FILE", help="a TOML file that describes the results")
+    parser.add_argument(
+        "--save-description", metavar="FILE", help="write what was understood to a TOML file, to mend it"
+    )
+    parser.add_argument("--name", help="the experiment's name; the folder's name if left out")
+    parser.add_argument("--table", metavar="FILE", help="the run table, below the folder; run_table.csv if left out")
+    for option, what in (("run-id", "the runs' ids"), ("status", "how far runs are"), ("repetition", "repetitions")):
+        parser.add_argument(f"--{option}", metavar="COLUMN", help=f"the table's column of {what}")
+    _add_repeated(parser, "--factor", "COLUMN", "a factor; may be given several times, and then all are to be named")
+    _add_repeated(parser, "--measure", "COLUMN", "a measure; likewise")
+    _add_repeated(parser, "--ignore", "COLUMN", "a column to leave out")
+    _add_repeated(parser, "--unit", "COLUMN=UNIT", "the unit of a measure, such as energy=mJ")
+    parser.add_argument("--run-folder", metavar="PATTERN", help="where a run's files are, such as 'raw/{run_id}'")
+    _add_repeated(
+        parser, "--samples", "FILE:COLUMN[:UNIT]", "raw samples and their time, in s, ms, us, ns, iso or a format"
+    )
+    _add_repeated(parser, "--sample-unit", "FILE:COLUMN=UNIT", "the unit of a column of samples: power.csv:power=mW")
+    _add_repeated(
+        parser,
+        "--recompute",
+        "MEASURE=HOW(FILE:COLUMN)",
+        "how a measure comes out of samples: integral, mean, time_mean, mean_times_duration, sum, min, max, median, "
+        "change, count or duration",
+    )
+    parser.add_argument("--origin", choices=("measured", "simulated", "estimated"), help="where the values come from")
+    parser.add_argument("--no-guess", action="store_true", help="take nothing for samples that was not described")
+    parser.add_argument("--dry-run", action="store_true", help="show what was understood, and write nothing")
+    parser.add_argument("--yes", action="store_true", help="write without asking")
+    add_json(parser)
+
+
+def _add_repeated(parser: Parser, option: str, metavar: str, text: str) -> None:
+    parser.add_argument(option, metavar=metavar, action="append", default=[], help=text)
+
+
+def execute(arguments: Namespace) -> int:
+    """Show what was understood; write it, if that is wanted; say how it differs from the table's own values."""
+    from robot_runner.analysis.importing.adoption import adopt  # noqa: PLC0415 - takes a second to import
+    from robot_runner.analysis.importing.understanding import understand  # noqa: PLC0415 - as above
+
+    understanding = understand(Path(arguments.folder).expanduser(), _said(arguments))
+    target = Path(arguments.to or f"{understanding.name}_imported").expanduser()
+    if arguments.save_description:
+        _save_description(Path(arguments.save_description), understanding)
+    if not arguments.json:
+        print_understanding(output(), understanding, target)
+    if arguments.dry_run:
+        return _shown(arguments, understanding)
+    _make_sure(arguments)
+    adoption = adopt(understanding, target)
+    if arguments.json:
+        print_json(
+            {
+                **understanding_as_json(understanding),
+                "folder": str(adoption.folder),
+                "differences": differences_as_json(adoption),
+            }
+        )
+    else:
+        print_adoption(output(), adoption)
+    return 0
+
+
+def _said(arguments: Namespace) -> ImportDescription:
+    from robot_runner.analysis.importing.description import (  # noqa: PLC0415 - as above
+        ImportDescription,
+        parse_recipe,
+    )
+    from robot_runner.analysis.importing.description_reading import read_description  # noqa: PLC0415 - as above
+
+    described = read_description(Path(arguments.description)) if arguments.description else ImportDescription()
+    return described.with_options(
+        ImportDescription(
+            name=arguments.name,
+            table=arguments.table,
+            run_id=arguments.run_id,
+            status=arguments.status,
+            repetition=arguments.repetition,
+            factors=tuple(arguments.factor) or None,
+            measures=tuple(arguments.measure) or None,
+            ignore=tuple(arguments.ignore),
+            units=dict(_assignment("--unit", each) for each in arguments.unit),
+            run_folder=arguments.run_folder,
+            samples=_samples(arguments),
+            recipes=tuple(map(parse_recipe, arguments.recompute)),
+            origin=arguments.origin,
+            guess=not arguments.no_guess,
+        )
+    )
+
+
+def _assignment(option: str, text: str) -> tuple[str, str]:
+    from robot_runner.analysis.importing.description import check_unit  # noqa: PLC0415 - as above
+
+    name, equals, unit = text.rpartition("=")
+    if not equals or not name:
+        raise UsageError(f"{text!r} names no unit", where=option, fix="Write COLUMN=UNIT, such as energy=mJ.")
+    check_unit(unit, f"{option} {text}")
+    return name.strip(), unit.strip()
+
+
+def _samples(arguments: Namespace) -> Any:
+    from robot_runner.analysis.importing.description import (  # noqa: PLC0415 - as above
+        SamplesDescription,
+        check_time_unit,
+    )
+
+    units: dict[str, dict[str, str]] = {}
+    for text in arguments.sample_unit:
+        name, unit = _assignment("--sample-unit", text)
+        file, colon, column = name.partition(":")
+        if not colon:
+            raise UsageError(f"{text!r} names no file", where="--sample-unit", fix="Write FILE:COLUMN=UNIT.")
+        units.setdefault(file, {})[column] = unit
+    times: dict[str, tuple[str, str | None]] = {}
+    for text in arguments.samples:
+        file, _, rest = text.partition(":")
+        column, _, unit = rest.partition(":")
+        if not column:
+            raise UsageError(
+                f"{text!r} names no column", where="--samples", fix="Write FILE:COLUMN or FILE:COLUMN:UNIT."
+            )
+        check_time_unit(unit or None, f"--samples {text}")
+        times[file] = (column, unit or None)
+    return tuple(
+        SamplesDescription(
+            file,
+            time=times.get(file, (None, None))[0],
+            time_unit=times.get(file, (None, None))[1],
+            units=units.get(file, {}),
+        )
+        for file in dict.fromkeys([*times, *units])
+    )
+
+
+def _save_description(path: Path, understanding: Understanding) -> None:
+    from robot_runner.analysis.importing.description_file import description_text  # noqa: PLC0415 - as above
+    from robot_runner.storage.safe_write import write_beside_and_rename  # noqa: PLC0415 - as above
+
+    text = description_text(understanding)
+    write_beside_and_rename(path, lambda file: file.write(text))
+
+
+def _shown(arguments: Namespace, understanding: Understanding) -> int:
+    if arguments.json:
+        print_json(understanding_as_json(understanding))
+    else:
+        output().print("Nothing was written (--dry-run).", style="bold")
+    return 0
+
+
+def _make_sure(arguments: Namespace) -> None:
+    """Ask at a terminal whether it is right.
+
+    Raises:
+        UsageError: it is not, or nobody can be asked.
+    """
+    if arguments.yes:
+        return
+    if arguments.json or terminal_input() is None:
+        fix = "Look at it with --dry-run, then add --yes."
+        raise UsageError("nobody can be asked whether that is right", where="robot-runner import", fix=fix)
+    answer = input("Is that right, and shall it be written? [y/N] ").strip().casefold()
+    if answer not in {"y", "yes"}:
+        fix = "Say what is otherwise by options, or mend a file made with --save-description."
+        raise UsageError("nothing was written", where="robot-runner import", fix=fix)

@@ -1,0 +1,244 @@
+"""Two experiments are compared by what they have in common, and nothing is claimed that the runs do not show."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from robot_runner.analysis.comparison.bounds import Bound
+from robot_runner.analysis.comparison.comparing import compare
+from robot_runner.analysis.comparison.document import comparison_document
+from robot_runner.analysis.comparison.outcome import Verdict
+from robot_runner.analysis.comparison.writing import json_of_comparison
+from robot_runner.errors import AnalysisError, StorageError
+
+
+def shifted(values, by):
+    return tuple(value + by for value in values)
+
+
+VIDEO = (870.1, 872.4, 869.0, 874.2, 871.3)
+NETWORK = (834.0, 836.1, 833.2, 838.0, 835.5)
+
+
+def test_two_of_a_kind_are_equivalent_within_a_bound(two_tasks):
+    comparison = compare(two_tasks().root, two_tasks(shifted(VIDEO, 0.8), shifted(NETWORK, -0.6)).root, bound="1%")
+    assert comparison.verdict is Verdict.EQUIVALENT
+    [energy] = comparison.measures
+    assert [each.verdict for each in energy.differences] == [Verdict.EQUIVALENT] * 2
+    assert energy.differences[0].difference == pytest.approx(0.8)
+    assert energy.differences[0].bound == pytest.approx(8.714)
+    assert "within the bound of 1 %" in energy.conclusion
+
+
+def test_a_difference_beyond_the_bound_is_found(two_tasks):
+    comparison = compare(two_tasks().root, two_tasks(shifted(VIDEO, 30.0)).root, bound="1%")
+    by_label = {each.label: each for each in comparison.measure("Energy").differences}
+    assert by_label["Video"].verdict is Verdict.DIFFERENT
+    assert by_label["Video"].relative == pytest.approx(30.0 / 871.4 * 100)
+    assert by_label["Network"].verdict is Verdict.EQUIVALENT
+    assert comparison.verdict is Verdict.DIFFERENT
+    assert "Different for Video" in comparison.measure("Energy").conclusion
+
+
+def test_a_significant_difference_within_the_bound_does_not_matter(two_tasks):
+    comparison = compare(two_tasks().root, two_tasks(shifted(VIDEO, 5.0), shifted(NETWORK, 5.0)).root, bound=20.0)
+    video = comparison.measure("Energy").differences[0]
+    assert video.adjusted_p_value < 0.05
+    assert video.verdict is Verdict.EQUIVALENT
+
+
+def test_too_few_runs_decide_nothing(two_tasks):
+    comparison = compare(two_tasks().root, two_tasks(shifted(VIDEO, 1.5)).root, bound=2.0)
+    assert comparison.measure("Energy").differences[0].verdict is Verdict.UNDECIDED
+    assert "suffice neither" in comparison.measure("Energy").conclusion
+
+
+def test_without_a_bound_nothing_is_equivalent(two_tasks):
+    comparison = compare(two_tasks().root, two_tasks().root)
+    assert comparison.verdict is Verdict.UNDECIDED
+    assert all(each.equivalence_p_value is None for each in comparison.measure("Energy").differences)
+    assert "without a bound" in comparison.measure("Energy").conclusion
+
+
+def test_the_narrow_interval_decides_as_the_two_tests_do(two_tasks):
+    first = two_tasks().root
+    for shift in np.linspace(0.0, 6.0, 25):
+        second = compare(first, two_tasks(shifted(VIDEO, shift)).root, bound=3.0)
+        video = second.measure("Energy").differences[0]
+        is_within = video.narrow_interval.low > -3.0 and video.narrow_interval.high < 3.0
+        assert (video.equivalence_p_value < 0.05) == is_within
+
+
+def test_p_values_are_adjusted_for_the_number_of_combinations(two_tasks):
+    comparison = compare(two_tasks().root, two_tasks(shifted(VIDEO, 2.0), shifted(NETWORK, 1.0)).root)
+    first, second = comparison.measure("Energy").differences
+    assert first.p_value < second.p_value
+    assert first.adjusted_p_value == pytest.approx(2 * first.p_value)
+    assert second.adjusted_p_value == pytest.approx(max(second.p_value, first.adjusted_p_value))
+
+
+def test_runs_within_one_experiment_are_pairs(make_folder):
+    rows = [("a", 10.0, 10.6), ("a", 14.0, 14.5), ("b", 18.0, 18.4), ("b", 25.0, 25.5)]
+    folder = make_folder(factors={"Task": ["a", "b"]}, rows=rows, measures={"Energy": "J", "Model": "J"})
+    comparison = compare(folder.root, folder.root, measures=["Energy=Model"], bound="10%")
+    assert comparison.is_paired
+    [measure] = comparison.measures
+    assert measure.name == "Energy and Model"
+    assert measure.agreement.are_natural
+    assert measure.agreement.bias == pytest.approx(0.5)
+    assert measure.agreement.pairs["a"] == [(10.0, 10.6), (14.0, 14.5)]
+    expected = np.mean([0.6 / 10, 0.5 / 14, 0.4 / 18, 0.5 / 25]) * 100
+    assert measure.agreement.error == pytest.approx(expected)
+    assert measure.differences[0].narrow_interval.method == "paired t"
+
+
+def test_experiments_have_no_natural_pairs_unless_the_user_says_so(two_tasks):
+    one, other = two_tasks().root, two_tasks(shifted(VIDEO, 1.0)).root
+    assert not compare(one, other).measure("Energy").agreement.are_natural
+    assert compare(one, other, is_paired=True).measure("Energy").agreement.are_natural
+
+
+def test_the_relative_error_of_independent_runs_is_of_their_means(two_tasks):
+    comparison = compare(two_tasks().root, two_tasks(shifted(VIDEO, 8.714)).root)
+    assert comparison.measure("Energy").agreement.error == pytest.approx((1.0 + 0.0) / 2)
+
+
+def test_a_relative_error_of_nothing_is_not_computed(two_tasks):
+    comparison = compare(two_tasks(video=(0.0, 0.0)).root, two_tasks(video=(1.0, 2.0)).root)
+    assert comparison.measure("Energy").agreement.error is None
+
+
+def test_what_only_one_experiment_has_is_told(make_folder):
+    one = make_folder(factors={"Task": ["a", "b"]}, rows=[("a", 1.0), ("a", 1.1), ("b", 2.0)], measures={"E": "J"})
+    other = make_folder(
+        factors={"Task": ["a", "c"], "Speed": ["x"]},
+        rows=[("a", "x", 1.0), ("a", "x", 1.2), ("c", "x", 9.0)],
+        measures={"E": "J"},
+        name="other",
+    )
+    comparison = compare(one.root, other.root)
+    assert [each.label for each in comparison.measure("E").differences] == ["a"]
+    notes = " ".join(comparison.notes)
+    assert "Only trial has b." in notes
+    assert "Only other has c." in notes
+    assert "Only other has the factor Speed" in notes
+
+
+def test_experiments_without_a_factor_in_common_are_compared_as_a_whole(make_folder):
+    one = make_folder(factors={"A": ["x"]}, rows=[("x", 1.0), ("x", 1.1)], measures={"E": "J"})
+    other = make_folder(factors={"B": ["y"]}, rows=[("y", 1.0), ("y", 1.2)], measures={"E": "J"})
+    comparison = compare(one.root, other.root)
+    assert [each.label for each in comparison.measure("E").differences] == ["all runs"]
+    assert any("no factor in common" in note for note in comparison.notes)
+
+
+def test_units_that_differ_are_told(make_folder):
+    one = make_folder(factors={}, rows=[(1.0,), (1.1,)], measures={"E": "J"})
+    other = make_folder(factors={}, rows=[(1.0,), (1.2,)], measures={"E": "kJ"})
+    [missed] = compare(one.root, other.root).measure("E").not_computed
+    assert "J and kJ" in missed.why
+
+
+def test_origins_and_circumstances_that_differ_are_told(two_tasks):
+    simulated = two_tasks(origin="simulated", name="other", manifest={"robot": "simulated", "seed": 8})
+    comparison = compare(two_tasks().root, simulated.root)
+    assert (comparison.measure("Energy").first_origin, comparison.measure("Energy").second_origin) == (
+        "measured",
+        "simulated",
+    )
+    assert ("Robot", "ros1", "simulated") in comparison.differing
+    assert ("Seed of the order", "7", "8") in comparison.differing
+
+
+@pytest.mark.parametrize(
+    ("video", "reason"),
+    [((), "There are 0"), ((870.0,), "There are 1"), ((None, None), "There are 0")],
+)
+def test_without_runs_there_is_no_test_and_a_reason(two_tasks, video, reason):
+    comparison = compare(two_tasks(video=video).root, two_tasks(video=video).root, bound="5%")
+    measure = comparison.measure("Energy")
+    untested = [each for each in measure.differences if each.label == "Video"]
+    assert all(each.p_value is None and each.equivalence_p_value is None for each in untested)
+    assert all(each.verdict is Verdict.UNDECIDED and reason in each.not_computed for each in untested)
+    json.loads(json_of_comparison(comparison))
+    comparison_document(comparison, made="")
+
+
+def test_values_that_are_all_equal_cannot_be_tested(two_tasks):
+    comparison = compare(two_tasks(video=(1.0,) * 5).root, two_tasks(video=(1.0,) * 5).root, bound="5%")
+    [video, _] = comparison.measure("Energy").differences
+    assert video.p_value is None
+    assert "equal" in video.not_computed
+    assert video.verdict is Verdict.UNDECIDED
+
+
+def test_experiments_without_a_run_that_is_done_are_undecided(two_tasks):
+    nothing = dict.fromkeys(range(10), "-")
+    comparison = compare(two_tasks(statuses=nothing).root, two_tasks().root, bound="5%")
+    assert comparison.verdict is Verdict.UNDECIDED
+    assert "no runs of the same combination" in comparison.measure("Energy").conclusion
+
+
+def test_text_is_not_compared_as_numbers(make_folder):
+    rows = [("a", "ok"), ("a", "stuck")]
+    folder = make_folder(factors={"T": ["a"]}, rows=rows, measures={"State": ""}, types={"State": "string"})
+    [difference] = compare(folder.root, folder.root).measure("State").differences
+    assert difference.p_value is None
+    assert "There are 0" in difference.not_computed
+
+
+def test_a_measure_that_is_not_there_is_named(two_tasks):
+    one, other = two_tasks().root, two_tasks().root
+    for measure in ("Enery", "Energy=Enery", "Enery=Energy"):
+        with pytest.raises(AnalysisError, match="'Enery'") as caught:
+            compare(one, other, measures=[measure])
+        assert "'Energy'" in caught.value.fix
+
+
+def test_experiments_without_a_measure_in_common_say_how_to_name_them(make_folder):
+    one = make_folder(factors={}, rows=[(1.0,)], measures={"Energy": "J"})
+    other = make_folder(factors={}, rows=[(1.0,)], measures={"E": "J"})
+    with pytest.raises(AnalysisError) as caught:
+        compare(one.root, other.root)
+    assert "--measure Energy=E" in caught.value.fix
+
+
+def test_a_bound_for_what_is_not_compared_is_refused(two_tasks):
+    with pytest.raises(AnalysisError, match="'CPU'"):
+        compare(two_tasks().root, two_tasks().root, bound=["CPU=5%"])
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.5, 1.0, -1.0])
+def test_an_alpha_that_cannot_be_is_refused(two_tasks, alpha):
+    with pytest.raises(AnalysisError, match="alpha"):
+        compare(two_tasks().root, two_tasks().root, alpha=alpha)
+
+
+def test_a_folder_without_an_experiment_is_refused(two_tasks, tmp_path):
+    with pytest.raises(StorageError):
+        compare(two_tasks().root, tmp_path)
+
+
+def test_experiments_of_one_name_are_told_apart(two_tasks):
+    one, other = two_tasks(), two_tasks()
+    comparison = compare(one.root, other.root)
+    assert (comparison.first.name, comparison.second.name) == (one.root.name, other.root.name)
+    assert compare(one.root, one.root).second.name == "second trial"
+
+
+def test_bounds_may_be_given_for_each_measure(make_folder):
+    rows = [(1.0, 50.0), (1.1, 51.0), (0.9, 49.0)]
+    folder = make_folder(factors={}, rows=rows, measures={"E": "J", "CPU": "%"})
+    comparison = compare(folder.root, folder.root, bound=["5%", "CPU=2"])
+    assert comparison.measure("E").bound == Bound(5.0, is_relative=True)
+    assert comparison.measure("CPU").bound == Bound(2.0)
+
+
+def test_json_has_everything_and_no_nan(two_tasks):
+    comparison = compare(two_tasks().root, two_tasks(video=(1.0,)).root, bound="5%")
+    facts = json.loads(json_of_comparison(comparison), parse_constant=pytest.fail)
+    assert facts["verdict"] == "undecided"
+    assert facts["measures"][0]["differences"][1]["treatments"] == {"Task": "Network"}

@@ -1,0 +1,212 @@
+"""Figures have units on their axes, fit a column, and can be told apart without colour."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.colors import to_rgb
+
+from robot_runner.analysis.figures.agreement import draw_agreement
+from robot_runner.analysis.figures.courses import course_of_run, mean_course
+from robot_runner.analysis.figures.distribution import draw_distribution
+from robot_runner.analysis.figures.equivalence import Estimate, draw_differences
+from robot_runner.analysis.figures.files import FigureFormat, figure_bytes, file_name
+from robot_runner.analysis.figures.groups import Group
+from robot_runner.analysis.figures.interaction import Mean, draw_interaction
+from robot_runner.analysis.figures.mission import draw_mean_courses, draw_single_courses
+from robot_runner.analysis.figures.order import draw_run_order
+from robot_runner.analysis.figures.phases import PhaseSpan
+from robot_runner.analysis.figures.quantiles import draw_quantiles
+from robot_runner.analysis.figures.style import COLUMN, PAGE, looks, verbatim
+from robot_runner.analysis.figures.timeline import AttemptSpan, draw_timeline
+from robot_runner.analysis.figures.trajectory import Way, draw_trajectories
+
+ROOT = Path(__file__).parents[3]
+LABEL = "Energy (J)"
+TASKS = ("Video", "Network")
+
+
+def courses():
+    time = np.arange(0, 20, 0.1)
+    return [course_of_run(f"r_{n}", time, 7 + np.sin(time) + n, 0.5) for n in range(2)]
+
+
+def single():
+    return draw_single_courses(
+        dict(zip(TASKS, courses(), strict=True)),
+        order=TASKS,
+        value_label="Power (W)",
+        phases=[PhaseSpan("sleep", 0, 5), PhaseSpan("forward", 5, 20)],
+        events={"launch_mission": 0.1, "stop_measurement": 19.0},
+    )
+
+
+def means():
+    means = [mean_course(name, [course], 0.5) for name, course in zip(TASKS, courses(), strict=True)]
+    return draw_mean_courses(means, order=TASKS, value_label="Power (W)")
+
+
+def distribution(count=3, size=5):
+    groups = [
+        Group(f"T{n}", tuple(np.linspace(n, n + 1, size)), tuple(f"r_{n}_{i}" for i in range(size)))
+        for n in range(count)
+    ]
+    return draw_distribution(groups, value_label=LABEL, group_label="Task", outliers=frozenset({"r_0_0"}))
+
+
+DRAWINGS = {
+    "single": single,
+    "means": means,
+    "distribution": distribution,
+    "many_groups": lambda: distribution(30, 3),
+    "violins": lambda: distribution(2, 40),
+    "one_value": lambda: distribution(1, 1),
+    "no_value": lambda: draw_distribution([Group("a", (), ())], value_label=LABEL, group_label="Task"),
+    "equal_values": lambda: draw_distribution(
+        [Group("a", (1.0,) * 30, ("r",) * 30)], value_label=LABEL, group_label="Task"
+    ),
+    "interaction": lambda: draw_interaction(
+        {"fast": {"a": Mean(1.0, 0.9, 1.1), "b": Mean(2.0)}, "slow": {"a": Mean(1.5)}},
+        treatments=["a", "b"],
+        value_label=LABEL,
+        along="Task",
+        across="Speed",
+    ),
+    "order": lambda: draw_run_order(
+        [1, 2, 3], [0.1, -0.2, 0.1], ["a", "b", "a"], order=("a", "b"), value_label=LABEL, slope=0.1
+    ),
+    "quantiles": lambda: draw_quantiles([-1, 0, 1], [-2, 0, 2], slope=2, intercept=0, value_label=LABEL),
+    "trajectory": lambda: draw_trajectories(
+        [Way("a", np.arange(9.0), np.zeros(9)), Way("b", np.zeros(9), np.zeros(9))], order=("a", "b")
+    ),
+    "standing": lambda: draw_trajectories([Way("a", np.zeros(3), np.zeros(3))], order=("a",)),
+    "nowhere": lambda: draw_trajectories([Way("a", np.array([np.nan]), np.array([np.nan]))], order=("a",)),
+    "timeline": lambda: draw_timeline(
+        [AttemptSpan("r_1", "a", 0, 9, (1, 8), is_done=True), AttemptSpan("r_2", "b", 9, 12, None, is_done=False)],
+        order=("a", "b"),
+    ),
+    "agreement": lambda: draw_agreement(
+        {"a": [(1.0, 1.1)], "b": [(2.0, 2.1), (3.0, 2.9)]},
+        bias=0.1,
+        lower=-0.1,
+        upper=0.3,
+        value_label=LABEL,
+        names=("one", "other"),
+        unit="J",
+    ),
+    "differences": lambda: draw_differences(
+        [Estimate("a", 0.1, -0.1, 0.3, 0.5), Estimate("b", 0.1, 0.0, 0.2, None)], value_label=LABEL
+    ),
+}
+
+each_drawing = pytest.mark.parametrize("draw", DRAWINGS.values(), ids=DRAWINGS)
+
+
+@each_drawing
+def test_axes_are_labelled(draw):
+    figure = draw()
+    drawn = [axes for axes in figure.axes if axes.axison]
+    assert all(axes.get_xlabel() for axes in drawn[-1:])
+    is_labelled = [axes.get_ylabel() or figure.get_supylabel() for axes in drawn]
+    assert all(is_labelled) or figure.get_figwidth() == PAGE or drawn[0].get_yticklabels()
+
+
+@each_drawing
+def test_it_fits_a_column_or_a_page(draw):
+    width, height = draw().get_size_inches()
+    assert width <= COLUMN or width == PAGE
+    assert height <= 9.0
+
+
+@each_drawing
+def test_it_can_be_saved(draw):
+    assert figure_bytes(draw(), FigureFormat.SVG).rstrip().endswith(b"</svg>")
+
+
+@pytest.mark.parametrize(("kind", "head"), [(FigureFormat.PDF, b"%PDF"), (FigureFormat.PNG, b"\x89PNG")])
+def test_it_can_be_saved_in_each_format(kind, head):
+    assert figure_bytes(single(), kind).startswith(head)
+
+
+def test_letters_in_a_pdf_are_of_a_truetype_font():
+    data = figure_bytes(single(), FigureFormat.PDF)
+    assert b"/CIDFontType2" in data
+    assert b"/Type3" not in data
+
+
+def test_units_stand_on_the_axes():
+    figure = single()
+    texts = [figure.get_supylabel(), figure.axes[-1].get_xlabel()]
+    assert texts == ["Power (W)", "Time since the start of measurement (s)"]
+
+
+def test_phases_and_events_are_named():
+    words = {text.get_text() for axes in single().axes for text in axes.texts}
+    assert {"sleep", "forward", "launch mission", "stop measurement"} <= words
+
+
+@pytest.mark.parametrize("count", range(1, 11))
+def test_treatments_are_told_apart_without_colour(count):
+    found = looks(count)
+    assert len({look.marker for look in found}) == count
+    assert len({look.colour for look in found}) == count
+
+
+@pytest.mark.parametrize("count", [2, 3, 12])
+def test_colours_stay_apart_in_grey(count):
+    greys = [float(np.dot((0.2126, 0.7152, 0.0722), to_rgb(look.colour))) for look in looks(count)]
+    assert min(abs(one - other) for one, other in pairwise(greys)) > 0.03
+
+
+def test_a_treatment_looks_the_same_in_each_figure():
+    drawn = draw_run_order([1], [0.0], ["Network"], order=TASKS, value_label=LABEL)
+    [line] = [line for line in drawn.axes[0].lines if line.get_label() == "Network"]
+    assert line.get_color() == looks(2)[1].colour
+
+
+def test_names_are_no_formulas_and_no_markup():
+    figure = draw_distribution(
+        [Group(r"$\frac{1}{0}$", (1.0, 2.0), ("r_1", "r_2"))], value_label="<b>$E$</b> (%)", group_label="a\nb"
+    )
+    svg = figure_bytes(figure, FigureFormat.SVG).decode()
+    assert "<b>" not in svg
+    assert figure.axes[0].get_xticklabels()[0].get_text() == r"$\frac{1}{0}$"
+    assert figure.axes[0].get_xlabel() == "a b"
+
+
+def test_letters_that_no_font_has_become_boxes():
+    groups = [Group("\U000e0fff 🤖", (1.0,), ("r",))]
+    assert figure_bytes(draw_distribution(groups, value_label=LABEL, group_label="T"), FigureFormat.PNG)
+
+
+@given(st.text())
+def test_what_is_shown_stays_on_one_line(text):
+    assert verbatim(text).isprintable()
+
+
+@given(st.text())
+def test_a_file_name_is_safe_whatever_the_name(text):
+    name = file_name(text)
+    assert re.fullmatch(r"[A-Za-z0-9_-]{1,80}", name)
+    assert name not in {"", ".", ".."}
+
+
+def test_the_same_figure_is_the_same_file_in_each_process():
+    program = (
+        "import hashlib\n"
+        "from tests.analysis.figures.test_drawing import FigureFormat, figure_bytes, single\n"
+        "print(hashlib.sha256(figure_bytes(single(), FigureFormat.SVG)).hexdigest())\n"
+    )
+    one, other = (
+        subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+        for _ in range(2)
+    )
+    assert one == other

@@ -1,0 +1,194 @@
+"""An adopted folder is an experiment of our own format; the originals stay as they are."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+
+import pytest
+from tests.analysis.importing.foreign_folder import make_earlier_folder, write
+
+from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.importing.adoption import adopt
+from robot_runner.analysis.importing.agreement import agreements
+from robot_runner.analysis.importing.description import ImportDescription, parse_recipe
+from robot_runner.analysis.importing.description_reading import read_description
+from robot_runner.analysis.importing.understanding import understand
+from robot_runner.errors import StorageError
+from robot_runner.execution.status import read_status
+
+
+@pytest.fixture
+def root(tmp_path):
+    return make_earlier_folder(tmp_path / "earlier")
+
+
+def adopted(root, target, **said):
+    return adopt(understand(root, ImportDescription(**said)), target)
+
+
+def digest(root):
+    return {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(root.rglob("*")) if path.is_file()}
+
+
+def test_the_originals_stay_as_they_are(root, tmp_path):
+    before = digest(root)
+    adopted(root, tmp_path / "ours")
+    assert digest(root) == before
+
+
+def test_the_table_keeps_its_own_values(root, tmp_path):
+    adopted(root, tmp_path / "ours")
+    results = load_results(tmp_path / "ours")
+    assert results.factors == ("task", "offloaded")
+    assert results.done["energy_J"].tolist() == [15.0, 16.0, 30.0]
+    assert results.unit("energy_J") == "J"
+    assert results.runs["Repetition"].tolist() == [1, 1, 2, 2]
+    assert results.runs["offloaded"].cat.categories.tolist() == [False, True]
+
+
+def test_samples_are_in_si_and_on_one_clock_a_run(root, tmp_path):
+    adopted(root, tmp_path / "ours")
+    results = load_results(tmp_path / "ours")
+    power = results.samples("power", runs=["run_1"])
+    assert power["power_W"].tolist() == [8.0, 8.0, 8.0]
+    assert power["time_s"].tolist() == [0.5, 1.5, 2.5]  # the first sample of the CPU was half a second earlier
+    assert results.samples("resources", runs=["run_1"])["time_s"].tolist() == [0.0, 1.0]
+
+
+def test_moments_give_the_order_of_execution(root, tmp_path):
+    adopted(root, tmp_path / "ours")
+    runs = load_results(tmp_path / "ours").runs
+    assert str(runs["start_measurement_at"][1]) == "2021-06-25 14:31:00+00:00"
+    assert runs["start_measurement_at"].isna().tolist() == [False, False, False, True]
+
+
+def test_differences_from_the_table_are_listed(root, tmp_path):
+    found = {(each.measure, each.run_id): each for each in adopted(root, tmp_path / "ours").differences}
+    assert (found["energy_J", "run_0"].table, found["energy_J", "run_0"].recomputed) == (15.0, 15.0)
+    assert found["energy_J", "run_2"].relative == pytest.approx(-0.2)
+    with (tmp_path / "ours" / "import" / "differences.csv").open() as file:
+        listed = {(row["measure"], row["run_id"]): row for row in csv.DictReader(file)}
+    assert float(listed["energy_J", "run_2"]["recomputed"]) == 24.0
+
+
+def test_measures_that_differ_are_told_from_those_that_agree(root, tmp_path):
+    found = {each.measure: each for each in agreements(adopted(root, tmp_path / "ours").differences)}
+    assert [each.run_id for each in found["energy_J"].differing] == ["run_2"]
+    assert [each.run_id for each in found["avg_cpu"].differing] == ["run_1"]
+
+
+def test_a_mistaken_unit_is_noticed(root, tmp_path):
+    found = agreements(adopted(root, tmp_path / "ours", units={"energy_J": "kJ"}).differences)
+    assert next(each for each in found if each.measure == "energy_J").factor == 1e-3
+
+
+def test_a_recomputed_measure_that_the_table_lacks_gets_a_column(root, tmp_path):
+    recipes = (parse_recipe("PeakPower=max(power.csv:power_mW)"), parse_recipe("Samples=count(power.csv)"))
+    adopted(root, tmp_path / "ours", recipes=recipes)
+    results = load_results(tmp_path / "ours")
+    assert results.done["PeakPower"].tolist() == [7.5, 8.0, 12.0]
+    assert (results.unit("PeakPower"), results.unit("Samples")) == ("W", "1")
+
+
+@pytest.mark.parametrize(
+    ("how", "expected"),
+    [
+        ("integral(power.csv:p)", 8.5),
+        ("mean(power.csv:p)", 3.0),
+        ("time_mean(power.csv:p)", 8.5 / 3),
+        ("mean_times_duration(power.csv:p)", 9.0),
+        ("sum(power.csv:p)", 9.0),
+        ("min(power.csv:p)", 2.0),
+        ("max(power.csv:p)", 4.0),
+        ("median(power.csv:p)", 3.0),
+        ("change(power.csv:p)", 2.0),
+        ("count(power.csv)", 3.0),
+        ("duration(power.csv)", 3.0),
+    ],
+)
+def test_each_way_of_computing_a_measure(tmp_path, how, expected):
+    write(tmp_path / "r" / "run_table.csv", "__run_id,t,e\nrun_0,a,1\n")
+    write(tmp_path / "r" / "run_0" / "power.csv", "time_s,p\n5,2\n7,3\n8,4\n")
+    recipes = (parse_recipe(f"x={how}"),)
+    (run,) = adopted(tmp_path / "r", tmp_path / "ours", recipes=recipes).runs
+    assert run.recomputed["x"] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("times", "seconds"),
+    [
+        (("1736296650586", "1736296651086"), [0.0, 0.5]),
+        (("1736296650.5", "1736296651"), [0.0, 0.5]),
+        (("2021-06-25T23:59:59.750Z", "2021-06-26T00:00:00.250Z"), [0.0, 0.5]),
+        (("23:59:59.75", "00:00:00.25"), [0.0, 0.5]),
+        (("3", "3.5"), [0.0, 0.5]),
+    ],
+    ids=["milliseconds since 1970", "seconds since 1970", "ISO 8601", "times of day, past midnight", "counted"],
+)
+def test_times_in_whichever_way_they_are_written(tmp_path, times, seconds):
+    write(tmp_path / "r" / "run_table.csv", "__run_id,t,e\nrun_0,a,1\n")
+    write(tmp_path / "r" / "run_0" / "power.csv", "time,p\n" + "".join(f"{time},1\n" for time in times))
+    adopted(tmp_path / "r", tmp_path / "ours")
+    samples = load_results(tmp_path / "ours").samples()["time_s"]
+    assert (samples - samples[0]).tolist() == pytest.approx(seconds)
+
+
+def test_samples_that_are_not_in_order_are_sorted_and_noted(tmp_path):
+    write(tmp_path / "r" / "run_table.csv", "__run_id,t,e\nrun_0,a,1\n")
+    write(tmp_path / "r" / "run_0" / "power.csv", "time_s,p\n2,20\n1,10\n")
+    adopted(tmp_path / "r", tmp_path / "ours")
+    assert load_results(tmp_path / "ours").samples()["p"].tolist() == [10, 20]
+    notes = json.loads((tmp_path / "ours" / "manifest.json").read_text("utf-8"))["imported"]["notes"]
+    assert "times were not in order, or missing, in run_0/power.csv" in notes
+
+
+def test_what_was_not_understood_is_kept(root, tmp_path):
+    adopted(root, tmp_path / "ours")
+    assert (tmp_path / "ours" / "runs" / "run_0" / "original" / "notes.csv").read_text() == "who,what\nme,nothing\n"
+
+
+def test_the_manifest_says_where_it_comes_from(root, tmp_path):
+    adopted(root, tmp_path / "ours", origin="simulated")
+    manifest = json.loads((tmp_path / "ours" / "manifest.json").read_text("utf-8"))
+    assert (manifest["origin"], manifest["imported"]["from"]) == ("imported", "earlier")
+    power = (root / "run_0" / "power.csv").read_bytes()
+    assert manifest["imported"]["sources"]["run_0"]["power.csv"] == hashlib.sha256(power).hexdigest()
+    assert load_results(tmp_path / "ours").columns["energy_J"].origin == "simulated"
+
+
+def test_an_import_can_be_repeated_from_the_description_that_it_leaves(root, tmp_path):
+    adopted(root, tmp_path / "ours", recipes=(parse_recipe("Peak=max(power.csv:power_mW)"),))
+    said = read_description(tmp_path / "ours" / "import" / "description.toml")
+    adopt(understand(root, said), tmp_path / "again")
+    for name in ("run_table.csv", "run_table.schema.json", "import/differences.csv", "runs/run_0/power/samples.csv"):
+        assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "ours" / name).read_bytes()
+
+
+def test_an_adopted_experiment_can_be_analysed_exported_and_looked_at(root, tmp_path):
+    adopted(root, tmp_path / "ours")
+    results = load_results(tmp_path / "ours")
+    assert analyse(results).design.used == 3
+    assert results.export()
+    status = read_status(tmp_path / "ours")
+    assert (status.done, status.todo, status.experiment_name) == (3, 1, "earlier")
+
+
+def test_a_folder_that_holds_something_is_left_alone(root, tmp_path):
+    write(tmp_path / "ours" / "mine.txt", "mine")
+    with pytest.raises(StorageError, match="there is something already"):
+        adopted(root, tmp_path / "ours")
+    assert [path.name for path in (tmp_path / "ours").iterdir()] == ["mine.txt"]
+
+
+def test_nothing_is_written_into_the_results_themselves(root):
+    with pytest.raises(StorageError, match="inside of the results"):
+        adopted(root, root / "ours")
+
+
+def test_an_import_that_fails_leaves_nothing(root, tmp_path):
+    write(root / "run_1" / "power.csv", "timestamp,power_mW\nsoon,1\n")
+    with pytest.raises(Exception, match="times cannot be read"):
+        adopted(root, tmp_path / "ours")
+    assert [path.name for path in tmp_path.iterdir()] == ["earlier"]

@@ -1,0 +1,228 @@
+"""What is in a results folder is seen without being told, or is as it is told."""
+
+from __future__ import annotations
+
+import pytest
+from tests.analysis.importing.foreign_folder import EARLIER_TABLE, make_earlier_folder, write
+
+from robot_runner.analysis.importing.description import ImportDescription, SamplesDescription, parse_recipe
+from robot_runner.analysis.importing.understanding import understand
+from robot_runner.errors import AnalysisError, StorageError
+from robot_runner.storage.run_status import RunStatus
+
+NOTHING = ImportDescription()
+
+
+@pytest.fixture
+def root(tmp_path):
+    return make_earlier_folder(tmp_path / "earlier")
+
+
+def table_only(tmp_path, text, encoding="utf-8", **said):
+    write(tmp_path / "results" / "run_table.csv", text, encoding)
+    return understand(tmp_path / "results", ImportDescription(**said))
+
+
+def test_the_columns_of_the_earlier_tools_are_known(root):
+    roles = understand(root, NOTHING).roles
+    assert (roles.run_id, roles.status, roles.repetition) == ("__run_id", "__done", "repetition")
+    assert roles.factors == ("task", "offloaded")
+    assert roles.measures == ("duration_s", "avg_cpu", "energy_J")
+
+
+def test_rows_may_be_in_any_state(root):
+    found = understand(root, NOTHING)
+    assert [run.status for run in found.runs] == [RunStatus.DONE] * 3 + [RunStatus.TODO]
+    assert found.runs[3].measures == {"duration_s": None, "avg_cpu": None, "energy_J": None}
+
+
+def test_units_come_from_headings(root):
+    units = understand(root, NOTHING).units
+    assert {name: unit.symbol if unit else None for name, unit in units.items()} == {
+        "duration_s": "s",
+        "avg_cpu": None,
+        "energy_J": "J",
+    }
+
+
+def test_samples_and_their_times_are_seen(root):
+    found = {each.file: each for each in understand(root, NOTHING).samples}
+    assert set(found) == {"power.csv", "resources.csv"}
+    assert (found["power.csv"].time, found["power.csv"].time_unit) == ("timestamp", "iso")
+    assert found["power.csv"].heading("power_mW") == "power_W"
+    assert len(found["power.csv"].paths) == 3
+
+
+def test_what_no_sample_is_stays_as_it_is(root):
+    assert "notes.csv is left as it is: no column is told to be the time" in understand(root, NOTHING).notes
+
+
+def test_which_measure_comes_out_of_which_samples_is_guessed(root):
+    recipes = {recipe.measure: (recipe.words, recipe.is_guessed) for recipe in understand(root, NOTHING).recipes}
+    assert recipes == {
+        "avg_cpu": ("mean(resources.csv:cpu)", True),
+        "energy_J": ("integral(power.csv:power_mW)", True),
+    }
+
+
+def test_a_counter_of_joules_is_read_off_at_its_ends(tmp_path):
+    write(tmp_path / "r" / "run_table.csv", "__run_id,__done,t,PACKAGE (J)\nrun_0,DONE,a,5.0\n")
+    write(tmp_path / "r" / "run_0" / "energibridge.csv", "Time,PACKAGE (J)\n1736296650586,100\n1736296651586,105\n")
+    (recipe,) = understand(tmp_path / "r", NOTHING).recipes
+    assert recipe.words == "change(energibridge.csv:PACKAGE (J))"
+
+
+def test_what_is_said_counts_more_than_what_is_guessed(root):
+    said = ImportDescription(recipes=(parse_recipe("avg_cpu=max(resources.csv:cpu)"),), units={"energy_J": "mJ"})
+    found = understand(root, said)
+    assert next(each for each in found.recipes if each.measure == "avg_cpu").words == "max(resources.csv:cpu)"
+    assert found.units["energy_J"].symbol == "mJ"
+
+
+def test_without_guessing_nothing_is_taken_for_samples(root):
+    found = understand(root, ImportDescription(guess=False))
+    assert (found.samples, found.recipes) == ((), ())
+
+
+@pytest.mark.parametrize(
+    ("text", "encoding"),
+    [
+        (EARLIER_TABLE, "utf-8-sig"),
+        ("\r\n,,,\r\n" + EARLIER_TABLE, "utf-8"),
+        (EARLIER_TABLE.replace(",", ";").replace(".0", ",0"), "utf-8"),
+        (EARLIER_TABLE.replace(",", "\t"), "utf-16"),
+        (EARLIER_TABLE.replace("true", "TRUE").replace("false", "False").replace("DONE", "True"), "utf-8"),
+        (EARLIER_TABLE.replace("\r\n", ",,\r\n"), "utf-8"),
+        (EARLIER_TABLE.replace("__run_id,__done", "Run ID,Status"), "utf-8"),
+        (EARLIER_TABLE.replace("__run_id,__done", "ID,Done").replace("DONE", "x"), "utf-8"),
+    ],
+    ids=[
+        "byte-order mark",
+        "blank first lines",
+        "semicolons",
+        "tabs, UTF-16",
+        "booleans",
+        "empty columns",
+        "renamed",
+        "x",
+    ],
+)
+def test_what_a_spreadsheet_makes_of_it_means_the_same(tmp_path, text, encoding):
+    found = table_only(tmp_path, text, encoding)
+    assert [run.source_id for run in found.runs] == ["run_0", "run_1", "run_2", "run_3"]
+    assert [run.status for run in found.runs][2:] == [RunStatus.DONE, RunStatus.TODO]
+    assert [run.treatments for run in found.runs][:2] == [
+        {"task": "video", "offloaded": "True"},
+        {"task": "network", "offloaded": "False"},
+    ]
+    assert found.runs[2].measures == {"duration_s": 2.0, "avg_cpu": 20.0, "energy_J": 30.0}
+
+
+def test_letters_of_another_character_set_are_read(tmp_path):
+    text = "__run_id,__done,ort,energy_J\nrun_0,DONE,München,1.0\nrun_1,DONE,Köln,2.0\n"
+    assert table_only(tmp_path, text, "cp1252").runs[0].treatments == {"ort": "München"}
+
+
+def test_repetitions_may_be_in_the_run_ids(tmp_path):
+    rows = "".join(f"run_{run}_repetition_{again},DONE,{run},{again}.5\n" for run in range(2) for again in range(2))
+    found = table_only(tmp_path, f"__run_id,__done,level,energy\n{rows}")
+    assert [run.repetition for run in found.runs] == [1, 2, 1, 2]
+    assert "repetitions are numbered from 1 here, not from 0" in found.notes
+
+
+def test_a_table_without_ids_has_its_runs_numbered(tmp_path):
+    found = table_only(tmp_path, "task,energy_J\nvideo,1.5\nnetwork,\n", factors=("task",))
+    assert [run.run_id for run in found.runs] == ["r_1", "r_2"]
+    assert [run.status for run in found.runs] == [RunStatus.DONE, RunStatus.TODO]
+
+
+def test_numbers_that_repeat_are_treatments_and_others_are_measured(tmp_path):
+    rows = "".join(f"run_{place},DONE,{place % 2 * 500},{place * 1.5}\n" for place in range(6))
+    roles = table_only(tmp_path, f"__run_id,__done,length,energy\n{rows}").roles
+    assert (roles.factors, roles.measures) == (("length",), ("energy",))
+
+
+def test_treatments_are_in_an_order_that_means_something(tmp_path):
+    rows = "".join(f"run_{place},DONE,{level},{place}.5\n" for place, level in enumerate((500, 50, 1000) * 2))
+    assert table_only(tmp_path, f"__run_id,__done,length,energy\n{rows}").treatments("length") == ("50", "500", "1000")
+
+
+def test_a_name_that_is_taken_gets_a_line_at_its_end(tmp_path):
+    found = table_only(tmp_path, "ID,Done,task,attempt\nrun_0,x,a,1.5\n", factors=("task",))
+    assert found.headings["attempt"] == "attempt_"
+    assert "column 'attempt' is called 'attempt_' here: the name is taken" in found.notes
+
+
+def test_an_id_that_cannot_name_a_folder_is_mended(tmp_path):
+    found = table_only(tmp_path, "ID,Done,task,e\nrun 1/a,x,a,1.5\n", factors=("task",))
+    assert (found.runs[0].run_id, found.runs[0].source_id) == ("run_1_a", "run 1/a")
+
+
+def test_text_among_numbers_is_noted(tmp_path):
+    rows = "run_0,DONE,a,1.5\nrun_1,DONE,a,overflow\nrun_2,DONE,b,2.5\nrun_3,DONE,b,3.5\n"
+    found = table_only(tmp_path, f"__run_id,__done,task,energy\n{rows}")
+    assert "energy is text in 1 run, such as run_1: no statistics of it" in found.notes
+
+
+def test_run_folders_may_be_elsewhere(tmp_path):
+    write(tmp_path / "r" / "run_table.csv", "__run_id,__done,t,e\nrun_0,DONE,a,5.0\n")
+    write(tmp_path / "r" / "raw" / "exp-run_0" / "power.csv", "time_s,power_W\n0,1\n1,1\n")
+    found = understand(tmp_path / "r", ImportDescription(run_folder="raw/exp-{run_id}"))
+    assert found.runs[0].folder.name == "exp-run_0"
+
+
+def test_a_description_of_samples_is_followed(tmp_path):
+    write(tmp_path / "r" / "run_table.csv", "__run_id,__done,t,e\nrun_0,DONE,a,5.0\n")
+    write(tmp_path / "r" / "run_0" / "meter.csv", "when;value\n0;1,5\n1;2,5\n")
+    said = SamplesDescription("meter.csv", name="Meter", time="when", time_unit="ms", units={"value": "mW"})
+    (samples,) = understand(tmp_path / "r", ImportDescription(samples=(said,))).samples
+    assert (samples.name, samples.time_unit, samples.heading("value"), samples.guesses) == (
+        "Meter",
+        "ms",
+        "value_W",
+        (),
+    )
+
+
+REFUSED = {
+    "no folder": (None, {}, "there is no such folder"),
+    "no table": ({}, {}, "there is no CSV file in it"),
+    "which table": ({"a.csv": "x\n1\n", "b.csv": "x\n1\n"}, {}, "which of a.csv, b.csv is the run table?"),
+    "empty": ({"run_table.csv": "\n\n"}, {}, "it is empty"),
+    "no rows": ({"run_table.csv": "__run_id,__done,a,b\n"}, {}, "there are no runs in it"),
+    "heading twice": ({"run_table.csv": "__run_id,a,a\nrun_0,1,2\n"}, {}, "heading 'a' is there twice"),
+    "a row too long": ({"run_table.csv": "__run_id,a\nrun_0,1,2\n"}, {}, "the row has 3 cells, the heading has 2"),
+    "run twice": ({"run_table.csv": "__run_id,t,e\nrun_0,a,1\nrun_0,a,2\n"}, {}, "run id 'run_0' is in line 2 already"),
+    "no id": ({"run_table.csv": "__run_id,t,e\nrun_0,a,1\n,a,2\n"}, {}, "the run has no id"),
+    "status": ({"run_table.csv": "__run_id,__done,t,e\nrun_0,MAYBE,a,1\n"}, {}, "'MAYBE' is no status"),
+    "repetition": ({"run_table.csv": "__run_id,repetition,e\nrun_0,first,1\n"}, {}, "it is no number of a repetition"),
+    "factor": ({"run_table.csv": "__run_id,t,e\nrun_0,a,1\n"}, {"factors": ("task",)}, "there is no column 'task'"),
+    "samples": (
+        {"run_table.csv": "__run_id,t,e\nrun_0,a,1\n", "run_0/power.csv": "time,p\n0,1\n"},
+        {"samples": (SamplesDescription("powr.csv"),)},
+        "no run has a file 'powr.csv'",
+    ),
+    "recipe": (
+        {"run_table.csv": "__run_id,t,e\nrun_0,a,1\n", "run_0/power.csv": "time,p\n0,1\n1,2\n"},
+        {"recipes": (parse_recipe("e=integral(power.csv:q)"),)},
+        "power.csv has no column 'q'",
+    ),
+    "time": (
+        {"run_table.csv": "__run_id,t,e\nrun_0,a,1\n", "run_0/power.csv": "moment,p\nsoon,1\nlate,2\n"},
+        {"samples": (SamplesDescription("power.csv", time="moment"),)},
+        "the times in moment cannot be read",
+    ),
+}
+
+
+@pytest.mark.parametrize(("files", "said", "problem"), REFUSED.values(), ids=REFUSED.keys())
+def test_what_cannot_be_understood_is_refused_with_a_fix(tmp_path, files, said, problem):
+    root = tmp_path / "results"
+    if files is not None:
+        root.mkdir()
+    for name, text in (files or {}).items():
+        write(root / name, text)
+    with pytest.raises((AnalysisError, StorageError)) as refused:
+        understand(root, ImportDescription(**said))
+    assert problem in refused.value.problem
+    assert refused.value.fix

@@ -1,0 +1,224 @@
+"""Whatever an experiment lacks, its report says what could not be computed and why."""
+
+from __future__ import annotations
+
+import html
+import itertools
+import re
+
+import pytest
+
+from robot_runner.analysis.figures.files import FigureFormat
+from robot_runner.analysis.report.markup import csv_of, latex_of
+from robot_runner.analysis.report.writing import ReportFormat, write_report
+
+HOSTILE = [
+    "<script>alert(1)</script>",
+    '"><img src=x onerror=alert(1)>',
+    r"50% of $x_1$ & \input{/etc/passwd} #~^",
+    "../../../escape",
+    "a|b *c* `d` [e](javascript:f)",
+    "=1+1",
+    "Grüße, 速度 🤖",
+]
+
+
+def text_of(folder, **settings):
+    """What a reader reads: the page's text, without style, scripts and markup."""
+    page = write_report(folder.root, figures=(), **settings).document.read_text(encoding="utf-8")
+    page = re.sub(r"<(style|script).*?</\1>", " ", page, flags=re.DOTALL)
+    return re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]+>", " ", page)))
+
+
+def p_values(text):
+    return re.findall(r"\bp\s*[<=]\s*0\.\d+", text)
+
+
+def test_without_a_run_that_is_done_there_is_a_report_that_says_so(two_tasks):
+    text = text_of(two_tasks(statuses=dict.fromkeys(range(10), "-")))
+    assert "0 of 10" in text
+    assert "No run is done: there is nothing to describe." in text
+    assert "There is nothing to draw: no run is done." in text
+    assert p_values(text) == []
+
+
+def test_when_all_runs_failed_their_reasons_are_told(two_tasks):
+    text = text_of(two_tasks(statuses=dict.fromkeys(range(10), "Failed")))
+    assert "10 failed" in text
+    assert "the robot fell over" in text
+    assert p_values(text) == []
+
+
+def test_runs_that_failed_are_a_threat_and_are_left_out(two_tasks):
+    text = text_of(two_tasks(statuses={0: "Failed", 7: "Failed"}))
+    assert "2 runs failed and are not in the statistics." in text
+    assert "r_1, r_8" in text
+    assert "8 of 10" in text
+
+
+def test_an_experiment_that_is_not_over_has_a_report_so_far(two_tasks):
+    text = text_of(two_tasks(statuses={9: "-"}))
+    assert "1 run of 10 is still to do." in text
+    assert "9 of 10" in text
+    assert "Groups are not equally large" in text
+
+
+def test_one_treatment_alone_is_described_and_not_tested(make_folder):
+    rows = [("Video", value) for value in (1.0, 1.1, 0.9, 1.2)]
+    text = text_of(make_folder(factors={"Task": ["Video"]}, rows=rows, measures={"Energy": "J"}))
+    assert "1.050" in text
+    assert "Factors were not varied" in text
+    assert p_values(text) == []
+
+
+def test_no_factor_at_all_is_described_and_not_tested(make_folder):
+    rows = [(value,) for value in (1.0, 1.1, 0.9, 1.2)]
+    text = text_of(make_folder(factors={}, rows=rows, measures={"Energy": "J"}))
+    assert "1.050" in text
+    assert p_values(text) == []
+
+
+def test_one_repetition_is_not_tested(two_tasks):
+    text = text_of(two_tasks(video=(870.0,), network=(830.0,)))
+    assert p_values(text) == []
+    assert "Few repetitions" in text
+    assert "870" in text
+
+
+def test_values_that_are_all_equal_are_not_tested(two_tasks):
+    text = text_of(two_tasks(video=(870.0,) * 5, network=(870.0,) * 5))
+    assert p_values(text) == []
+    assert "Not computed" in text
+
+
+def test_missing_values_are_counted(two_tasks):
+    text = text_of(two_tasks(video=(870.1, None, 869.0, 874.2, 871.3)))
+    assert "No value in 1 of 10 runs that are done." in text
+
+
+def test_a_measure_without_any_value_is_not_computed(two_tasks):
+    text = text_of(two_tasks(video=(None,) * 5, network=(None,) * 5))
+    assert p_values(text) == []
+    assert "Not computed" in text
+
+
+def test_groups_of_unequal_size_are_told(two_tasks):
+    text = text_of(two_tasks(video=(870.1, 872.4, 869.0), network=(834.0, 836.1, 833.2, 838.0, 835.5, 836.0)))
+    assert "Combinations have 3 to 6 runs" in text
+    assert p_values(text)
+
+
+def test_a_measure_that_is_no_number_is_shown_and_not_computed(make_folder):
+    rows = [("a", "ok", 1.0), ("a", "stuck", 1.1), ("b", "ok", 1.2), ("b", "ok", 1.3)]
+    folder = make_folder(
+        factors={"Task": ["a", "b"]}, rows=rows, measures={"Verdict": "", "Energy": "J"}, types={"Verdict": "string"}
+    )
+    text = text_of(folder)
+    assert "stuck" in text
+    assert re.search(r"Verdict.{0,200}number", text)
+
+
+def test_a_factor_of_a_hundred_levels_has_a_report(make_folder):
+    levels = [f"level {number}" for number in range(100)]
+    rows = [(level, 1.0 + place * 0.01 + repeat * 0.1) for place, level in enumerate(levels) for repeat in range(2)]
+    folder = make_folder(factors={"Speed": levels}, rows=rows, measures={"Energy": "J"})
+    folder.write_samples("Meter", "samples.csv", "time_s,power_W", lambda place: [f"{t},{place}" for t in range(12)])
+    text = text_of(folder)
+    assert "94 combinations between them left out" in text
+    assert "level 99" in text
+
+
+def test_two_factors_are_drawn_and_told_together(make_folder):
+    rows = [
+        (task, speed, 100.0 + 10 * (task == "b") + 5 * (speed == "fast") + repeat * 0.7 + place * 0.1)
+        for place, (task, speed) in enumerate(itertools.product("abc", ["slow", "fast"]))
+        for repeat in range(4)
+    ]
+    folder = make_folder(factors={"Task": list("abc"), "Speed": ["slow", "fast"]}, rows=rows, measures={"Energy": "J"})
+    text = text_of(folder)
+    assert "Interactions of factors" in text
+    assert "a / slow" in text
+
+
+@pytest.fixture
+def hostile(make_folder):
+    """An experiment in which every name is an attack."""
+    factor, measure = HOSTILE[1], HOSTILE[2]
+    rows = [(level, 10.0 + place + repeat * 0.5) for place, level in enumerate(HOSTILE) for repeat in range(3)]
+    folder = make_folder(
+        factors={factor: HOSTILE},
+        rows=rows,
+        measures={measure: "<b>J</b>"},
+        name=HOSTILE[0],
+        failure=HOSTILE[1],
+        statuses={0: "Failed"},
+        manifest={"deviations": {"robot": HOSTILE[0]}, "robot": HOSTILE[0], "host": {"system": HOSTILE[1]}},
+    )
+    folder.write_samples(
+        "Meter", "samples.csv", "time_s,<i>power</i>_W", lambda place: [f"{t},{place}" for t in range(30)]
+    )
+    return folder
+
+
+def test_names_are_text_in_the_page(hostile):
+    page = write_report(hostile.root, figures=()).document.read_text(encoding="utf-8")
+    assert page.count("<script>alert") == 0
+    assert "<img src=x" not in page
+    assert "<b>J</b>" not in page
+    assert "<i>power</i>" not in page
+    assert HOSTILE[0] in html.unescape(page)
+    # Data of charts stand in a script element, which must not end within them.
+    for data in re.findall(r'<script type="application/json">(.*?)</script>', page, re.DOTALL):
+        assert "<" not in data
+
+
+def test_names_are_text_in_latex(hostile):
+    written = write_report(hostile.root, figures=())
+    for path in written.tables:
+        if path.suffix == ".tex":
+            body = path.read_text(encoding="utf-8")
+            assert r"\input" not in body
+            assert not re.search(r"(?<!\\)\$x", body)
+            assert body.count(r"\begin") == body.count(r"\end") == 2
+
+
+def test_names_are_text_in_markdown(hostile):
+    text = write_report(hostile.root, ReportFormat.MARKDOWN, figures=()).document.read_text(encoding="utf-8")
+    prose = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+    assert "<script>" not in prose.replace("\\<", "")
+    rows = [line for line in prose.splitlines() if line.startswith("|")]
+    assert all(len(re.findall(r"(?<!\\)\|", line)) >= 2 for line in rows)
+    assert not re.search(r"(?<!\\)\]\(javascript:", prose)
+
+
+def test_files_are_written_nowhere_else(hostile, tmp_path):
+    before = {path for path in tmp_path.rglob("*") if "report" not in path.parts}
+    written = write_report(hostile.root, figures=(FigureFormat.PNG,))
+    assert {path for path in tmp_path.rglob("*") if "report" not in path.parts} == before
+    for path in (*written.tables, *written.figures):
+        assert re.fullmatch(r"[A-Za-z0-9_-]+\.(csv|tex|svg|pdf|png)", path.name)
+    assert len(set(written.tables)) == len(written.tables)
+    assert len(set(written.figures)) == len(written.figures)
+
+
+def test_names_that_differ_in_signs_alone_get_files_of_their_own(make_folder):
+    rows = [("x", 1.0, 2.0), ("x", 1.1, 2.2), ("y", 1.2, 2.1), ("y", 1.3, 2.3)]
+    folder = make_folder(factors={"T": ["x", "y"]}, rows=rows, measures={"a/b": "J", "a b": "J"})
+    written = write_report(folder.root, figures=(FigureFormat.SVG,))
+    assert len({path.name.casefold() for path in written.figures}) == len(written.figures)
+    assert len({path.name.casefold() for path in written.tables}) == len(written.tables)
+
+
+def test_tables_have_as_many_cells_as_columns_everywhere(hostile):
+    from robot_runner.analysis.report.document import report_document
+    from robot_runner.analysis.report.material import Material
+    from robot_runner.analysis.results import load_results
+    from robot_runner.analysis.statistics.experiment import analyse
+
+    results = load_results(hostile.root)
+    document = report_document(Material(results, analyse(results)), made="")
+    assert document.tables
+    for table in document.tables:
+        assert {len(row) for row in table.rows} <= {len(table.columns)}
+        assert csv_of(table)
+        assert latex_of(table)

@@ -1,0 +1,130 @@
+"""A report is one document, with its tables and figures as files beside it."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+
+import pytest
+
+from robot_runner.analysis.figures.files import FigureFormat
+from robot_runner.analysis.report.writing import ReportFormat, write_report
+from robot_runner.errors import AnalysisError, StorageError
+
+SECTIONS = [
+    "in-brief",
+    "what-was-done",
+    "outcome-of-each-run",
+    "descriptive-statistics",
+    "figures",
+    "tests",
+    "threats-to-validity",
+    "how-to-replicate",
+]
+
+
+def test_the_sections_stand_in_their_order_with_links(two_tasks):
+    page = write_report(two_tasks().root, figures=()).document.read_text(encoding="utf-8")
+    assert re.findall(r'<section id="([^"]+)"', page) == SECTIONS
+    assert re.findall(r'<a href="#([^"]+)">', page)[: len(SECTIONS)] == SECTIONS
+
+
+def test_it_lies_in_the_experiment_s_folder_unless_told_otherwise(two_tasks, tmp_path):
+    folder = two_tasks()
+    assert write_report(folder.root, figures=()).document == folder.root / "report" / "report.html"
+    other = tmp_path / "elsewhere" / "deep"
+    assert write_report(folder.root, output=other, figures=()).document == other / "report.html"
+
+
+def test_each_figure_is_written_in_each_format(two_tasks):
+    written = write_report(two_tasks().root)
+    kinds = [{path.stem for path in written.figures if path.suffix == f".{kind.value}"} for kind in FigureFormat]
+    assert kinds[0] == kinds[1] == kinds[2]
+    assert {"distribution_Energy_by_Task", "qq_Energy", "order_Energy", "timeline"} <= kinds[0]
+    heads = {".svg": b"<?xml", ".pdf": b"%PDF", ".png": b"\x89PNG"}
+    assert all(path.read_bytes().startswith(heads[path.suffix]) for path in written.figures)
+
+
+def test_figures_are_the_same_files_each_time(two_tasks, tmp_path):
+    folder = two_tasks()
+    formats = (FigureFormat.SVG, FigureFormat.PNG)
+    one, other = (write_report(folder.root, output=tmp_path / name, figures=formats) for name in ("a", "b"))
+    assert [path.read_bytes() for path in one.figures] == [path.read_bytes() for path in other.figures]
+
+
+def test_tables_are_written_as_csv_with_full_precision_and_as_latex(two_tasks):
+    written = write_report(two_tasks(video=(870.123456789, 871, 872, 873, 874)).root, figures=())
+    by_name = {path.name: path for path in written.tables}
+    with by_name["runs.csv"].open(newline="", encoding="utf-8") as file:
+        assert next(csv.DictReader(file))["Energy (J)"] == "870.123456789"
+    latex = by_name["runs.tex"].read_text(encoding="utf-8")
+    assert r"\begin{tabular}" in latex
+    assert "870.1" in latex
+    assert r"r\_1" in latex
+
+
+def test_markdown_refers_to_figures_that_are_there(two_tasks):
+    written = write_report(two_tasks().root, ReportFormat.MARKDOWN, figures=())
+    text = written.document.read_text(encoding="utf-8")
+    paths = re.findall(r"!\[.*?\]\((.*?)\)", text)
+    assert paths
+    assert all((written.document.parent / path).is_file() for path in paths)
+    assert next(line for line in text.splitlines() if line.startswith("## ")) == "## In brief"
+
+
+def test_json_holds_everything_and_draws_nothing(two_tasks):
+    written = write_report(two_tasks().root, ReportFormat.JSON)
+    assert written.figures == written.tables == ()
+    assert [path.name for path in written.document.parent.iterdir()] == ["report.json"]
+    facts = json.loads(written.document.read_text(encoding="utf-8"))
+    assert facts["experiment"] == "trial"
+    assert len(facts["runs"]) == 10
+    [energy] = facts["statistics"]["measures"]
+    assert energy["test"]["effects"][0]["is_significant"] is True
+    assert {threat["kind"] for threat in facts["threats"]} <= {
+        "Conclusion validity",
+        "Internal validity",
+        "Construct validity",
+        "External validity",
+    }
+
+
+def test_a_page_needs_no_figures_beside_it(two_tasks):
+    written = write_report(two_tasks().root, figures=())
+    assert written.figures == ()
+    assert not (written.document.parent / "figures").exists()
+    assert "data:image/svg+xml;base64," in written.document.read_text(encoding="utf-8")
+
+
+def test_it_is_made_anew_over_an_earlier_one(two_tasks):
+    folder = two_tasks()
+    first = write_report(folder.root, figures=()).document
+    first.write_text("old", encoding="utf-8")
+    assert "In brief" in write_report(folder.root, figures=()).document.read_text(encoding="utf-8")
+
+
+def test_one_measure_can_be_chosen(make_folder):
+    rows = [("a", 1.0, 2.0), ("a", 1.1, 2.2), ("b", 1.2, 2.1), ("b", 1.3, 2.3)]
+    folder = make_folder(factors={"Task": ["a", "b"]}, rows=rows, measures={"Energy": "J", "CPU": "%"})
+    facts = json.loads(write_report(folder.root, ReportFormat.JSON, measures=["CPU"]).document.read_text())
+    assert [measure["name"] for measure in facts["statistics"]["measures"]] == ["CPU"]
+
+
+def test_a_measure_that_is_not_there_is_named(two_tasks):
+    with pytest.raises(AnalysisError, match="'Enery'") as caught:
+        write_report(two_tasks().root, measures=["Enery"])
+    assert "'Energy'" in caught.value.fix
+
+
+def test_a_folder_without_an_experiment_is_refused(tmp_path):
+    with pytest.raises(StorageError):
+        write_report(tmp_path)
+
+
+def test_a_folder_that_cannot_be_written_is_named(two_tasks, tmp_path):
+    blocked = tmp_path / "blocked"
+    blocked.write_text("a file")
+    with pytest.raises(StorageError, match="cannot be") as caught:
+        write_report(two_tasks().root, output=blocked / "report")
+    assert "blocked" in caught.value.where

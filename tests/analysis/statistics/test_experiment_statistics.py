@@ -1,0 +1,309 @@
+"""The statistics of an experiment hold for whatever its table is, and say what could not be computed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, is_dataclass
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from tests.analysis.made_experiment import make_experiment
+from tests.analysis.statistics.reference_data import one_factor
+
+from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.statistics.drift import drift_of
+from robot_runner.analysis.statistics.post_hoc import adjusted
+from robot_runner.analysis.statistics.power import power_of, repetitions_needed
+from robot_runner.analysis.statistics.tested import TestMethod
+from robot_runner.design.analysis_plan import Correction
+from robot_runner.design.factor import Factor
+from robot_runner.errors import AnalysisError
+
+NOISE = np.random.default_rng(11).normal(0, 1, 400).tolist()
+TASKS = Factor("Task", ["Video", "Network", "Idle"])
+
+
+def energy(treatments, repetition):
+    base = {"Video": 870.0, "Network": 830.0, "Idle": 700.0}[treatments["Task"]]
+    return {"Energy": base + NOISE[hash_of(treatments, repetition)]}
+
+
+def hash_of(treatments, repetition):
+    return (sum(map(ord, "".join(map(str, treatments.values())))) * 31 + repetition) % 400
+
+
+def statistics(tmp_path, factors=(TASKS,), values=energy, **made):
+    folder = make_experiment(tmp_path / "e", factors, values, **made)
+    return analyse(load_results(folder.root))
+
+
+def numbers(found):
+    """Every number in the result, however deep."""
+    if isinstance(found, float):
+        yield found
+    elif is_dataclass(found):
+        for field in fields(found):
+            yield from numbers(getattr(found, field.name))
+    elif isinstance(found, tuple | list):
+        for each in found:
+            yield from numbers(each)
+
+
+def test_a_plain_experiment(tmp_path):
+    found = statistics(tmp_path, repetitions=6, units={"Energy": "J"})
+    measure = found.measure("Energy")
+    assert measure.test.method is TestMethod.ANOVA
+    assert measure.test.effects[0].is_significant
+    assert [each.label for each in measure.by_treatment] == ["Video", "Network", "Idle"]
+    assert [each.n for each in measure.by_treatment] == [6, 6, 6]
+    assert len(measure.post_hoc[0].comparisons) == 3
+    assert measure.not_computed == ()
+    assert found.design.is_balanced
+    assert found.design.sentence == "18 runs are done; varied: Task (3 treatments); 6 runs a combination."
+
+
+def test_outliers_are_named_by_their_run(tmp_path):
+    def one_off(treatments, repetition):
+        return {"Energy": 2000.0} if (treatments["Task"], repetition) == ("Idle", 2) else energy(treatments, repetition)
+
+    measure = statistics(tmp_path, values=one_off, repetitions=8).measure("Energy")
+    idle = measure.by_treatment[2]
+    (outlier,) = idle.outliers
+    assert (outlier.run_id, outlier.value, outlier.is_extreme) == ("r_6", 2000.0, True)
+
+
+def test_no_run_is_done(tmp_path):
+    found = statistics(tmp_path, values=lambda treatments, repetition: None)
+    assert found.design.sentence == "No run is done."
+    assert [each.why for each in found.measure("Energy").not_computed] == ["no run that is done has a value."]
+    assert "9 runs of the table are not done and left out." in found.warnings
+
+
+def test_one_treatment_only(tmp_path):
+    measure = statistics(tmp_path, [Factor("Task", ["Video"])], repetitions=5).measure("Energy")
+    assert measure.test is None
+    assert measure.overall.n == 5
+    assert "nothing to compare" in measure.not_computed[0].why
+
+
+def test_one_repetition(tmp_path):
+    measure = statistics(tmp_path, repetitions=1).measure("Energy")
+    assert measure.test is None
+    assert any("repeat the runs" in each.why for each in measure.not_computed)
+    assert measure.by_treatment[0].sd is None
+
+
+def test_all_values_are_equal(tmp_path):
+    measure = statistics(tmp_path, values=lambda treatments, repetition: {"Energy": 5.0}, repetitions=4).measure(
+        "Energy"
+    )
+    assert (measure.test, measure.quantiles, measure.power) == (None, None, None)
+    assert "all values are equal." in [each.why for each in measure.not_computed]
+    assert measure.overall.mean_interval is None
+
+
+def test_missing_values_are_counted_and_left_out(tmp_path):
+    def gaps(treatments, repetition):
+        return {"Energy": None} if repetition == 1 else energy(treatments, repetition)
+
+    measure = statistics(tmp_path, values=gaps, repetitions=6).measure("Energy")
+    assert [(each.n, each.missing) for each in measure.by_treatment] == [(5, 1)] * 3
+    assert measure.test is not None
+
+
+def test_unequal_groups(tmp_path):
+    def some(treatments, repetition):
+        return None if treatments["Task"] == "Idle" and repetition > 3 else energy(treatments, repetition)
+
+    found = statistics(tmp_path, values=some, repetitions=6)
+    assert (found.design.smallest_group, found.design.largest_group) == (3, 6)
+    assert "The combinations have 3 to 6 runs." in found.warnings
+    assert found.measure("Energy").test is not None
+
+
+@pytest.mark.parametrize("value", ["fast", True])
+def test_a_measure_that_is_not_a_number(tmp_path, value):
+    measure = statistics(tmp_path, values=lambda treatments, repetition: {"Energy": value}).measure("Energy")
+    assert measure.overall is None
+    assert [each.why for each in measure.not_computed] == ["it is not a number."]
+
+
+def test_a_factor_of_a_hundred_treatments(tmp_path):
+    level = Factor("Level", range(100))
+    found = statistics(
+        tmp_path,
+        [level],
+        lambda treatments, repetition: {"Energy": NOISE[treatments["Level"] + repetition]},
+        repetitions=2,
+    )
+    measure = found.measure("Energy")
+    assert measure.test is not None
+    assert len(measure.by_treatment) == 100
+    assert [each.why for each in measure.not_computed if "pairwise" in each.what] == [
+        "100 groups make 4,950 pairs: compare chosen ones."
+    ]
+
+
+def test_names_may_hold_anything(tmp_path):
+    odd = Factor('T<b>&_$\\ask" ~ C(x)', ["a:b", "50 %", "<script>", "x / y"])
+    other = Factor("[b]", [1, 2])
+    found = statistics(
+        tmp_path,
+        [odd, other],
+        lambda treatments, repetition: {"Energy": NOISE[hash_of(treatments, repetition)]},
+        repetitions=4,
+    )
+    assert found.measure("Energy").test.effects[2].factors == (odd.name, "[b]")
+
+
+def test_whole_numbers_are_analysed(tmp_path):
+    found = statistics(
+        tmp_path,
+        values=lambda treatments, repetition: {"Energy": len(treatments["Task"]) * 10 + repetition},
+        repetitions=5,
+    )
+    assert found.measure("Energy").test.effects[0].is_significant
+
+
+def test_an_interaction_is_compared_combination_by_combination(tmp_path):
+    factors = [Factor("A", ["x", "y"]), Factor("B", ["p", "q"])]
+
+    def crossed(treatments, repetition):
+        high = treatments["A"] == "x" and treatments["B"] == "q"
+        return {"Energy": 20.0 * high + NOISE[hash_of(treatments, repetition)]}
+
+    measure = statistics(tmp_path, factors, crossed, repetitions=8).measure("Energy")
+    assert measure.test.effects[2].is_significant
+    (of_combinations,) = [each for each in measure.post_hoc if len(each.factors) == 2]
+    assert len(of_combinations.comparisons) == 6
+    found = {(each.first, each.second): each for each in of_combinations.comparisons}
+    assert found["x / p", "x / q"].is_significant
+    assert found["x / p", "x / q"].difference == pytest.approx(-20, abs=2)
+    assert not found["x / p", "y / p"].is_significant
+    assert len(measure.by_combination) == 4
+
+
+def test_blocks_of_repetitions_are_compared_within(tmp_path):
+    def by_day(treatments, repetition):
+        return {"Energy": energy(treatments, repetition)["Energy"] + 200.0 * repetition}
+
+    measure = statistics(tmp_path, values=by_day, repetitions=6, blocks="Repetition").measure("Energy")
+    assert measure.test.method in {TestMethod.BLOCKED_ANOVA, TestMethod.FRIEDMAN}
+    assert measure.test.effects[0].is_significant
+
+
+def test_drift_over_the_order_of_execution_is_warned_of(tmp_path):
+    def falling(treatments, repetition):
+        return {"Energy": 900.0 - 3.0 * repetition + 0.1 * NOISE[hash_of(treatments, repetition)]}
+
+    found = statistics(tmp_path, values=falling, repetitions=10, units={"Energy": "J"})
+    drift = found.measure("Energy").drift
+    assert drift.is_significant
+    assert drift.slope == pytest.approx(-1.0, abs=0.1)  # three runs a repetition
+    assert found.warnings[0].startswith("Energy falls over the order of execution by about")
+    assert not drift.is_confounded
+
+
+def test_an_order_that_was_not_randomised_is_warned_of(tmp_path):
+    assert any("was not randomised" in warning for warning in statistics(tmp_path).warnings)
+
+
+def test_treatments_that_were_executed_one_after_the_other_are_confounded_with_drift():
+    rising = {"a": list(np.arange(10.0)), "b": list(np.arange(10.0, 20.0))}
+    assert drift_of(one_factor(rising), 0.05).is_confounded
+
+
+def test_what_was_planned_is_told_from_what_is_exploratory(tmp_path):
+    plan = {
+        "measures": ["Energy"],
+        "alpha": 0.01,
+        "correction": "benjamini-hochberg",
+        "hypotheses": [
+            {"statement": "The task matters.", "measure": "Energy", "factors": ["Task"]},
+            {"statement": "Speed matters.", "measure": "Energy", "factors": ["Speed"]},
+        ],
+    }
+
+    def two(treatments, repetition):
+        return {**energy(treatments, repetition), "CPU": NOISE[repetition]}
+
+    folder = make_experiment(tmp_path / "e", [TASKS], two, measures=["CPU", "Energy"], repetitions=5, analysis=plan)
+    found = analyse(load_results(folder.root))
+    assert (found.alpha, found.correction, found.is_planned) == (0.01, Correction.BENJAMINI_HOCHBERG, True)
+    assert [(each.name, each.is_planned) for each in found.measures] == [("Energy", True), ("CPU", False)]
+    supported, untested = found.hypotheses
+    assert (supported.is_supported, untested.is_supported) == (True, None)
+    assert untested.conclusion == "It could not be tested: the test has no effect of Speed."
+
+
+def test_another_alpha_than_the_planned_makes_everything_exploratory(tmp_path):
+    plan = {"measures": ["Energy"], "alpha": 0.01}
+    folder = make_experiment(tmp_path / "e", [TASKS], energy, repetitions=5, analysis=plan)
+    found = analyse(load_results(folder.root), alpha=0.1)
+    assert not found.is_planned
+    assert not found.measures[0].is_planned
+
+
+def test_a_measure_that_is_not_there_is_named(tmp_path):
+    folder = make_experiment(tmp_path / "e", [TASKS], energy)
+    with pytest.raises(AnalysisError, match="there is no measure 'Enrgy'") as refused:
+        analyse(load_results(folder.root), measures=["Enrgy"])
+    assert refused.value.fix == "Did you mean 'Energy'?"
+
+
+def test_correlation_within_treatments_is_told_from_that_of_the_treatments(tmp_path):
+    def both(treatments, repetition):
+        base = {"Video": 0.0, "Network": 10.0, "Idle": 20.0}[treatments["Task"]]
+        place = hash_of(treatments, repetition)
+        return {"Energy": base + NOISE[place], "CPU": base + NOISE[-place - 1]}
+
+    (found,) = statistics(tmp_path, values=both, measures=["Energy", "CPU"], repetitions=10).correlations
+    assert found.pearson > 0.95
+    assert abs(found.within) < 0.5
+
+
+def test_more_power_needs_more_runs():
+    assert repetitions_needed(0.2, 2) > repetitions_needed(0.8, 2)
+    assert repetitions_needed(0.25, 3) > repetitions_needed(0.25, 3, power=0.5)
+
+
+def test_an_effect_beyond_measure_needs_two_runs():
+    data = one_factor({"a": [1.0, 1.1, 0.9], "b": [1e6, 1e6 + 0.1, 1e6 - 0.1], "c": [0.0, 0.1, -0.1]})
+    power = power_of(data.groups(["A"]), 0.05)
+    assert power.achieved_power == pytest.approx(1.0)
+    assert power.needed[-1].repetitions == 2
+
+
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=20), st.sampled_from(Correction))
+def test_adjusted_p_values_agree_with_statsmodels(p_values, correction):
+    from statsmodels.stats.multitest import multipletests
+
+    method = {Correction.HOLM: "holm", Correction.BENJAMINI_HOCHBERG: "fdr_bh"}[correction]
+    np.testing.assert_allclose(adjusted(p_values, correction), multipletests(p_values, method=method)[1])
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    values=st.lists(
+        st.none() | st.integers(-3, 3).map(float) | st.floats(-1e6, 1e6, width=32), min_size=12, max_size=12
+    ),
+    blocks=st.sampled_from([None, "Repetition"]),
+    two=st.booleans(),
+)
+def test_whatever_was_measured_no_number_is_not_finite(tmp_path_factory, values, blocks, two):
+    factors = [Factor("A", ["x", "y"]), Factor("B", ["p", "q"])] if two else [Factor("A", ["x", "y", "z"])]
+    left = iter(values)
+    found = statistics(
+        tmp_path_factory.mktemp("any"),
+        factors,
+        lambda treatments, repetition: {"Energy": next(left)},
+        repetitions=3 if two else 4,
+        blocks=blocks,
+    )
+    assert all(map(math.isfinite, numbers(found)))
+    for measure in found.measures:
+        for effect in measure.test.effects if measure.test else ():
+            assert effect.p_value is None or 0 <= effect.p_value <= 1
+        assert measure.test is not None or measure.not_computed

@@ -1,0 +1,207 @@
+"""Results are read from the folder alone: typed, partial, and while the experiment is executed."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+from tests.analysis.made_experiment import make_experiment, write_phases, write_samples
+
+from robot_runner.analysis import load_results
+from robot_runner.design.factor import Factor
+from robot_runner.errors import AnalysisError, StorageError
+from robot_runner.storage.journal import Journal
+
+HOLDING = """
+import sys
+from pathlib import Path
+from robot_runner.storage.lock import ExperimentLock
+with ExperimentLock(Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_factors_are_ordered_as_the_config_has_them(tmp_path):
+    folder = make_experiment(tmp_path / "e", [Factor("Task", ["Video", "Network", "Idle"])])
+    task = load_results(folder.root).runs["Task"]
+    assert list(task.cat.categories) == ["Video", "Network", "Idle"]
+    assert task.cat.ordered
+
+
+def test_treatments_keep_their_type(tmp_path):
+    factors = [Factor("Speed", [0.2, 0.1]), Factor("Light", [True, False]), Factor("Level", [3, 1])]
+    runs = load_results(make_experiment(tmp_path / "e", factors, repetitions=1).root).runs
+    assert list(runs["Speed"].cat.categories) == [0.2, 0.1]
+    assert list(runs["Light"].cat.categories) == [True, False]
+    assert (runs["Level"] == 3).sum() == 4
+
+
+def test_measures_have_types_and_units(tmp_path):
+    measured = {"Energy": 877.5, "Count": 3, "Reached": True, "Note": "a, b"}
+    folder = make_experiment(
+        tmp_path / "e", values=lambda t, r: measured, measures=list(measured), units={"Energy": "J"}
+    )
+    results = load_results(folder.root)
+    types = {name: str(kind) for name, kind in results.runs[list(measured)].dtypes.items()}
+    assert types == {"Energy": "float64", "Count": "Int64", "Reached": "boolean", "Note": "str"}
+    assert results.runs.attrs["units"] == {"Energy": "J"}
+    assert results.label("Energy") == "Energy (J)"
+    assert results.label("Count") == "Count"
+
+
+def test_a_missing_value_is_missing(tmp_path):
+    folder = make_experiment(tmp_path / "e", values=lambda t, r: {"Energy": None if r == 2 else 1.0})
+    energy = load_results(folder.root).runs["Energy"]
+    assert energy.isna().sum() == 2
+
+
+def test_time_stamps_are_moments_in_utc(tmp_path):
+    runs = load_results(make_experiment(tmp_path / "e").root).runs
+    assert runs["start_measurement_at"][1] == pd.Timestamp("2026-01-31T12:00:01Z")
+    assert runs["continue_at"].isna().all()
+
+
+def test_a_factor_that_counts_repetitions_is_no_factor(tmp_path):
+    factors = [Factor("Task", ["Video", "Network"]), Factor("Repetition", range(1, 4))]
+    results = load_results(make_experiment(tmp_path / "e", factors, repetitions=1).root)
+    assert (results.factors, results.repetition) == (("Task",), "Repetition")
+
+
+def test_runs_to_do_are_there_and_not_among_the_done(tmp_path):
+    folder = make_experiment(tmp_path / "e", values=lambda t, r: {"Energy": 1.0} if r == 1 else None)
+    results = load_results(folder.root)
+    assert (len(results.runs), len(results.done)) == (6, 2)
+
+
+def test_what_the_journal_knows_better_counts(tmp_path):
+    folder = make_experiment(tmp_path / "e", values=lambda t, r: None)
+    ended = {"status": "done", "seconds": 1.0, "stamps": {}, "failure": None}
+    energy = {"Energy": {"value": 42.0, "owner": "Meter", "origin": "measured"}}
+    with Journal(folder.journal) as journal:
+        journal.append("attempt_started", run="r_2", attempt=1)
+        journal.append("attempt_finished", run="r_2", attempt=1, measures=energy, **ended)
+    done = load_results(folder.root).done
+    assert list(done["run_id"]) == ["r_2"]
+    assert done["Energy"][0] == 42.0
+
+
+def test_it_is_told_whether_somebody_executes_it(tmp_path):
+    folder = make_experiment(tmp_path / "e")
+    assert not load_results(folder.root).is_running
+    command = [sys.executable, "-c", HOLDING, str(folder.lock)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
+        assert holder.stdout.readline()
+        assert load_results(folder.root).is_running
+        holder.communicate(timeout=30)
+
+
+def test_a_folder_without_schema_is_read_by_its_manifest(tmp_path):
+    folder = make_experiment(tmp_path / "e")
+    manifest = json.loads(folder.manifest.read_text("utf-8"))
+    manifest["plugins"] = [{"name": "Meter", "measures": ["Energy"]}]
+    folder.manifest.write_text(json.dumps(manifest), "utf-8")
+    folder.schema.unlink()
+    results = load_results(folder.root)
+    assert (results.factors, results.measures) == (("Task",), ("Energy",))
+    assert results.done["Energy"].sum() == 6.0
+
+
+def test_a_table_from_a_spreadsheet_is_read(tmp_path):
+    folder = make_experiment(tmp_path / "e", values=lambda t, r: {"Energy": 0.5})
+    text = folder.run_table.read_text("utf-8").replace(",", ";").replace("0.5", "0,5")
+    folder.run_table.write_text(f"\ufeff\n{text}", "utf-8")
+    assert load_results(folder.root).done["Energy"].tolist() == [0.5] * 6
+
+
+def test_a_users_own_column_is_typed_by_its_looks(tmp_path):
+    folder = make_experiment(tmp_path / "e", repetitions=1)
+    lines = folder.run_table.read_text("utf-8").splitlines()
+    folder.run_table.write_text("\n".join([f"{lines[0]},Room", f"{lines[1]},21.5", f"{lines[2]},22"]) + "\n", "utf-8")
+    assert load_results(folder.root).runs["Room"].tolist() == [21.5, 22.0]
+
+
+def test_events_are_timed_from_the_start_of_measurement(tmp_path):
+    events = load_results(make_experiment(tmp_path / "e").root).events(["r_1"])
+    since = dict(zip(events["event"], events["since_start_s"], strict=True))
+    assert (since["start_measurement"], since["stop_measurement"]) == (0.0, 10.0)
+    assert np.isnan(since["before_run"])
+
+
+def test_only_the_last_attempt_has_events(tmp_path):
+    folder = make_experiment(tmp_path / "e", repetitions=1)
+    with Journal(folder.journal) as journal:
+        journal.append("attempt_started", run="r_1", attempt=2)
+        journal.append("event", run="r_1", attempt=2, event="start_measurement", clock=3.0)
+    results = load_results(folder.root)
+    assert results.events(["r_1"])["clock_s"].tolist() == [3.0]
+    assert results.attempts.set_index(["run_id", "attempt"])["status"]["r_1", 2] == "unfinished"
+
+
+def test_published_measures_need_no_column(tmp_path):
+    folder = make_experiment(tmp_path / "e", repetitions=1)
+    more = {"Distance": {"value": 3.4, "owner": "Robot", "origin": "simulated"}}
+    with Journal(folder.journal) as journal:
+        journal.append("attempt_started", run="r_1", attempt=2)
+        ended = {"status": "done", "seconds": 1.0, "stamps": {}, "failure": None}
+        journal.append("attempt_finished", run="r_1", attempt=2, measures=more, **ended)
+    published = load_results(folder.root).published.set_index(["run_id", "measure"])
+    assert published.loc[("r_1", "Distance"), "value"] == 3.4
+
+
+def test_phases_come_with_treatments_and_from_the_start_of_measurement(tmp_path):
+    folder = make_experiment(tmp_path / "e", repetitions=1)
+    write_phases(folder, "r_1", "number,phase,start_s,end_s,x_m\n1,sleep,10.5,12.5,0.1\n2,drive,12.5,20,")
+    phases = load_results(folder.root).phases()
+    assert phases["Task"].tolist() == ["Video", "Video"]
+    assert phases["start_s"].tolist() == [0.5, 2.5]
+    assert phases["x_m"].isna().tolist() == [False, True]
+
+
+def test_an_experiment_without_phases_has_an_empty_table_of_them(tmp_path):
+    phases = load_results(make_experiment(tmp_path / "e").root).phases()
+    assert (len(phases), "phase" in phases) == (0, True)
+
+
+def test_a_file_of_phases_without_times_is_refused(tmp_path):
+    folder = make_experiment(tmp_path / "e")
+    write_phases(folder, "r_1", "number,phase\n1,sleep\n")
+    with pytest.raises(AnalysisError, match="it has no column 'start_s'"):
+        load_results(folder.root).phases()
+
+
+def test_a_folder_that_is_no_experiment_is_refused(tmp_path):
+    with pytest.raises(StorageError, match="there is no experiment here"):
+        load_results(tmp_path)
+
+
+def test_a_bare_run_table_may_be_adopted(tmp_path):
+    (tmp_path / "run_table.csv").write_text("__run_id,__done\nrun_0,DONE\n", "utf-8")
+    with pytest.raises(StorageError, match="no manifest") as refused:
+        load_results(tmp_path)
+    assert "robot-runner import" in refused.value.fix
+
+
+def test_a_run_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(AnalysisError, match="there is no run 'r_9'"):
+        load_results(make_experiment(tmp_path / "e").root).events(["r_9"])
+
+
+def test_the_plan_is_that_of_the_manifest(tmp_path):
+    plain = {"measures": ["Energy"], "alpha": 0.01, "correction": "holm", "hypotheses": []}
+    plan = load_results(make_experiment(tmp_path / "e", analysis=plain).root).plan
+    assert (plan.measures, plan.alpha) == (("Energy",), 0.01)
+
+
+@pytest.mark.parametrize("run_count", [1, 3])
+def test_samples_of_any_plugin_are_found_by_their_times(tmp_path, run_count):
+    folder = make_experiment(tmp_path / "e")
+    for number in range(1, run_count + 1):
+        write_samples(folder, f"r_{number}", "time_s,power_W\n10.0,7.5\n10.5,8\n")
+        write_samples(folder, f"r_{number}", "a,b\n1,2\n", name="notes.csv")
+    (file,) = load_results(folder.root).sample_files
+    assert (file.label, file.columns, len(file.run_ids)) == ("Meter/samples.csv", ("power_W",), run_count)

@@ -1,0 +1,89 @@
+"""`robot-runner report` writes the report of an experiment and says where."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import pytest
+from tests.analysis.experiment_folders import two_tasks
+
+
+@pytest.fixture
+def experiment(tmp_path):
+    video, network = (870.1, 872.4, 869.0, 874.2), (834.0, 836.1, 833.2, 838.0)
+    return two_tasks(tmp_path / "trial", video, network).root
+
+
+def test_it_says_where_the_report_is(robot_runner, experiment):
+    answer = robot_runner("report", "trial", "--figures", "none")
+    assert answer.code == 0
+    assert "trial/report/report.html" in answer.out
+    assert "trial/report/tables/" in answer.out
+    assert (experiment / "report" / "report.html").is_file()
+
+
+def test_figures_are_made_in_the_formats_that_were_asked_for(robot_runner, experiment):
+    assert robot_runner("report", "trial", "--figures", "svg,png").code == 0
+    assert {path.suffix for path in (experiment / "report" / "figures").iterdir()} == {".svg", ".png"}
+
+
+def test_json_goes_to_a_file_as_the_other_formats_do(robot_runner, experiment, tmp_path):
+    answer = robot_runner("report", "trial", "--format", "json", "--output", tmp_path / "out")
+    assert answer.code == 0
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["experiment"] == "trial"
+
+
+def test_measure_and_alpha_are_heard(robot_runner, experiment, tmp_path):
+    words = ("report", "trial", "--format", "json", "--measure", "Energy", "--alpha", "0.01", "--output", tmp_path)
+    assert robot_runner(*words).code == 0
+    assert json.loads((tmp_path / "report.json").read_text())["statistics"]["alpha"] == 0.01
+
+
+@pytest.mark.parametrize(
+    ("words", "problem", "fix"),
+    [
+        (["--format", "pdf"], "'pdf'", "'html', 'md', 'json'"),
+        (["--format", "jsn"], "'jsn'", "'json'"),
+        (["--figures", "gif"], "'gif'", "'svg', 'pdf', 'png'"),
+        (["--figures", ""], "''", "'svg', 'pdf', 'png'"),
+        (["--measure", "Enery"], "'Enery'", "'Energy'"),
+        (["--alpha", "2"], "alpha is 2.0", "between 0 and 1"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_a_way_out(robot_runner, experiment, words, problem, fix):
+    answer = robot_runner("report", "trial", *words)
+    assert answer.code == 2
+    assert problem in answer.err
+    assert fix in answer.err
+    assert "Traceback" not in answer.err
+
+
+def test_an_experiment_that_is_not_there_is_named(robot_runner, experiment):
+    answer = robot_runner("report", "tial")
+    assert answer.code == 2
+    assert "'trial'" in answer.err
+
+
+def test_without_its_libraries_it_names_the_extra(robot_runner, experiment, monkeypatch):
+    for name in [name for name in sys.modules if name.startswith("robot_runner.analysis")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setattr("importlib.util.find_spec", _without("matplotlib"))
+    answer = robot_runner("report", "trial")
+    assert answer.code == 2
+    assert "matplotlib is not installed" in answer.err
+    assert "pip install 'robot-runner[analysis]'" in answer.err
+
+
+def _without(missing):
+    from importlib.util import find_spec
+
+    return lambda name, package=None: None if name == missing else find_spec(name, package)
+
+
+def test_its_help_imports_nothing_slow(robot_runner):
+    before = set(sys.modules)
+    assert robot_runner("report", "--help").code == 0
+    new = {name.partition(".")[0] for name in set(sys.modules) - before}
+    assert not new & {"pandas", "matplotlib", "scipy", "statsmodels"}
