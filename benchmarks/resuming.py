@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 from benchmarks.orchestration import scratch
 from benchmarks.table import Row, print_table
@@ -11,6 +11,9 @@ from robot_runner.config.preparation import prepare_or_refuse
 from robot_runner.execution.notices import AttemptStarted, Notice, SilentObserver
 from robot_runner.execution.orchestrator import execute_experiment
 from robot_runner.execution.resumption import Resumption
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 ROWS = 100_000
 
