@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[2]
 FIRMWARE = ROOT / "firmware" / "ina219"
 _BOARD = Path(__file__).parent / "board"
 _DEADLINE = 300.0  # real seconds
-_PAGE = struct.Struct("ddd")  # as board.c says
+_PAGE = struct.Struct("dddd")  # as board.c says
 
 
 def missing_tools() -> str:
@@ -72,7 +72,7 @@ class BoardClock:
 
     def __init__(self, file: Path) -> None:
         self.file = file
-        file.write_bytes(_PAGE.pack(0.0, 0.0, -1.0))
+        file.write_bytes(_PAGE.pack(0.0, 0.0, -1.0, 0.0))
         with file.open("r+b") as opened:
             self._page = mmap.mmap(opened.fileno(), _PAGE.size)
         self._beyond = 0.0  # what was slept after the board had ended
@@ -94,6 +94,12 @@ class BoardClock:
             if time.monotonic() > deadline:
                 raise AssertionError(f"the board has not reached {target} s within {_DEADLINE} real seconds")
             time.sleep(0.0002)
+
+    def await_closing(self, count: int) -> None:
+        """Wait until the board has noticed that its port was closed so often, and is ready to be opened again."""
+        deadline = time.monotonic() + _DEADLINE
+        while _PAGE.unpack(self._page)[3] < count and time.monotonic() < deadline:
+            time.sleep(0.001)
 
     def _await_loss(self, deadline: float) -> None:
         """Wait until the line has noticed that the board is gone."""

@@ -18,17 +18,23 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.analysis.libraries import require_libraries
 
 if TYPE_CHECKING:
+    from robot_runner.analysis.comparison.comparing import compare
+    from robot_runner.analysis.comparison.outcome import Comparison
+    from robot_runner.analysis.report.writing import write_report
     from robot_runner.analysis.results import Results, load_results
     from robot_runner.analysis.statistics.experiment import analyse
     from robot_runner.analysis.statistics.outcome import ExperimentStatistics
 
-__all__ = ["ExperimentStatistics", "Results", "analyse", "load_results"]
+__all__ = ["Comparison", "ExperimentStatistics", "Results", "analyse", "compare", "load_results", "write_report"]
 
 _HOMES = {
+    "Comparison": "robot_runner.analysis.comparison.outcome",
     "ExperimentStatistics": "robot_runner.analysis.statistics.outcome",
     "Results": "robot_runner.analysis.results",
     "analyse": "robot_runner.analysis.statistics.experiment",
+    "compare": "robot_runner.analysis.comparison.comparing",
     "load_results": "robot_runner.analysis.results",
+    "write_report": "robot_runner.analysis.report.writing",
 }
 
 # Every module of this package passes here first, so that none fails with a bare ModuleNotFoundError.

@@ -26,7 +26,7 @@ def in_words(model: RunTableModel) -> str:
     """
     parts = [f"{factor.name} ({len(factor.treatments):,})" for factor in model.factors]
     if isinstance(model, ListedRunTableModel):
-        return f"{counted(len(model.runs), 'run')}, listed one by one: {', '.join(parts)}"
+        return f"{counted(len(model.runs), 'run')}, listed one by one: {', '.join(parts) or 'nothing is varied'}"
     combinations = 1
     for factor in model.factors:
         combinations *= len(factor.treatments)

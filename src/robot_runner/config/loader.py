@@ -33,6 +33,7 @@ __all__ = [
     "local_modules_among",
     "place_in",
     "raised_in",
+    "threads_since",
 ]
 
 _MODULE_NAME = "robot_runner_config"
@@ -52,6 +53,7 @@ class LoadedConfig:
         folder: where everything of the experiment is kept, where the static parameters do not say it alone.
         spelling: how its run table's file spells headings and statuses.
         threads: the threads that it started while it was loaded and that go on.
+        lacking: what it needs of the machine, and the machine has not.
     """
 
     source: ConfigSource
@@ -64,6 +66,7 @@ class LoadedConfig:
     folder: ExperimentFolder | None = None
     spelling: TableSpelling = OWN_SPELLING
     threads: tuple[str, ...] = ()
+    lacking: tuple[Finding, ...] = ()
 
     @property
     def where(self) -> str:
@@ -94,7 +97,7 @@ def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({}))
             if name in getattr(config, "__dict__", {}):
                 setattr(config, name, value)
         local_modules = local_modules_among(source.path, set(sys.modules) - before)
-        threads = tuple(sorted(thread.name for thread in set(threading.enumerate()) - threads_before))
+        threads = threads_since(threads_before)
     return LoadedConfig(
         source=source,
         config=config,
@@ -178,6 +181,11 @@ def execute_source(source: ConfigSource) -> ModuleType:
     sys.modules[_MODULE_NAME] = module
     exec(compile(source.text, str(source.path), "exec"), module.__dict__)  # noqa: S102 - a config file is code
     return module
+
+
+def threads_since(before: set[threading.Thread]) -> tuple[str, ...]:
+    """Return the names of the threads that there are now and were not `before`."""
+    return tuple(sorted(thread.name for thread in set(threading.enumerate()) - before))
 
 
 def local_modules_among(config: Path, names: set[str]) -> tuple[Path, ...]:

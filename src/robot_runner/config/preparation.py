@@ -23,6 +23,8 @@ from robot_runner.events.columns import MeasureColumns, resolve_columns
 from robot_runner.events.manager import EventManager
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from robot_runner.config.parameters import Parameters
     from robot_runner.design.run_table_model import RunTableModel
     from robot_runner.plugins.api.plugin import Plugin
@@ -46,13 +48,20 @@ class Preparation:
     findings: tuple[Finding, ...]
 
 
-def prepare(path: Path, overrides: Mapping[str, str] = MappingProxyType({}), load: Loader = load_config) -> Preparation:
+def prepare(
+    path: Path,
+    overrides: Mapping[str, str] = MappingProxyType({}),
+    load: Loader = load_config,
+    *,
+    is_for_here: bool = True,
+) -> Preparation:
     """Load and validate a config file; all findings at once, and nothing on disk is touched.
 
     Args:
         path: the config file.
         overrides: static parameters to set, by name.
         load: how the file becomes a config object.
+        is_for_here: whether it is to be executed on this machine; if not, nobody asks what the machine has.
     """
     try:
         loaded = load(path, overrides)
@@ -65,20 +74,26 @@ def prepare(path: Path, overrides: Mapping[str, str] = MappingProxyType({}), loa
     findings += [*parameter_findings, *plugin_findings, *model_findings]
     events = _subscribe(loaded, plugins, findings)
     columns = _columns(model, plugins, findings)
-    findings += check_plugins(plugins, model, getattr(loaded.config, "robot", None))
     if parameters is not None:
-        runs = len(model.plan()) if model is not None else 0
-        findings += [
-            *check_analysis(parameters, model, columns),
-            *check_robot(loaded, parameters),
-            *check_results_path(loaded, parameters),
-            *check_disk_space(loaded, parameters, plugins, runs),
-            *check_threads(loaded, parameters),
-        ]
+        findings += [*check_analysis(parameters, model, columns), *check_threads(loaded, parameters)]
+    if is_for_here:
+        findings += _check_machine(loaded, parameters, plugins, model)
     ordered = tuple(sorted(findings, key=lambda finding: not finding.is_error))
     if any(finding.is_error for finding in ordered) or parameters is None or model is None:
         return Preparation(None, ordered)
     return Preparation(_experiment(loaded, parameters, plugins, events, model, columns), ordered)
+
+
+def _check_machine(
+    loaded: LoadedConfig, parameters: Parameters | None, plugins: tuple[Plugin, ...], model: RunTableModel | None
+) -> Iterator[Finding]:
+    yield from loaded.lacking
+    yield from check_plugins(plugins, model, getattr(loaded.config, "robot", None))
+    if parameters is not None:
+        runs = len(model.plan()) if model is not None else 0
+        yield from check_robot(loaded, parameters)
+        yield from check_results_path(loaded, parameters)
+        yield from check_disk_space(loaded, parameters, plugins, runs)
 
 
 def prepare_or_refuse(

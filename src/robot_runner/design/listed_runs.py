@@ -65,7 +65,7 @@ class ListedRunTableModel(RunTableModel):
         """Check the whole design.
 
         Args:
-            factors: what is varied.
+            factors: what is varied; there may be none, where the same thing is repeated.
             runs: the runs, in the order of execution.
             data_columns: the measures that the run table has columns for.
             warnings: findings that do not refuse the design.
@@ -96,7 +96,9 @@ class ListedRunTableModel(RunTableModel):
 
 class _ListedRunTable(RunTable):
     def __init__(self, model: ListedRunTableModel, combinations: tuple[array[int], ...], order: RunOrder) -> None:
-        super().__init__(model, combinations, RunOrder(seed=order.seed))
+        counted = combinations or (index_array(0, [0] * len(model.runs)),)  # without factors, all runs are the same
+        super().__init__(model, counted, RunOrder(seed=order.seed))
+        self._combinations = combinations
         self.order = order
         self._runs = model.runs
 
@@ -148,8 +150,6 @@ def _run_findings(runs: Sequence[ListedRun]) -> Iterator[Finding]:
 
 
 def _column_findings(factors: Sequence[Factor], data_columns: Sequence[str]) -> Iterator[Finding]:
-    if not factors:
-        yield Finding.error("run table", "it has no factors", "Vary at least one thing.")
     for name, count in Counter([*(factor.name for factor in factors), *data_columns]).items():
         if count > 1:
             yield Finding.error("run table", f"{count} columns are called {name!r}", "Rename all but one.")

@@ -5,13 +5,21 @@ from __future__ import annotations
 import random
 import re
 import sys
+import threading
 from contextlib import contextmanager
 from pathlib import Path
 from secrets import randbits
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.config.choices import OperationType
-from robot_runner.config.loader import LoadedConfig, execute_source, importable, local_modules_among, raised_in
+from robot_runner.config.loader import (
+    LoadedConfig,
+    execute_source,
+    importable,
+    local_modules_among,
+    raised_in,
+    threads_since,
+)
 from robot_runner.config.overrides import apply_overrides
 from robot_runner.config.parameters import PARAMETERS
 from robot_runner.config.source import ConfigSource
@@ -81,6 +89,7 @@ class _Lifting:
         self._set: dict[str, Any] = {}
         self._config: Any = None
         self._local_modules: tuple[Path, ...] = ()
+        self._threads: tuple[str, ...] = ()
 
     @contextmanager
     def executing(self, when: str) -> Iterator[None]:
@@ -95,7 +104,7 @@ class _Lifting:
 
     def load(self) -> None:
         """Execute the file, set what is set from outside, and instantiate the config class."""
-        before = set(sys.modules)
+        before, threads_before = set(sys.modules), set(threading.enumerate())
         class_name = self._recognised.dialect.class_name
         source = ConfigSource(self._recognised.path, self._recognised.text, class_name)
         module = execute_source(source)
@@ -112,6 +121,7 @@ class _Lifting:
             if earlier_name in getattr(self._config, "__dict__", {}):
                 setattr(self._config, earlier_name, value)
         self._local_modules = local_modules_among(self._recognised.path, set(sys.modules) - before)
+        self._threads = threads_since(threads_before)
 
     def lifted(self) -> LoadedConfig:
         """Make the run table, and put everything together."""
@@ -131,9 +141,11 @@ class _Lifting:
             activated=(),
             overrides=dict(self._overrides),
             local_modules=self._local_modules,
-            findings=(*self.session.findings, *check_subscriptions(self.session, self._config), *self._plugin_findings),
+            findings=(*self.session.findings, *check_subscriptions(self.session, self._config)),
             folder=folder,
             spelling=design.names.spelling if isinstance(design, EarlierDesign) else EARLIER_SPELLING,
+            threads=self._threads,
+            lacking=tuple(check_plugins((self._recognised.path, *self._local_modules), self._set.get("robot"))),
         )
 
     def _apply(self, config_class: type) -> None:
@@ -168,8 +180,6 @@ class _Lifting:
         return ExperimentFolder(root, runs_name="")
 
     def _plugins(self) -> list[Plugin]:
-        robot = self._set.get("robot")
-        self._plugin_findings = check_plugins((self._recognised.path, *self._local_modules), robot)
         if not getattr(self._config, "self_measure", False):
             return []
         return [

@@ -18,9 +18,17 @@ if TYPE_CHECKING:
 __all__ = ["prepare", "prepare_or_refuse"]
 
 
-def prepare(path: Path, overrides: Mapping[str, str] = MappingProxyType({})) -> Preparation:
-    """Load and validate a config file of any dialect; all findings at once, and nothing on disk is touched."""
-    return preparation.prepare(path, overrides, load_config)
+def prepare(
+    path: Path, overrides: Mapping[str, str] = MappingProxyType({}), *, is_for_here: bool = True
+) -> Preparation:
+    """Load and validate a config file of any dialect; all findings at once, and nothing on disk is touched.
+
+    Args:
+        path: the config file.
+        overrides: static parameters to set, by name.
+        is_for_here: whether it is to be executed on this machine; if not, nobody asks what the machine has.
+    """
+    return preparation.prepare(path, overrides, load_config, is_for_here=is_for_here)
 
 
 def prepare_or_refuse(path: Path, overrides: Mapping[str, str] = MappingProxyType({})) -> Experiment:

@@ -105,10 +105,6 @@ def _columns_of(rows: Sequence[Mapping[Any, Any]], model: RunTableModel | None) 
         return all(_is_blank(row.get(column)) for row in rows)
 
     factors = [column for column in columns if not is_measure(column)]
-    if not factors:
-        raise ConfigError(
-            "no column of it is a factor", where=_WHERE, fix="Vary at least one thing, with a FactorModel."
-        )
     return factors, [column for column in columns if is_measure(column)]
 
 

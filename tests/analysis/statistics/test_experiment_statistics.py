@@ -284,7 +284,7 @@ def test_adjusted_p_values_agree_with_statsmodels(p_values, correction):
     np.testing.assert_allclose(adjusted(p_values, correction), multipletests(p_values, method=method)[1])
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     values=st.lists(
         st.none() | st.integers(-3, 3).map(float) | st.floats(-1e6, 1e6, width=32), min_size=12, max_size=12

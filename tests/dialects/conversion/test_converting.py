@@ -166,10 +166,10 @@ def test_before_run_with_the_row_gets_the_context(
         'RunTableModel(factors=[FactorModel("a", [1, 2])], iterations=3, data_columns=["x"])',
         'RunTableModel([FactorModel("a", [1, 2])], [], ["x"], False)',
         'RunTableModel([FactorModel("a", [1, 2])], None, 2, ["x"], True)',
-        'RunTableModel([FactorModel("a", [1, 2]), FactorModel("b", ["x"])], num_of_repetitions=2, randomize_order=True)',  # noqa: E501 - as its author would write it
+        'RunTableModel([FactorModel("a", [1, 2]), FactorModel("b", [3])], num_of_repetitions=2, randomize_order=True)',
         'RunTableModel(factors=[FactorModel("a", [1, 2]), FactorModel("b", ["x", "y"])], num_of_repetitions=2)',
-        'RunTableModel(factors=[FactorModel("a", ["on", "off"]), FactorModel("b", [1, 2])], exclude_variations=[{"on", 2}])',  # noqa: E501 - as its author would write it
-        'RunTableModel([FactorModel("a", ["on", "off"]), FactorModel("b", ["on", "off"])], exclude_variations=[{"on"}])',  # noqa: E501 - as its author would write it
+        'RunTableModel([FactorModel("a", ["on", "off"]), FactorModel("b", [1, 2])], exclude_variations=[{"on", 2}])',
+        'RunTableModel([FactorModel("a", ["x", "y"]), FactorModel("b", ["x", "y"])], exclude_variations=[{"x"}])',
         'RunTableModel([FactorModel("a", [1, 2]), FactorModel("b", [1, 2])], exclude_variations=[{2, 1}, {9}])',
         'RunTableModel([FactorModel("a", [True, False]), FactorModel("b", [0, 1])], exclude_variations=[{True}])',
         'RunTableModel(factors=[FactorModel("a", range(3))], shuffle=True)',
@@ -253,7 +253,7 @@ def test_a_profiler_that_needs_no_tool_around_it_is_kept(
     [
         (
             "from Plugins.Profilers.WattsUpPro import WattsUpPro",
-            "WattsUpPro cannot be used outside a config of the earlier tool → List our WattsUpPro in `plugins` instead.",  # noqa: E501 - as its author would write it
+            "WattsUpPro cannot be used outside a config of the earlier tool → List our WattsUpPro",
         ),
         (
             "from ProgressManager.Output.CSVOutputManager import CSVOutputManager",

@@ -6,8 +6,8 @@
    prints figures of its own as JSON.
 
    Time goes by as fast as the simulation can, or at a pace, or only as far as whoever has the clock's file mapped lets
-   it: three doubles, the time, up to when it may go on, both in s, and how many bytes were taken from the line; where
-   that is not negative, time stands still until what was handed over has been taken. */
+   it: four doubles, the time, up to when it may go on, both in s, how many bytes were taken from the line, where that is
+   not negative time stands still until what was handed over has been taken, and how often the port was closed. */
 
 #define _GNU_SOURCE
 #include <fcntl.h>
@@ -207,7 +207,7 @@ static volatile double *map_clock(const char *path)
     int file = open(path, O_RDWR);
     void *page = MAP_FAILED;
     if (file >= 0)
-        page = mmap(NULL, 3 * sizeof(double), PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
+        page = mmap(NULL, 4 * sizeof(double), PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
     return page == MAP_FAILED ? NULL : page;
 }
 
@@ -285,6 +285,8 @@ int main(int count, char **words)
     while (openings-- > 0 && is_alive && line_wait(&line, PATIENCE)) {
         began_real = real_now() - (pace > 0 ? now() / pace : 0);
         is_alive = execute();
+        if (shared)
+            shared[3]++;
         if (openings == 0)
             tell();
         press_reset();

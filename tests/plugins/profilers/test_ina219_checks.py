@@ -93,10 +93,10 @@ def test_a_driver_that_is_not_there_is_found(tmp_path):
     assert finding.problem == f"there is nothing at {tmp_path}/hwmon7"
 
 
-def test_a_computer_that_cannot_be_reached_is_found_before_its_driver_is_looked_for():
-    (finding,) = found(Ina219(sysfs="auto", host="pi@robot.invalid"))
-    assert "pi@robot.invalid cannot be reached" in finding.problem
-    assert finding.fix
+def test_a_driver_on_a_computer_that_cannot_be_reached_is_found():
+    (finding,) = found(Ina219(sysfs="auto", host="ssh://127.0.0.1:1"))
+    assert "127.0.0.1" in finding.problem
+    assert finding.is_error
 
 
 def test_one_profiler_has_one_way_to_its_sensor():

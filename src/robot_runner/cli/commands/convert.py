@@ -18,6 +18,7 @@ from robot_runner.cli.findings import print_findings, show_findings
 from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.parser import UsageError
 from robot_runner.cli.templating import write_new_file
+from robot_runner.cli.wording import counted
 from robot_runner.dialects.conversion.converting import check_conversion, convert
 
 if TYPE_CHECKING:
@@ -55,7 +56,8 @@ def execute(arguments: Namespace) -> int:
         return REFUSED
     print_findings(console, (*conversion.findings, *findings))
     console.print(
-        f"{shown_path(new)} is written: it plans the same {len(conversion.before.model.plan()):,} runs.", soft_wrap=True
+        f"{shown_path(new)} is written: it plans the same {counted(len(conversion.before.model.plan()), 'run')}.",
+        soft_wrap=True,
     )
     print_facts(
         console,

@@ -66,7 +66,8 @@ class PlainScreen:
                 self._print(*opening(notice))
                 print_findings(self._console, notice.findings)
             case AttemptStarted(task):
-                self._print(f"{_named(task)} starts: {treatments_in_words(task, self._model)}")
+                treatments = treatments_in_words(task, self._model)
+                self._print(f"{_named(task)} starts{f': {treatments}' if treatments else ''}")
             case AttemptFinished(task, outcome, is_last):
                 self._print(f"{_named(task)} {self._ended(outcome, is_last=is_last)}")
             case InterruptionNoticed(run_id):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING
 
+from robot_runner.dialects.conversion.run_tables import ONLY_FACTOR
 from robot_runner.errors import Finding
 
 if TYPE_CHECKING:
@@ -20,6 +21,13 @@ Run = tuple[tuple[str, str], ...]
 def differences(before: Experiment, after: Experiment) -> Iterator[Finding]:
     """Yield what the run table of one config has and that of the other lacks; ids are each tool's own."""
     old, new = _runs(before), _runs(after)
+    if not before.model.factors and [factor.name for factor in after.model.factors] == [ONLY_FACTOR]:
+        old = [((ONLY_FACTOR, str(after.model.factors[0].treatments[0])),)] * len(old)
+        yield Finding.warning(
+            "run table",
+            f"nothing is varied, so there is a factor {ONLY_FACTOR!r} with one treatment",
+            "Name what you will compare it with.",
+        )
     for run, count in (Counter(old) - Counter(new)).items():
         yield Finding.error("run table", f"{_shown(run)} is planned {count} times less than before", "Mend it by hand.")
     for run, count in (Counter(new) - Counter(old)).items():

@@ -69,7 +69,7 @@ def convert(path: Path) -> Conversion:
         raise ConfigError(
             "it is written in our own spelling already", where=str(path), fix=f"Execute it: robot-runner {path}"
         )
-    preparation = prepare(path)
+    preparation = prepare(path, is_for_here=False)
     experiment = preparation.experiment
     if experiment is None:
         raise ConfigError.of_findings(preparation.findings)
@@ -85,7 +85,7 @@ def convert(path: Path) -> Conversion:
 
 def check_conversion(conversion: Conversion, written: Path) -> tuple[Finding, ...]:
     """Load the file that was written, and compare its run table with that of the file it is from."""
-    preparation = prepare(written)
+    preparation = prepare(written, is_for_here=False)
     if preparation.experiment is None:
         return preparation.findings
     return tuple(differences(conversion.before, preparation.experiment))
@@ -120,7 +120,7 @@ class _Converting:
         functions = [node for node in ast.walk(self._tree) if isinstance(node, ast.FunctionDef)]
         convert_contexts(functions, self._edits, self._experiment.columns.names)
         self._rename_members(config, callbacks.renamed | {"create_run_table_model": "create_run_table"})
-        convert_run_tables(self._session, self._tree, self._edits)
+        convert_run_tables(self._session, self._tree, self.imports, self._edits)
         self._convert_names()
         self._convert_parameters(config)
         self._put_imports()

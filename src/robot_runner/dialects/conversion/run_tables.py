@@ -11,11 +11,14 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from robot_runner.dialects.conversion.edits import Edits
+    from robot_runner.dialects.conversion.imports import ConvertedImports
     from robot_runner.dialects.session import Session
 
-__all__ = ["convert_run_tables"]
+__all__ = ["ONLY_FACTOR", "convert_run_tables"]
 
-_MODELS = frozenset({"RunTableModel", "ExperimentModel"})
+#: Stands where nothing is varied: ours vary at least one thing.
+ONLY_FACTOR = "setup"
+_ONLY_TREATMENT = "as it is"
 _KEYWORDS = {
     "exclude_variations": "exclude_combinations",
     "num_repetitions": "repetitions",
@@ -35,12 +38,14 @@ _CALLS = {
 }
 
 
-def convert_run_tables(session: Session, tree: ast.Module, edits: Edits) -> None:
+def convert_run_tables(session: Session, tree: ast.Module, imports: ConvertedImports, edits: Edits) -> None:
     """Convert every call that makes a run table or asks one."""
     for node in ast.walk(tree):
         match node:
-            case ast.Call(func=ast.Name(id=name)) if name in _MODELS:
+            case ast.Call(func=ast.Name(id=name)) if imports.names.get(name) == "RunTableModel":
                 _convert_model(session, node, edits)
+                if _vary(_factors_of(node), edits):
+                    imports.ours.add("Factor")
             case ast.Call(func=ast.Attribute(value=owner, attr=name), args=[], keywords=[]) if name in _CALLS:
                 edits.replace_span(edits.end_of(owner), edits.end_of(node), _CALLS[name])
             case ast.Attribute(attr="factor_name", value=owner):
@@ -67,6 +72,18 @@ def _convert_model(session: Session, call: ast.Call, edits: Edits) -> None:
         _convert_exclusions(session, exclusions, edits)
 
 
+def _factors_of(call: ast.Call) -> ast.expr | None:
+    return next((each.value for each in call.keywords if each.arg == "factors"), call.args[0] if call.args else None)
+
+
+def _vary(factors: ast.expr | None, edits: Edits) -> bool:
+    """Give a model without factors one that has one treatment."""
+    if not isinstance(factors, ast.List) or factors.elts:
+        return False
+    edits.replace(factors, f'[Factor("{ONLY_FACTOR}", ["{_ONLY_TREATMENT}"])]')
+    return True
+
+
 def _keyword_of(argument: ast.expr) -> str:
     match argument:
         case ast.Constant(value=bool()):
@@ -79,7 +96,7 @@ def _keyword_of(argument: ast.expr) -> str:
 
 def _convert_repetitions_in_place(call: ast.Call, keyword: ast.keyword, edits: Edits) -> None:
     """Make a factor of repetitions that stand together: it changes fastest, and has the fork's column."""
-    factors = next((each.value for each in call.keywords if each.arg == "factors"), call.args[0] if call.args else None)
+    factors = _factors_of(call)
     if isinstance(factors, ast.List) and factors.elts:
         count = edits.source(keyword.value)
         edits.insert(edits.end_of(factors.elts[-1]), f', Factor("repetition", range(1, {count} + 1))')

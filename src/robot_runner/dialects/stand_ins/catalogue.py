@@ -1,6 +1,6 @@
 """Every module of the earlier tools that config files import, and where each of its names lives here.
 
-To have another profiler stand in, add a line to `PROFILERS` in `robot_runner.dialects.profilers.catalogue`.
+To have another profiler stand in, add a line to `PLUGINS` in `robot_runner.dialects.profilers.catalogue`.
 """
 
 from __future__ import annotations

@@ -179,8 +179,6 @@ def _factors(factors: Any) -> list[FactorModel]:
                 where="RunTableModel, factors",
                 fix="Give a list such as [FactorModel('Task', ['Video', 'Network'])].",
             )
-    if not listed:
-        raise ConfigError("it has no factors", where="RunTableModel", fix="Give at least one FactorModel.")
     _check_equal_names("factor", [factor.factor_name for factor in listed])
     if current_session().recognised.dialect is Dialect.EXPERIMENT_RUNNER:
         _check_equal_treatments(listed)

@@ -172,7 +172,7 @@
       return new uPlot({
         width: width, height: height, series: what.series, bands: what.bands,
         axes: axes("Time since the start of measurement (s)", data.label),
-        scales: { x: { time: false } },
+        scales: { x: { time: false, range: function (u, low, high) { return [low <= data.time[0] ? Math.min(0, low) : low, high]; } } },
         legend: { show: false },
         cursor: { drag: { x: true, y: false }, points: { show: !each }, y: each },
         hooks: { drawClear: [shade], setCursor: [tell] },

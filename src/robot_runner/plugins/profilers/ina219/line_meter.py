@@ -19,8 +19,10 @@ __all__ = ["LineMeter"]
 #: loader and one for its card (docs/ina219-protocol.md).
 _PATIENCE = 4.0
 _POLL = 0.01
-#: How long to wait for the sample behind the end of the window, s: a period, and the latency of a USB bridge (16 ms).
+#: How long the sample behind the end of the window usually takes, s: a period, and the latency of a USB bridge (16 ms).
 _AFTERMATH = 0.03
+#: How long to wait for it at most, s, where a busy machine hands bytes over late.
+_LONGEST_AFTERMATH = 0.5
 
 
 class LineMeter:
@@ -68,12 +70,19 @@ class LineMeter:
         if self._window is not None:
             return
         self._window = Window(self._start, self._clock.now())
-        self._clock.sleep(_AFTERMATH)
         try:
-            self._stream.take(self._line.drain())
-            self._stream.take(self._line.drain())  # a line that was lost says so once it has nothing more to give
+            self._take_the_rest(self._window.end)
         finally:
             self._stream.finish()
+
+    def _take_the_rest(self, end: float) -> None:
+        deadline = self._clock.now() + _LONGEST_AFTERMATH
+        while self._clock.now() < deadline:
+            self._clock.sleep(_AFTERMATH)
+            self._stream.take(self._line.drain())
+            times = self._stream.times()
+            if times and times[-1] >= end:
+                return
 
     def evaluate(self) -> Evaluation:
         """Return what was measured until `end`, or until now."""
