@@ -3,7 +3,7 @@
 #
 # On Debian as root it is installed. Elsewhere the tests that need it are skipped, and this says what is missing.
 set -u
-packages="openssh-server openssh-client gcc-avr avr-libc simavr libsimavr-dev gcc libc6-dev libelf-dev chromium tshark busybox dosfstools arduino-core-avr mtools"
+packages="openssh-server openssh-client gcc-avr avr-libc simavr libsimavr-dev gcc libc6-dev libelf-dev chromium tshark busybox dosfstools arduino-core-avr mtools linux-perf"
 
 command -v dpkg-query >/dev/null 2>&1 || {
     echo "This is no Debian: tests that need one of these programs are skipped: $packages"
