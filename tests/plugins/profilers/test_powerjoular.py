@@ -61,7 +61,7 @@ class TestPowerJoularOnAStandIn(ProfilerContract):
 
     def make_plugin(self) -> PowerJoular:
         plugin = PowerJoular(program=self.program, powercap=self.folder / "powercap")
-        plugin.period_s = 0.1
+        plugin.period_s = 0.3
         return plugin
 
     def make_context(self, folder, plugin, *, run_seed=1):
@@ -72,7 +72,7 @@ class TestPowerJoularOnAStandIn(ProfilerContract):
 def measure(tmp_path):
     def execute(recorded):
         plugin = PowerJoular(program=stand_in(tmp_path, recorded))
-        plugin.period_s = 0.1
+        plugin.period_s = 0.3
         context = make_context(tmp_path, plugin, robot=None, clock=SystemClock())
         rehearse(context, plugin, mission=lambda: SystemClock().sleep(0.4))
         return context

@@ -119,7 +119,7 @@ def test_two_sockets_are_added_up(measure, tmp_path):
 def test_on_a_simulated_robot_power_is_that_of_real_time(tmp_path):
     pytest.importorskip("mujoco")
     powercap = FakePowercap(tmp_path / "powercap")
-    plugin = Rapl(root=powercap.root, rate_hz=100.0)
+    plugin = Rapl(root=powercap.root, rate_hz=4.0)
     context = make_context(tmp_path, plugin, robot="simulated")
 
     def mission():
