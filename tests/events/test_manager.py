@@ -93,7 +93,7 @@ def test_a_closing_event_reaches_everybody_whatever_fails() -> None:
 def test_an_emission_can_be_kept_to_some_owners() -> None:
     calls: list[str] = []
     manager = manager_with(calls, ["robot", "meter", "config"], RobotRunnerEvents.STOP_RUN)
-    manager.emit(RobotRunnerEvents.STOP_RUN, lambda owner: owner, among={"robot", "config"})
+    manager.emit(RobotRunnerEvents.STOP_RUN, lambda owner: owner, but_not={"meter"})
     assert calls == ["config", "robot"]
 
 

@@ -79,6 +79,36 @@ def test_what_before_experiment_sets_up_is_seen_in_forked_runs(execute: Execute)
     assert [row["Energy"] for row in executed.table] == ["42"] * 4
 
 
+def test_what_before_run_and_continue_set_is_seen_in_the_next_run(execute: Execute) -> None:
+    experiment = execute(
+        """
+        operation_type = OperationType.SEMI
+        runs = continued = 0
+        def before_run(self, context): self.runs += 1
+        def continue_experiment(self, context):
+            self.continued += 10
+            return True
+        def populate_run_data(self, context): return {"Energy": self.runs + self.continued}
+        """
+    )
+    assert [row["Energy"] for row in experiment.table] == ["1", "12", "23", "34"]
+
+
+def test_what_before_experiment_opened_is_closed_when_after_experiment_closes_it(execute: Execute) -> None:
+    # A process of ours that shared the pipe would keep `cat` waiting for more.
+    experiment = execute(
+        """
+        def before_experiment(self, context):
+            import subprocess
+            self.program = subprocess.Popen(["cat"], stdin=subprocess.PIPE)
+        def after_experiment(self, context):
+            self.program.stdin.close()
+            self.program.wait(timeout=10)
+        """
+    )
+    assert experiment.finished.done_count == 4
+
+
 def test_what_callbacks_print_goes_to_the_log_of_their_run(execute: Execute, run_process: str) -> None:
     executed = execute(
         "def launch_mission(self, context): print('mission of', context.run_id)", run_process=run_process

@@ -174,20 +174,40 @@ def test_the_lock_of_a_dead_process_holds_nobody_up(start: Start) -> None:
     assert resumes(start, experiment)
 
 
-def test_a_guardian_that_is_killed_is_replaced(start: Start) -> None:
+def test_a_killed_guardian_fails_its_run_which_is_closed_and_the_next_run_has_another(start: Start) -> None:
+    experiment = start(
+        """
+        def launch_mission(self, context):
+            import os, signal, time
+            if context.run_id in {"r_1", "r_3"}:
+                os.kill(os.getppid(), signal.SIGKILL)
+                time.sleep(60)
+        def stop_run(self, context):
+            (Path(__file__).parent / f"closed {context.run_id}").touch()
+        """
+    )
+    assert experiment.end() == 1, experiment.output
+    assert experiment.statuses == ["Failed", "Done", "Failed", "Done"]
+    assert "r_1, r_3: launch_mission of config: its guardian was killed by SIGKILL" in experiment.output
+    assert experiment.wait_for("closed r_1")
+    assert experiment.wait_for("closed r_3")
+    assert experiment.nobody_is_left()
+
+
+def test_a_process_that_is_killed_while_it_waits_for_its_run_costs_no_run(start: Start) -> None:
     experiment = start(
         """
         def launch_mission(self, context):
             import os, signal
-            if context.run_id in {"r_1", "r_3"}:
-                for path in Path("/proc").glob("[0-9]*/stat"):
-                    pid, _, rest = path.read_text().partition(" (")
-                    parent = int(rest.rpartition(")")[2].split()[1])
-                    if parent == os.getppid() and int(pid) != os.getpid():
-                        os.kill(int(pid), signal.SIGKILL)
-                        (Path(__file__).parent / f"killed {context.run_id}").write_text(pid)
+            for path in Path("/proc").glob("[0-9]*/stat"):
+                pid, _, rest = path.read_text().partition(" (")
+                if int(rest.rpartition(")")[2].split()[1]) == os.getppid() and int(pid) != os.getpid():
+                    os.kill(int(pid), signal.SIGKILL)
+                    (Path(__file__).parent / f"killed in {context.run_id}").touch()
         """
     )
     assert experiment.end() == 0, experiment.output
-    assert experiment.wait_for("killed r_1").read_text() != experiment.wait_for("killed r_3").read_text()
+    assert experiment.wait_for("killed in r_1")
+    assert experiment.wait_for("killed in r_3")
+    assert experiment.statuses == ["Done"] * 4
     assert experiment.nobody_is_left()

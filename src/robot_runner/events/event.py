@@ -24,6 +24,9 @@ class RobotRunnerEvents(Enum):
     CONTINUE = "continue"
     AFTER_EXPERIMENT = "after_experiment"
 
+    #: Each member is there once; the enumeration's own would hash its name, in Python, at each look into a dictionary.
+    __hash__ = object.__hash__
+
     @property
     def callback_name(self) -> str:
         """The method that hears this event; `continue` is a word of Python, so its method is `continue_experiment`."""

@@ -89,9 +89,9 @@ class EventManager:
         event: RobotRunnerEvents,
         context_for: Callable[[str], object],
         *,
-        among: Collection[str] | None = None,
+        but_not: Collection[str] = (),
     ) -> Emission:
-        """Call whoever hears `event`; `among` keeps it to these owners.
+        """Call whoever hears `event`, except for what belongs to the owners in `but_not`.
 
         The first callback that raises ends the emission, except for a closing event: then all are called.
         """
@@ -100,7 +100,7 @@ class EventManager:
         failures: list[CallbackFailure] = []
         for subscriber in self.subscribers(event):
             owner = subscriber.owner
-            if among is not None and owner not in among:
+            if owner in but_not:
                 continue
             reached.append(owner)
             try:

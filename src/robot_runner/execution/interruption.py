@@ -37,23 +37,19 @@ class InterruptGate:
         else:  # forked: the orchestrator's handler came along; setting another would cost more than all else here
             inherited.become_run(self)
 
-    @contextmanager
-    def armed(self, arm: bool) -> Iterator[None]:
-        """While this lasts (and `arm` is true), the word to end is raised; before and after, it waits.
+    def arm(self) -> None:
+        """Have the word to end raised from now on, until `disarm`; before and after, it waits.
 
         Raises:
             RunInterrupted: the word was said, now or before.
         """
-        if not arm:
-            yield
-            return
         self._armed = True
-        try:
-            if self._requested:
-                self._raise()
-            yield
-        finally:
-            self._armed = False
+        if self._requested:
+            self._raise()
+
+    def disarm(self) -> None:
+        """Have the word to end wait again."""
+        self._armed = False
 
     def request(self, *, at_once: bool = False) -> None:
         """Say the word to end; `at_once` does not even wait for the closing.

@@ -207,12 +207,13 @@ class _Orchestrator:
 
     def _emit(self, event: RobotRunnerEvents, context_for: Callable[[str], object]) -> Emission:
         """Emit an event in this process; Ctrl-C ends the callback that is being executed."""
+        if self._experiment.events.subscribers(event):
+            self._executor.let_go()
         gate = InterruptGate()
         try:
-            with (
-                self._interruption.passed_on(gate),
-                gate.armed(event is not RobotRunnerEvents.AFTER_EXPERIMENT),
-            ):
+            with self._interruption.passed_on(gate):
+                if event is not RobotRunnerEvents.AFTER_EXPERIMENT:
+                    gate.arm()
                 return self._experiment.events.emit(event, context_for)
         except RunInterrupted as error:  # between two callbacks
             return Emission((), (), (CallbackFailure(event, "", error),))

@@ -14,7 +14,7 @@ from robot_runner.execution.circumstances import keep_config, manifest_of, resum
 from robot_runner.execution.host_clocks import note_clock
 from robot_runner.execution.recovery import RecoveredTable, recover_table
 from robot_runner.execution.resumption import Resumption, selected_places
-from robot_runner.execution.task import AttemptStatus, RunOutcome, RunTask
+from robot_runner.execution.task import AttemptStatus, RunOutcome, RunTask, seed_of_run
 from robot_runner.storage.journal import Journal, utc_now
 from robot_runner.storage.lock import ExperimentLock
 from robot_runner.storage.manifest import read_manifest, write_manifest
@@ -141,6 +141,7 @@ class ProgressManager:
             combination=self._rows.combination(run.place),
             repetition=self._rows.repetition(run.place),
             experiment_seed=self.seed,
+            run_seed=seed_of_run(self.seed, run.run_id),
         )
 
     def begin(self, run: PendingRun) -> RunTask:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Mapping
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.errors import MeasureError, RobotRunnerError
@@ -33,15 +32,8 @@ def execute_run(experiment: Experiment, task: RunTask, report: Report, gate: Int
 
     Nothing is raised: a failure is a record like any other. What was opened is closed, systems are made safe.
     """
-    resources = Resources()
     run = _Run(experiment, task, report, gate or InterruptGate())
-    try:
-        with run.recorded("", "link"):
-            run.enter(open_clock(experiment.parameters.robot, resources, seed=task.run_seed), resources)
-            run.emit_events()
-    finally:
-        with run.recorded(RobotRunnerEvents.STOP_RUN.value, "link"):
-            resources.close()
+    run.execute()
 
 
 def run_contexts(
@@ -49,6 +41,7 @@ def run_contexts(
 ) -> Callable[[str], RobotRunnerContext]:
     """Return what makes the context of a run for each owner; all share one broker."""
     broker = MeasureBroker(task.run_id, experiment.columns, report)
+    run_path = experiment.folder.run(task.run_id)
     made: dict[str, RobotRunnerContext] = {}
 
     def context_for(owner: str) -> RobotRunnerContext:
@@ -65,7 +58,7 @@ def run_contexts(
                 combination=task.combination,
                 repetition=task.repetition,
                 run_seed=task.run_seed,
-                run_path=experiment.folder.run(task.run_id),
+                run_path=run_path,
                 clock=clock,
                 resources=resources,
                 owner=owner,
@@ -77,77 +70,106 @@ def run_contexts(
 
 
 class _Run:
-    """The life of one run in its own process."""
+    """The life of one run in its own process.
+
+    What is written here as `try` and `except` might be context managers; but a forked process has to copy whatever
+    memory a call touches first, and they would cost an empty run more than all else does.
+    """
 
     def __init__(self, experiment: Experiment, task: RunTask, report: Report, gate: InterruptGate) -> None:
         self._experiment = experiment
         self._task = task
         self._report = report
         self._gate = gate
+        self._resources = Resources()
         self._failed = False
 
-    def enter(self, clock: Clock, resources: Resources) -> None:
-        self._clock = clock
+    def execute(self) -> None:
+        try:
+            self._enter()
+            self._emit_events()
+        except BaseException as error:  # noqa: BLE001 - whatever it is, the run is closed and says why it failed
+            self._record("", "link", error)
+        finally:
+            self._close_resources()
+
+    def _close_resources(self) -> None:
+        try:
+            self._resources.close()
+        except BaseException as error:  # noqa: BLE001 - a link that fails while it is closed fails the run
+            self._record(RobotRunnerEvents.STOP_RUN.value, "link", error)
+
+    def _enter(self) -> None:
+        task, resources = self._task, self._resources
+        self._clock = open_clock(self._experiment.parameters.robot, resources, seed=task.run_seed)
         self._context_for = run_contexts(
-            self._experiment, self._task, clock=clock, resources=resources, report=self._report
+            self._experiment, task, clock=self._clock, resources=resources, report=self._report
         )
 
-    def emit_events(self) -> None:
+    def _emit_events(self) -> None:
         """Emit the six events; what an opening event reached is closed again, and then made safe if anything failed."""
-        with self._opened(RobotRunnerEvents.START_RUN):
+        started = self._emit(RobotRunnerEvents.START_RUN)
+        try:
             if not self._failed:
-                with self._opened(RobotRunnerEvents.START_MEASUREMENT):
-                    if not self._failed:
-                        self._emit(RobotRunnerEvents.LAUNCH_MISSION)
+                self._measure()
+        finally:
+            self._close(RobotRunnerEvents.START_RUN, started)
         if self._failed:
             self._make_safe()
         else:
-            emission = self._emit(RobotRunnerEvents.POPULATE_RUN_DATA)
-            for owner, returned in emission.returned:
-                with self.recorded(RobotRunnerEvents.POPULATE_RUN_DATA.value, owner):
-                    publish_returned(self._context_for(owner), returned)
+            self._populate()
 
-    @contextmanager
-    def recorded(self, event: str, owner: str) -> Iterator[None]:
-        """Record what is raised as a failure of the run."""
+    def _measure(self) -> None:
+        started = self._emit(RobotRunnerEvents.START_MEASUREMENT)
         try:
-            yield
-        except BaseException as error:  # noqa: BLE001 - whatever it is, the run is closed and says why it failed
-            self._record(event, owner, error)
-
-    @contextmanager
-    def _opened(self, event: RobotRunnerEvents) -> Iterator[None]:
-        emission = self._emit(event)
-        try:
-            yield
+            if not self._failed:
+                self._emit(RobotRunnerEvents.LAUNCH_MISSION)
         finally:
-            self._close(CLOSED_BY[event], event, emission)
+            self._close(RobotRunnerEvents.START_MEASUREMENT, started)
 
-    def _close(self, closing: RobotRunnerEvents, opening: RobotRunnerEvents, emission: Emission | None) -> None:
+    def _populate(self) -> None:
+        event = RobotRunnerEvents.POPULATE_RUN_DATA
+        for owner, returned in self._emit(event).returned:
+            try:
+                publish_returned(self._context_for(owner), returned)
+            except BaseException as error:  # noqa: BLE001 - whatever it is, the run failed
+                self._record(event.value, owner, error)
+
+    def _close(self, opening: RobotRunnerEvents, emission: Emission) -> None:
+        closing, events = CLOSED_BY[opening], self._experiment.events
         # Who has no callback for the opening event may have opened something elsewhere, and hears the closing too.
-        openers = {subscriber.owner for subscriber in self._experiment.events.subscribers(opening)}
-        unreached = openers - set(emission.reached) if emission else set()
-        everybody = {subscriber.owner for subscriber in self._experiment.events.subscribers(closing)}
-        self._emit(closing, among=everybody - unreached)
+        unreached = {subscriber.owner for subscriber in events.subscribers(opening)}.difference(emission.reached)
+        self._emit(closing, but_not=unreached)
 
-    def _emit(self, event: RobotRunnerEvents, among: set[str] | None = None) -> Emission:
+    def _emit(self, event: RobotRunnerEvents, but_not: Collection[str] = ()) -> Emission:
         self._report("event", {"event": event.value, "at": utc_now(), "clock": self._clock.now()})
         try:
-            with self._gate.armed(not event.is_closing):
-                emission = self._experiment.events.emit(event, self._context_for, among=among)
+            emission = self._call(event, but_not)
         except RunInterrupted as error:  # between two callbacks: nobody knows who was reached, so all are closed
             emission = Emission((), self._owners(), (CallbackFailure(event, "", error),))
         for failure in emission.failures:
             self._record(event.value, failure.owner, failure.error)
         return emission
 
+    def _call(self, event: RobotRunnerEvents, but_not: Collection[str]) -> Emission:
+        events, gate = self._experiment.events, self._gate
+        if event.is_closing:
+            return events.emit(event, self._context_for, but_not=but_not)
+        try:
+            gate.arm()
+            return events.emit(event, self._context_for, but_not=but_not)
+        finally:
+            gate.disarm()
+
     def _owners(self) -> tuple[str, ...]:
         return (*(plugin.name for plugin in self._experiment.plugins), CONFIG_OWNER)
 
     def _make_safe(self) -> None:
         for system in reversed(self._experiment.systems):
-            with self.recorded("make_safe", system.name):
+            try:
                 system.make_safe(self._context_for(system.name))
+            except BaseException as error:  # noqa: BLE001 - the other systems are made safe all the same
+                self._record("make_safe", system.name, error)
 
     def _record(self, event: str, owner: str, error: BaseException) -> None:
         self._failed = True

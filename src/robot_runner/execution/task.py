@@ -34,6 +34,7 @@ class RunTask:
         run_number: its place in the order of execution, from 1.
         combination: the treatment of each factor, by name.
         experiment_seed: the seed from which the run's own is derived.
+        run_seed: a seed for this run alone, the same each time that it is executed.
     """
 
     run_id: str
@@ -43,11 +44,7 @@ class RunTask:
     combination: Mapping[str, Any]
     repetition: int
     experiment_seed: int
-
-    @property
-    def run_seed(self) -> int:
-        """A seed for this run alone, the same each time that it is executed."""
-        return seed_of_run(self.experiment_seed, self.run_id)
+    run_seed: int
 
 
 def seed_of_run(experiment_seed: int, run_id: str) -> int:

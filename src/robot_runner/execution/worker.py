@@ -1,10 +1,10 @@
-"""The program of a spawned run: `python -m robot_runner.execution.worker <task>`."""
+"""The program of a spawned run: `python -m robot_runner.execution.worker <description>`."""
 
 from __future__ import annotations
 
 import sys
 
-from robot_runner.execution.spawning import execute_described
+from robot_runner.execution.spawning import execute_spawned
 
 if __name__ == "__main__":
-    execute_described(sys.argv[1])
+    execute_spawned(sys.argv[1])

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from datetime import UTC, datetime
+import time
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.errors import StorageError
@@ -22,7 +23,13 @@ _encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), default=st
 
 def utc_now() -> str:
     """Return the present moment in UTC: ISO 8601 with milliseconds, as in `2026-01-31T12:00:00.250Z`."""
-    return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    second, nanosecond = divmod(time.time_ns(), 1_000_000_000)
+    return f"{_up_to_second(second)}.{nanosecond // 1_000_000:03d}Z"
+
+
+@lru_cache(maxsize=1)
+def _up_to_second(second: int) -> str:
+    return time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(second))
 
 
 class Journal:

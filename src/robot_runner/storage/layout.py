@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -31,6 +31,15 @@ class ExperimentFolder:
 
     root: Path
     runs_name: str = _RUNS
+    #: One folder a run.
+    runs: Path = field(init=False, repr=False, compare=False)
+    #: What the run that is being executed has printed so far.
+    current_log: Path = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        # Made once: they are asked for in every run, and making a path takes longer than all else there.
+        object.__setattr__(self, "runs", self.root / self.runs_name)
+        object.__setattr__(self, "current_log", self.root / "current_log.txt")
 
     @classmethod
     def found_at(cls, root: Path) -> ExperimentFolder:
@@ -69,11 +78,6 @@ class ExperimentFolder:
         return self.root / "earlier_configs"
 
     @property
-    def runs(self) -> Path:
-        """One folder a run."""
-        return self.root / self.runs_name
-
-    @property
     def earlier_attempts(self) -> Path:
         """What attempts before the last one left behind."""
         return self.root / "earlier_attempts"
@@ -82,11 +86,6 @@ class ExperimentFolder:
     def report(self) -> Path:
         """The report, with its tables and figures; made anew whenever it is asked for."""
         return self.root / "report"
-
-    @property
-    def current_log(self) -> Path:
-        """What the run that is being executed has printed so far."""
-        return self.root / "current_log.txt"
 
     @property
     def lock(self) -> Path:

@@ -6,6 +6,7 @@ if something is kept in it, and what it prints goes to one log that is renamed i
 
 from __future__ import annotations
 
+import io
 import json
 import os
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
     from robot_runner.storage.layout import ExperimentFolder
 
-__all__ = ["keep_log", "keep_refused", "open_log", "put_earlier_attempt_away"]
+__all__ = ["LazyLog", "keep_log", "keep_refused", "open_log", "put_earlier_attempt_away"]
 
 
 def open_log(folder: ExperimentFolder) -> int:
@@ -28,6 +29,50 @@ def open_log(folder: ExperimentFolder) -> int:
         OSError: it cannot be opened.
     """
     return os.open(folder.current_log, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+
+
+class LazyLog(io.TextIOBase):
+    """The log of the run that is being executed, as a text stream: opened once something is printed."""
+
+    def __init__(self, folder: ExperimentFolder) -> None:
+        self._folder = folder
+        self._file: io.TextIOWrapper | None = None
+
+    def writable(self) -> bool:
+        """Say that it can be written to."""
+        return True
+
+    def write(self, text: str) -> int:
+        """Append to the log."""
+        return self._opened().write(text)
+
+    def flush(self) -> None:
+        """Hand what was written to the system."""
+        if self._file is not None:
+            self._file.flush()
+
+    def fileno(self) -> int:
+        """Return its descriptor, for programs that are to print into it."""
+        return self._opened().fileno()
+
+    @property
+    def buffer(self) -> Any:
+        """The stream beneath it, for who prints bytes."""
+        return self._opened().buffer
+
+    def close(self) -> None:
+        """Close it; closing twice does nothing."""
+        file, self._file = self._file, None
+        if file is not None:
+            file.close()
+        super().close()
+
+    def _opened(self) -> io.TextIOWrapper:
+        if self.closed:
+            raise ValueError("I/O operation on closed file.")
+        if self._file is None:
+            self._file = os.fdopen(open_log(self._folder), "a", encoding="utf-8", errors="backslashreplace")
+        return self._file
 
 
 def keep_log(folder: ExperimentFolder, run_id: str) -> None:

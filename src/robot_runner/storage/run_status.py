@@ -20,6 +20,9 @@ class RunStatus(Enum):
     DONE = "Done"
     FAILED = "Failed"
 
+    #: Each member is there once; the enumeration's own would hash its name, in Python, at each look into a dictionary.
+    __hash__ = object.__hash__
+
 
 # Spreadsheets turn a hyphen into a dash, and people write what they see elsewhere.
 _WORDS = {status.value.casefold(): status for status in RunStatus} | dict.fromkeys(

@@ -59,7 +59,7 @@ class Notices:
 
     @staticmethod
     def task(number: int = 1, *, attempt: int = 1, treatment: object = "Video") -> RunTask:
-        return RunTask(f"r_{number}", number, 4, attempt, {"Task": treatment}, 1, 1)
+        return RunTask(f"r_{number}", number, 4, attempt, {"Task": treatment}, 1, 1, 1)
 
     def begun(self, number: int = 1, **changes: Any) -> AttemptStarted:
         return AttemptStarted(self.task(number, **changes))
