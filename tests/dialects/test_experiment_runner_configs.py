@@ -39,6 +39,16 @@ def test_the_latest_form_gives_its_table(config: Callable[..., Path]) -> None:
     ]
 
 
+def test_an_experiment_may_vary_nothing(config: Callable[..., Path], execute: Callable[..., Executed]) -> None:
+    table = """\
+    def create_run_table_model(self):
+        return RunTableModel(factors=[], repetitions=2, data_columns=["seconds"])
+"""
+    path = config("def populate_run_data(self, context): return {'seconds': context.run_nr}", table=table)
+    execute(path)
+    assert execute(path).text == ("__run_id,__done,seconds\nrun_0_repetition_0,DONE,1\nrun_0_repetition_1,DONE,2\n")
+
+
 def test_the_form_of_2022_numbers_its_runs_without_repetitions(config: Callable[..., Path]) -> None:
     table = """\
     def create_run_table(self):

@@ -91,7 +91,36 @@ def test_several_callbacks_of_one_event_are_all_called(
     assert any("two callbacks hear POPULATE_RUN_DATA: first and second" in warning for warning in executed.warnings)
 
 
-@pytest.mark.parametrize("tool", ["experiment-runner", "robot-runner", ""])
+def test_a_fork_subscribes_lists_of_callbacks(config: Callable[..., Path], execute: Callable[..., Executed]) -> None:
+    table = """\
+    def create_run_table(self):
+        run_table = RunTableModel([FactorModel("n", [1])], data_columns=["a", "b"])
+        run_table.create_experiment_run_table()
+        return run_table.get_experiment_run_table()
+
+    def first(self, context): return {"a": 1}
+    def second(self, context): return {"b": 2}
+    def go(self, context): print("going")
+"""
+    subscribe = (
+        "(RobotRunnerEvents.POPULATE_RUN_DATA, [self.first, self.second]), (RobotRunnerEvents.START_RUN, [self.go]),"
+    )
+    path = config(head=ROBOT, table=table, subscribe=subscribe)
+    path.write_text(
+        path.read_text().replace("subscribe_to_multiple_events(", "subscribe_to_multiple_events_multiple_callbacks(", 1)
+    )
+    executed = execute(path)
+    assert executed.text.splitlines()[1] == "run_0,DONE,1,1,2"
+    assert executed.log("run_0") == "going\n"
+    assert executed.warnings == []
+
+
+def test_each_of_a_list_of_callbacks_must_be_callable(config: Callable[..., Path]) -> None:
+    path = config("def go(self, context): ...", subscribe="(RunnerEvents.START_RUN, [self.go, 'self.go']),")
+    assert "the callback of START_RUN is 'self.go', which cannot be called" in problems(prepare(path))[0]
+
+
+@pytest.mark.parametrize("tool", ["experiment-runner", "robot-runner", "", "experiment-runner/experiment-runner"])
 def test_a_plugin_of_a_forks_own_is_found_in_its_clone(
     config: Callable[..., Path], write: Callable[..., Path], execute: Callable[..., Executed], tool: str
 ) -> None:
@@ -103,6 +132,68 @@ def test_a_plugin_of_a_forks_own_is_found_in_its_clone(
         name="clone/experiments/meter/RunnerConfig.py",
     )
     assert {row["seconds"] for row in execute(path).table} == {"4.5"}
+
+
+def test_what_a_fork_added_to_a_module_of_the_tool_comes_from_its_clone(
+    config: Callable[..., Path], write: Callable[..., Path], execute: Callable[..., Executed]
+) -> None:
+    write(
+        "from Plugins.Profilers.DataSource import CLISource\n"
+        "class WattsUpPro(CLISource): own = True\n"
+        "def run_for(seconds): return seconds * 2\n",
+        "clone/experiment-runner/Plugins/Profilers/WattsUpPro.py",
+    )
+    head = RUNNER.replace("from pathlib", "from Plugins.Profilers.WattsUpPro import WattsUpPro, run_for\nfrom pathlib")
+    body = "return {'seconds': run_for(2) + hasattr(WattsUpPro, 'own')}"
+    methods = f"def populate_run_data(self, context): {body}"
+    assert {row["seconds"] for row in execute(config(methods, head=head, name="clone/run/RunnerConfig.py")).table} == {
+        "4"
+    }
+
+
+def test_an_event_that_a_fork_added_is_told_apart_from_a_misspelt_one(
+    config: Callable[..., Path], write: Callable[..., Path]
+) -> None:
+    write("", "clone/experiment-runner/ConfigValidator/__init__.py")
+    write("class RunnerEvents: CALIBRATE = 11\n", "clone/experiment-runner/EventManager/Models/RunnerEvents.py")
+    subscribe = "(RunnerEvents.CALIBRATE, self.go), (RunnerEvents.STAR_RUN, self.go),"
+    path = config("def go(self, context): ...", subscribe=subscribe, name="clone/run/RunnerConfig.py")
+    (added, misspelt) = problems(prepare(path))
+    assert "no event 'CALIBRATE' → The fork whose clone this is raised it itself" in added
+    assert "no event 'STAR_RUN' → Did you mean 'START_RUN'?" in misspelt
+
+
+def test_a_name_that_neither_tool_nor_clone_has_is_refused_with_its_line(
+    config: Callable[..., Path], write: Callable[..., Path]
+) -> None:
+    write("class PowerJoular: ...\n", "clone/experiment-runner/Plugins/Profilers/PowerJoular.py")
+    head = RUNNER.replace("from pathlib", "from Plugins.Profilers.PowerJoular import PowerJoule\nfrom pathlib")
+    path = config(head=head, name="clone/run/RunnerConfig.py")
+    assert problems(prepare(path)) == [
+        f"{path}:7: Plugins.Profilers.PowerJoular has no 'PowerJoule' → Did you mean 'PowerJoular'?"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("made", "ids"),
+    [
+        ("f'run_{i}'", ["run_0", "run_1"]),
+        ("f'run_{i + 1}'", ["run_1", "run_2"]),
+        ('f"run_{i}_repetition_{j}"', ["run_0_repetition_0", "run_1_repetition_0"]),
+        ("f'run_{i}_iteration_{j}'", ["run_0_iteration_0", "run_1_iteration_0"]),
+        ("str(i)", ["run_0_repetition_0", "run_1_repetition_0"]),
+    ],
+)
+def test_runs_are_numbered_as_the_tool_does_whose_clone_the_config_stands_in(
+    config: Callable[..., Path], write: Callable[..., Path], made: str, ids: list[str]
+) -> None:
+    write(
+        f"class RunTableModel:\n    def rows(self, i, j): return {made}\n",
+        "clone/experiment-runner/ConfigValidator/Config/Models/RunTableModel.py",
+    )
+    table = "    def create_run_table_model(self): return RunTableModel([FactorModel('n', [1, 2])])\n"
+    path = config(table=table, name="clone/examples/RunnerConfig.py")
+    assert [run_id for run_id, _ in planned(prepare(path))] == ids
 
 
 def test_a_profiler_derived_from_the_tools_own_class_measures(

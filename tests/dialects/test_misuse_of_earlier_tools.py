@@ -76,6 +76,24 @@ def test_everything_that_the_text_tells_is_told_at_once(config: Callable[..., Pa
     ]
 
 
+def test_a_name_of_the_users_own_refuses_nothing(config: Callable[..., Path]) -> None:
+    own = "    self_measured = True\n    def create_run_table_models(self): return []\n"
+    preparation = prepare(config(head=RUNNER + own))
+    assert [finding.problem for finding in preparation.findings] == ["there is no static parameter 'self_measured'"]
+    assert preparation.experiment is not None
+
+
+def test_a_parameter_may_be_given_in_init(config: Callable[..., Path]) -> None:
+    late = """
+    def __init__(self):
+        self.operation_type = self.operation_types[0]
+    """
+    head = RUNNER.replace(
+        "operation_type: OperationType = OperationType.AUTO", "operation_types = [OperationType.AUTO]"
+    )
+    assert problems(prepare(config(late, head=head))) == []
+
+
 @pytest.mark.parametrize(
     ("expression", "problem"),
     [
@@ -156,6 +174,37 @@ def test_a_missing_package_is_named_with_its_line(config: Callable[..., Path]) -
         f"{path}:7: it raised ModuleNotFoundError while it was loaded: No module named 'rospy_that_is_not_there' → "
         "Install the package that brings 'rospy_that_is_not_there', or mend the name."
     )
+
+
+def test_all_that_a_file_lacks_is_told_though_it_cannot_be_loaded(
+    config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    imports = """import json, gone_for_good.sub
+from gone_too import anything
+from Plugins.Profilers.EnergiBridge import EnergiBridge
+try:
+    import gone_but_guarded
+except ImportError: ...
+"""
+    methods = "def start_measurement(self, context): self.meter = EnergiBridge()"
+    path = config(methods, head=RUNNER.replace("from pathlib", f"{imports}from pathlib", 1))
+    assert [problem.partition(" → ")[0] for problem in problems(prepare(path))] == [
+        f"{path}:7: it raised ModuleNotFoundError while it was loaded: No module named 'gone_for_good'",
+        f"{path}:8: there is no module 'gone_too'",
+        f"{path}:9: EnergiBridge needs the program energibridge, which is not here",
+    ]
+
+
+def test_a_config_that_ends_its_program_ends_only_itself(config: Callable[..., Path]) -> None:
+    end = "import os\nif not os.environ.get('A_VARIABLE_THAT_NOBODY_HAS'): os._exit(3)\n"
+    path = config(head=RUNNER.replace("from pathlib", f"{end}from pathlib", 1))
+    assert only_problem(path) == f"{path}:8: it raised SystemExit while it was loaded: 3 → Mend this line."
+
+
+def test_a_process_that_a_config_forks_while_it_is_loaded_ends_by_itself(config: Callable[..., Path]) -> None:
+    fork = "import os\nchild = os.fork() or os._exit(5)\nassert os.waitpid(child, 0)[1] >> 8 == 5\n"
+    assert problems(prepare(config(head=RUNNER.replace("from pathlib", f"{fork}from pathlib", 1)))) == []
 
 
 def test_the_tools_own_machinery_cannot_be_used(config: Callable[..., Path]) -> None:

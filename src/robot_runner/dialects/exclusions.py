@@ -40,10 +40,17 @@ class NamedExclusion:
         treatments: the treatments that are left out together, by the factor's place; None where no assignment of
             values to factors is evident.
         values: the values of a set that forgot its factors; empty for a mapping.
+        has_unknown: whether it was given a value that is no treatment of its factor.
     """
 
     treatments: Mapping[int, Sequence[Any]] | None
     values: tuple[Any, ...] = ()
+    has_unknown: bool = False
+
+    @property
+    def names_nothing(self) -> bool:
+        """Whether no treatment of one of its factors is left, so that it matches no combination."""
+        return self.treatments is not None and not all(self.treatments.values())
 
     def matches(self, combination: Sequence[Any]) -> bool:
         """Return whether a combination is left out."""
@@ -83,7 +90,9 @@ def named_exclusions(session: Session, factors: Sequence[EarlierFactor], exclusi
 
 def _named(session: Session, factors: Sequence[EarlierFactor], exclusion: Any) -> NamedExclusion:
     if isinstance(exclusion, Mapping):
-        return NamedExclusion(dict(_named_by_user(session, factors, exclusion)))
+        treatments = dict(_named_by_user(session, factors, exclusion))
+        given = sum(len(_listed(wanted)) for wanted in exclusion.values())
+        return NamedExclusion(treatments, has_unknown=given > sum(map(len, treatments.values())))
     if isinstance(exclusion, set | frozenset | list | tuple):
         return _SetOfValues(session, factors, exclusion).named()
     raise ConfigError(

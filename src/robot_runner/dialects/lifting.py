@@ -25,13 +25,16 @@ from robot_runner.config.parameters import PARAMETERS
 from robot_runner.config.source import ConfigSource
 from robot_runner.dialects.checks.callbacks import check_subscriptions
 from robot_runner.dialects.checks.files import check_file
-from robot_runner.dialects.checks.plugins import check_plugins
+from robot_runner.dialects.checks.packages import check_packages
+from robot_runner.dialects.checks.plugins import check_plugins, is_robot_operated
+from robot_runner.dialects.exits import exits_raised
 from robot_runner.dialects.experiment import EarlierExperiment
 from robot_runner.dialects.profilers.self_measure import COLUMN, SelfMeasure
 from robot_runner.dialects.run_table import EarlierDesign, design_of
 from robot_runner.dialects.session import Session, active_session
 from robot_runner.dialects.stand_ins.finder import StandIns
 from robot_runner.errors import ConfigError, StorageError, did_you_mean
+from robot_runner.links.automatic import AUTO
 from robot_runner.storage.layout import ExperimentFolder
 from robot_runner.storage.manifest import read_manifest
 from robot_runner.storage.table_spelling import EARLIER_SPELLING
@@ -40,6 +43,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from robot_runner.dialects.recognition import Recognised
+    from robot_runner.errors import Finding
     from robot_runner.plugins.api.plugin import Plugin
 
 __all__ = ["lift"]
@@ -51,8 +55,11 @@ _NEW_PARAMETERS = frozenset(
     {
         "analysis",
         "attempts",
+        "authors",
+        "citation",
         "event_deadline_in_s",
         "grace_in_s",
+        "licence",
         "on_failure",
         "robot",
         "run_deadline_in_s",
@@ -75,8 +82,11 @@ def lift(recognised: Recognised, overrides: Mapping[str, str]) -> LoadedConfig:
     lifting = _Lifting(recognised, overrides)
     lifting.session.findings += refused
     with active_session(lifting.session):
-        with lifting.executing("while it was loaded"):
-            lifting.load()
+        try:
+            with lifting.executing("while it was loaded"):
+                lifting.load()
+        except ConfigError as error:
+            raise ConfigError.of_findings([*error.findings, *lifting.lacking(error)]) from error
         return lifting.lifted()
 
 
@@ -99,6 +109,7 @@ class _Lifting:
             active_session(self.session),
             self._stand_ins.present(),
             raised_in(self._recognised.path, when),
+            exits_raised(),
         ):
             yield
 
@@ -123,6 +134,12 @@ class _Lifting:
         self._local_modules = local_modules_among(self._recognised.path, set(sys.modules) - before)
         self._threads = threads_since(threads_before)
 
+    def lacking(self, error: ConfigError) -> list[Finding]:
+        """Return what else is not here that a file needs which could not be loaded, so that all is said at once."""
+        said = {finding.where for finding in error.findings}
+        found = [*check_packages(self._recognised), *check_plugins((self._recognised.path,))]
+        return [finding for finding in found if finding.is_error and finding.where not in said]
+
     def lifted(self) -> LoadedConfig:
         """Make the run table, and put everything together."""
         folder = self._folder()
@@ -145,7 +162,7 @@ class _Lifting:
             folder=folder,
             spelling=design.names.spelling if isinstance(design, EarlierDesign) else EARLIER_SPELLING,
             threads=self._threads,
-            lacking=tuple(check_plugins((self._recognised.path, *self._local_modules), self._set.get("robot"))),
+            lacking=tuple(check_plugins(self._files)),
         )
 
     def _apply(self, config_class: type) -> None:
@@ -158,6 +175,10 @@ class _Lifting:
                 others[name] = text
         self._set |= apply_overrides(config_class, others)
 
+    @property
+    def _files(self) -> tuple[Path, ...]:
+        return (self._recognised.path, *self._local_modules)
+
     def _value(self, name: str, default: Any) -> Any:
         if name in _NEW_PARAMETERS:
             return self._set.get(name, default)
@@ -165,6 +186,8 @@ class _Lifting:
 
     def _parameters(self) -> dict[str, Any]:
         values = {parameter.name: self._value(parameter.name, parameter.default) for parameter in PARAMETERS}
+        if values["robot"] is None and is_robot_operated(self._files):
+            values["robot"] = AUTO  # the earlier tools took the ROS that is sourced
         name = values["experiment_name"]
         if isinstance(name, str):
             # The folder has the name as it is; what stands here is what the experiment is called.

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ast
+import re
 from enum import Enum
 from typing import TYPE_CHECKING
 
+from robot_runner.dialects.clones import clone_around
 from robot_runner.dialects.recognition import Dialect
 from robot_runner.dialects.syntax import imports_of
 
@@ -39,28 +41,53 @@ class Numbering(Enum):
         return self.value.format(place=place, number=place + 1, repetition=repetition)
 
 
-#: Arguments of `RunTableModel`, and which version they came with.
+#: Arguments of `RunTableModel` that only a fork had, and those that came with Experiment Runner's repetitions.
+_OF_FORK = frozenset({"num_of_repetitions", "randomize_order"})
 _BY_ARGUMENT = {
-    "num_of_repetitions": Numbering.COUNTED_FROM_1,
-    "randomize_order": Numbering.COUNTED_FROM_1,
     "iterations": Numbering.WITH_ITERATION,
     "repetitions": Numbering.WITH_REPETITION,
     "num_repetitions": Numbering.WITH_REPETITION,
     "exclude_combinations": Numbering.WITH_REPETITION,
 }
-#: What only versions of Experiment Runner had whose ids tell the repetition, and what only those before had.
+#: What only versions of Experiment Runner had whose ids tell the repetition, and what also those before had.
 _LATER_NAMES = frozenset({"execute_run", "self_measure"})
+_LATER_PLUGINS = frozenset({"EnergiBridge", "NvidiaML", "PicoCM3", "PowerLetrics", "PowerMetrics", "Ps"})
 _EARLIER_NAMES = frozenset({"exclude_variations", "run_variation", "create_run_table", "get_factor_name"})
 _EARLIER_MODULES = frozenset({"Plugins.CodecarbonWrapper"})
 
+#: How the text of a tool makes ids: `f"run_{i}_repetition_{j}"`.
+_ID = re.compile(r"run_\{\w+(?P<from_1> ?\+ ?1)?\}(?P<kind>_repetition|_iteration)?")
+_KINDS = {"_repetition": Numbering.WITH_REPETITION, "_iteration": Numbering.WITH_ITERATION}
 
-def numbering_of(recognised: Recognised, arguments: Collection[str]) -> Numbering:
+
+def numbering_of(recognised: Recognised, arguments: Collection[str], repetitions: int = 1) -> Numbering:
     """Return how the version numbered its runs that a config was written for.
+
+    The tool decides in whose clone the config stands; where it stands alone, what it uses tells its version. (A run
+    table that is resumed keeps its ids, whatever they are.)
 
     Args:
         recognised: the config.
         arguments: the named arguments that it gives to `RunTableModel`.
+        repetitions: how often it repeats each combination.
     """
+    if _OF_FORK & set(arguments):
+        return Numbering.COUNTED_FROM_1
+    tool = _in_tool(clone_around(recognised.path).text_of("ConfigValidator.Config.Models.RunTableModel"))
+    if tool is None or (tool is Numbering.COUNTED_FROM_0 and repetitions > 1):  # that tool did not repeat
+        return _in_text(recognised, arguments)
+    return tool
+
+
+def _in_tool(text: str) -> Numbering | None:
+    found = _ID.search(text)
+    if found is None:
+        return None
+    counted = Numbering.COUNTED_FROM_1 if found["from_1"] else Numbering.COUNTED_FROM_0
+    return _KINDS.get(found["kind"] or "", counted)
+
+
+def _in_text(recognised: Recognised, arguments: Collection[str]) -> Numbering:
     for name, numbering in _BY_ARGUMENT.items():
         if name in arguments:
             return numbering
@@ -68,9 +95,10 @@ def numbering_of(recognised: Recognised, arguments: Collection[str]) -> Numberin
         return Numbering.COUNTED_FROM_0
     names = _names_in(recognised.tree) | set(arguments)
     modules = {each.module for each in imports_of(recognised.tree)}
-    if not names & _LATER_NAMES and (names & _EARLIER_NAMES or modules & _EARLIER_MODULES):
-        return Numbering.COUNTED_FROM_0
-    return Numbering.WITH_REPETITION
+    if names & _LATER_NAMES or {module.rpartition(".")[2] for module in modules} & _LATER_PLUGINS:
+        return Numbering.WITH_REPETITION
+    is_early = names & _EARLIER_NAMES or modules & _EARLIER_MODULES
+    return Numbering.COUNTED_FROM_0 if is_early else Numbering.WITH_REPETITION
 
 
 def _names_in(tree: ast.Module) -> set[str]:

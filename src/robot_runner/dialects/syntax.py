@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["ImportedName", "bound_names", "classes_of", "has_star_import", "imports_of", "walk_bodies"]
+__all__ = [
+    "ImportedName",
+    "bound_names",
+    "classes_of",
+    "has_star_import",
+    "imports_of",
+    "names_of_types",
+    "used_names",
+    "walk_bodies",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +96,24 @@ def bound_names(body: list[ast.stmt]) -> dict[str, int]:
 def has_star_import(tree: ast.Module) -> bool:
     """Return whether names come into the file that its text does not show."""
     return any(each.name == "*" for each in imports_of(tree))
+
+
+def used_names(tree: ast.Module) -> set[str]:
+    """Return the names that a file uses other than to say of what type something is."""
+    annotations = {id(node) for node in _annotations(tree)}
+    return {node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in annotations}
+
+
+def names_of_types(tree: ast.Module) -> set[str]:
+    """Return the names with which a file says of what type something is."""
+    return {node.id for node in _annotations(tree) if isinstance(node, ast.Name)}
+
+
+def _annotations(tree: ast.Module) -> Iterator[ast.AST]:
+    for each in ast.walk(tree):
+        for annotation in (getattr(each, "annotation", None), getattr(each, "returns", None)):
+            if annotation is not None:
+                yield from ast.walk(annotation)
 
 
 def _targets(target: ast.expr) -> Iterator[ast.Name]:

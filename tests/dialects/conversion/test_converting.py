@@ -12,6 +12,7 @@ from tests.dialects.earlier_configs import ROBOT, RUNNER
 from robot_runner.config.preparation import prepare as prepare_own
 from robot_runner.dialects.conversion.converting import check_conversion, convert
 from robot_runner.dialects.conversion.edits import Edits
+from robot_runner.dialects.preparation import prepare
 from robot_runner.errors import ConfigError
 from robot_runner.execution.notices import SilentObserver
 from robot_runner.execution.orchestrator import execute_experiment
@@ -141,6 +142,25 @@ def test_several_callbacks_of_one_event_stay_subscribed(
     assert measures_of(new, ["a", "b"]) == [["1", "2"]]
 
 
+def test_lists_of_callbacks_become_entries(config: Callable[..., Path], converted: Callable[[Path], Path]) -> None:
+    table = """\
+    def create_run_table_model(self):
+        return RunTableModel(treatments=[FactorModel("n", [1])], data_columns=["a", "b"])
+
+    def first(self, context): return {"a": 1}
+    def second(self, context): return {"b": 2}
+    def interact(self, context): ...
+"""
+    subscribe = "(RunnerEvents.POPULATE_RUN_DATA, [self.first, self.second]), (RunnerEvents.INTERACT, [self.interact]),"
+    old = config(table=table, subscribe=subscribe)
+    old.write_text(
+        old.read_text().replace("subscribe_to_multiple_events(", "subscribe_to_multiple_events_multiple_callbacks(", 1)
+    )
+    new = converted(old)
+    assert "(RobotRunnerEvents.LAUNCH_MISSION, self.interact)" in new.read_text()
+    assert measures_of(new, ["a", "b"]) == [["1", "2"]]
+
+
 def test_a_continue_callback_says_that_the_user_was_asked(
     config: Callable[..., Path], converted: Callable[[Path], Path]
 ) -> None:
@@ -184,6 +204,114 @@ def test_every_form_of_a_run_table_plans_the_same_runs(
         return self.run_table_model
 """
     converted(config(table=table))
+
+
+@pytest.mark.parametrize(
+    ("exclusions", "after"),
+    [
+        ("[{a: [1]}, {a: [7]}, {a: [8], b: ['x']}]", "[{a: [1]}]"),
+        ("[{a: [7]}, {a: [1]}]", "[{a: [1]}]"),
+        ("[{a: [7]}]", "[]"),
+        ("[{a: [1, 7]}]", "[{'a': [1]}]"),
+        ("[{a: [9]}, {1}, {a: [2], b: ['z']}, {b: ['y']}]", "[{'a': [1]}, {b: ['y']}]"),
+    ],
+)
+def test_what_an_exclusion_names_that_there_is_not_is_left_out(
+    config: Callable[..., Path], converted: Callable[[Path], Path], exclusions: str, after: str
+) -> None:
+    table = f"""\
+    def create_run_table_model(self):
+        a, b = FactorModel("a", [1, 2, 3]), FactorModel("b", ["x", "y"])
+        return RunTableModel(factors=[a, b], exclude_variations={exclusions})
+"""
+    assert f"exclude_combinations={after})" in converted(config(table=table)).read_text()
+
+
+def test_a_model_without_factors_gets_one(config: Callable[..., Path], converted: Callable[[Path], Path]) -> None:
+    table = "    def create_run_table_model(self): return RunTableModel(repetitions=2)\n"
+    assert (
+        'RunTableModel(factors=[Factor("setup", ["as it is"])], repetitions=2)'
+        in converted(config(table=table)).read_text()
+    )
+
+
+def test_a_parameter_that_is_made_of_the_name_still_is(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    head = RUNNER.replace('ROOT_DIR / "experiments"', 'ROOT_DIR / f"{name}_results" / name')
+    new = converted(config(head=head))
+    assert prepare_own(new).experiment.folder.root == new.parent / "sorting_results" / "sorting" / "sorting"
+
+
+def test_a_name_that_the_class_goes_on_to_change_is_the_experiments(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    late = '    if len(name) > 3:\n        name = name + "_2"\n'
+    new = converted(config(head=RUNNER + late))
+    assert prepare_own(new).experiment.parameters.experiment_name == "sorting_2"
+
+
+def test_a_method_that_only_subscribed_does_nothing(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    path = config("def interact(self, context): ...")
+    path.write_text(
+        path.read_text().replace("def __init__(self):", "def __init__(self): self.listen()\n    def listen(self):")
+    )
+    assert "    def listen(self):\n        pass\n" in converted(path).read_text()
+
+
+def test_a_class_of_theirs_that_only_says_of_what_type_something_is_needs_no_counterpart(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    head = RUNNER.replace(
+        "from pathlib", "from ProgressManager.RunTable.Models.RunProgress import RunProgress\nfrom pathlib"
+    )
+    text = converted(config("def interact(self, context: RunnerContext) -> RunProgress: ...", head=head)).read_text()
+    assert "def launch_mission(self, context: RobotRunnerContext) -> object: ..." in text
+
+
+def test_who_varies_nothing_gets_a_factor_with_one_treatment(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    table = """\
+    def create_run_table_model(self):
+        return Model(factors=[], repetitions=3, data_columns=["x"])
+"""
+    head = RUNNER.replace("import RunTableModel", "import RunTableModel as Model")
+    head = head.replace("from ConfigValidator.Config.Models.FactorModel import FactorModel\n", "")
+    path = config(head=head, table=table)
+    new = converted(path)
+    assert 'RunTableModel(factors=[Factor("setup", ["as it is"])], repetitions=3' in new.read_text()
+    (finding,) = check_conversion(convert(path), new)
+    assert finding.problem == "nothing is varied, so there is a factor 'setup' with one treatment"
+
+
+def test_a_config_for_another_machine_is_converted_on_this_one(
+    config: Callable[..., Path], converted: Callable[[Path], Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    for gone in ("ROS_VERSION", "ROS_DISTRO"):
+        monkeypatch.delenv(gone, raising=False)
+    head = ROBOT.replace("required_ros_version: int = None", "required_ros_version: int = 2").replace(
+        "from pathlib", "from Plugins.Profilers.PowerJoular import PowerJoular\nfrom pathlib"
+    )
+    path = config("def start_measurement(self, context): self.meter = PowerJoular()", head=head)
+    assert prepare(path).experiment is None
+    assert "import PowerJoular" in converted(path).read_text()
+
+
+def test_what_is_imported_and_never_used_is_left_out(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    head = RUNNER.replace(
+        "from pathlib",
+        "from ProgressManager.Output.CSVOutputManager import CSVOutputManager\n"
+        "from Plugins.Profilers.WattsUpPro import WattsUpPro\nfrom pathlib",
+    )
+    text = converted(config(head=head)).read_text()
+    assert "CSVOutputManager" not in text
+    assert "WattsUpPro" not in text
 
 
 @pytest.mark.parametrize("ending", ["get_experiment_run_table", "generate_experiment_run_table"])
@@ -248,22 +376,75 @@ def test_a_profiler_that_needs_no_tool_around_it_is_kept(
     assert "from robot_runner.dialects.profilers.command_line import Ps as Meter" in text
 
 
+CARBON = """\
+from Plugins.Profilers import CodecarbonWrapper as carbon
+from Plugins.Profilers.CodecarbonWrapper import DataColumns
+"""
+MEASURING = """
+def start_measurement(self, context): ...
+def stop_measurement(self, context): ...
+def populate_run_data(self, context): ...
+"""
+
+
 @pytest.mark.parametrize(
-    ("line", "problem"),
+    ("decorated", "decorator"),
+    [
+        (
+            "class RunnerConfig",
+            "@carbon.emission_tracker(\n    data_columns=[DataColumns.EMISSIONS],\n    country_iso_code='NLD'\n)\n",
+        ),
+        (
+            "    def stop_measurement(",
+            "    @carbon.start_emission_tracker(country_iso_code='NLD')\n    @carbon.stop_emission_tracker\n",
+        ),
+    ],
+)
+def test_codecarbons_decorators_become_our_profiler(
+    config: Callable[..., Path], converted: Callable[[Path], Path], decorated: str, decorator: str
+) -> None:
+    path = config(MEASURING, head=RUNNER.replace("from pathlib", f"{CARBON}from pathlib"))
+    path.write_text(path.read_text().replace(decorated, decorator + decorated, 1))
+    text = converted(path).read_text()
+    assert "from robot_runner.plugins.profilers import CodeCarbon" in text
+    assert "    plugins = [CodeCarbon(country='NLD')]\n    ROOT_DIR" in text
+    assert "carbon." not in text
+    assert any("Energy (J)" in finding.problem for finding in convert(path).findings)
+
+
+def test_codecarbon_without_a_country_is_refused(config: Callable[..., Path]) -> None:
+    path = config(MEASURING, head=RUNNER.replace("from pathlib", f"{CARBON}from pathlib"))
+    path.write_text(path.read_text().replace("class Runner", "@carbon.emission_tracker(online=True)\nclass Runner", 1))
+    with pytest.raises(ConfigError, match="do not say the country_iso_code"):
+        convert(path)
+
+
+@pytest.mark.parametrize(
+    ("line", "use", "problem"),
     [
         (
             "from Plugins.Profilers.WattsUpPro import WattsUpPro",
+            "def start_run(self, context): self.meter = WattsUpPro()",
             "WattsUpPro cannot be used outside a config of the earlier tool → List our WattsUpPro",
         ),
         (
             "from ProgressManager.Output.CSVOutputManager import CSVOutputManager",
+            "def after_experiment(self): CSVOutputManager(self.experiment_path).read_run_table()",
             "CSVOutputManager has no counterpart here",
         ),
-        ("from ConfigValidator.Config.Models.FactorModel import *", "everything of a module is imported"),
+        ("from ConfigValidator.Config.Models.FactorModel import *", "", "everything of a module is imported"),
+        (
+            "from Plugins.Profilers.OwnMeter import OwnMeter",
+            "def start_run(self, context): self.meter = OwnMeter()",
+            "Plugins.Profilers.OwnMeter is a module of the clone that the config stands in → Put it beside the config",
+        ),
     ],
 )
-def test_what_has_no_counterpart_is_named_with_its_line(config: Callable[..., Path], line: str, problem: str) -> None:
-    path = config(head=RUNNER.replace("from pathlib", f"{line}\nfrom pathlib"))
+def test_what_has_no_counterpart_is_named_with_its_line(
+    config: Callable[..., Path], write: Callable[..., Path], line: str, use: str, problem: str
+) -> None:
+    write("class OwnMeter: ...\n", "Plugins/Profilers/OwnMeter.py")
+    path = config(use, head=RUNNER.replace("from pathlib", f"{line}\nfrom pathlib"))
     with pytest.raises(ConfigError) as refused:
         convert(path)
     assert f"{path}:7: {problem}" in str(refused.value)
@@ -275,6 +456,26 @@ def test_a_neighbour_that_is_written_for_the_earlier_tool_has_to_be_mended_first
     write("from ProgressManager.Output.OutputProcedure import OutputProcedure\n", "neighbour_of_conversion.py")
     path = config(head=RUNNER.replace("from pathlib", "import neighbour_of_conversion\nfrom pathlib"))
     with pytest.raises(ConfigError, match=r"neighbour_of_conversion\.py:1: the config imports this module"):
+        convert(path)
+
+
+def test_a_config_that_a_config_derives_from_has_to_be_converted_first(
+    config: Callable[..., Path], write: Callable[..., Path]
+) -> None:
+    config(name="base_of_conversion.py")
+    path = write(
+        """
+        import sys
+        from pathlib import Path
+        sys.path.append(str(Path(__file__).parents[2]))
+        from base_of_conversion import *
+
+        class RunnerConfig(RunnerConfig):
+            name = "derived"
+        """,
+        "studies/one/RunnerConfig.py",
+    )
+    with pytest.raises(ConfigError, match=r"base_of_conversion\.py:1: the config imports this module"):
         convert(path)
 
 

@@ -9,11 +9,12 @@ import stat
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import pytest
 from tests.dialects.earlier_configs import ROBOT, RUNNER, problems
 
+from robot_runner.config.checks import robot as robot_check
 from robot_runner.dialects.preparation import prepare
 from robot_runner.dialects.profilers import pico
 from robot_runner.dialects.profilers.catalogue import PLUGINS, plugin_of
@@ -27,6 +28,7 @@ from robot_runner.dialects.profilers.self_measure import SelfMeasure
 from robot_runner.dialects.profilers.tables import read_table
 from robot_runner.errors import LinkError, PluginError
 from robot_runner.execution.resumption import Resumption
+from robot_runner.links.automatic import FoundRobot
 from robot_runner.plugins.api.plugin import Circumstances
 
 if TYPE_CHECKING:
@@ -403,6 +405,19 @@ def test_codecarbon_decorates_a_class(
     assert (settings["country_iso_code"], settings["project_name"]) == ("NLD", "sorting")
 
 
+def test_codecarbon_that_could_not_measure_leaves_cells_empty_and_says_so(
+    config: Callable[..., Path], execute: Callable[..., Executed], codecarbon: ModuleType
+) -> None:
+    codecarbon.OfflineEmissionsTracker.stop = lambda self: None
+    head = RUNNER.replace("from pathlib", IMPORTS).replace(
+        "class RunnerConfig", "@CodecarbonWrapper.emission_tracker(country_iso_code='NLD')\nclass RunnerConfig"
+    )
+    executed = execute(config(CODECARBON_METHODS.format(table="", start="", stop="", populate=""), head=head, table=""))
+    assert [row["codecarbon__emissions"] for row in executed.table] == ["", ""]
+    assert executed.finished.done_count == 2
+    assert any("CodeCarbon measured nothing" in warning for warning in executed.warnings)
+
+
 def test_codecarbon_decorates_methods(
     config: Callable[..., Path], execute: Callable[..., Executed], codecarbon: ModuleType
 ) -> None:
@@ -467,8 +482,11 @@ def populate_run_data(self, context):
 
 
 def test_the_mini_mission_is_executed_on_the_embedded_robot(
-    config: Callable[..., Path], execute: Callable[..., Executed]
+    config: Callable[..., Path], execute: Callable[..., Executed], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def nothing() -> NoReturn:
+        raise LinkError("robot is 'auto', and no robot is found", where="robot", fix="Switch it on.")
+
     head = (
         ROBOT.replace(
             "from pathlib",
@@ -484,7 +502,12 @@ def test_the_mini_mission_is_executed_on_the_embedded_robot(
         return table.get_experiment_run_table()
 """
     path = config(MINI_MISSION, head=head, table=table)
-    assert any("operates a robot, and the experiment names none" in each for each in problems(prepare(path)))
+    monkeypatch.setattr(robot_check, "found_robot", nothing)
+    assert any("no robot is found → Switch it on." in each for each in problems(prepare(path)))
+    monkeypatch.setattr(robot_check, "found_robot", lambda: FoundRobot("simulated", "it is what this test has"))
+    experiment = prepare(path).experiment
+    assert experiment is not None
+    assert experiment.parameters.robot == "simulated"
     executed = execute(path, robot="simulated")
     assert executed.finished.failures == ()
     row = executed.table[0]

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import ast
 import difflib
-from pathlib import Path
 from typing import TYPE_CHECKING
 
+from robot_runner.dialects.clones import Clone, clone_around
 from robot_runner.dialects.profilers.catalogue import plugin_of
 from robot_runner.dialects.recognition import Dialect, Recognised, is_earlier_import
 from robot_runner.dialects.stand_ins.catalogue import MODULES, PACKAGES, names_in
 from robot_runner.dialects.stand_ins.contexts import CONTEXT_ATTRIBUTES
 from robot_runner.dialects.stand_ins.events import RobotRunnerEvents, RunnerEvents
-from robot_runner.dialects.stand_ins.finder import folders_of_forks
 from robot_runner.dialects.syntax import ImportedName, bound_names, classes_of, imports_of
 from robot_runner.errors import Finding, did_you_mean, nearest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator
 
 __all__ = ["check_file"]
 
@@ -46,6 +45,9 @@ _PARAMETERS = {
         "self_measure_logfile",
     ),
 }
+_OPTIONAL = frozenset({"experiment_path", "self_measure", "self_measure_bin", "self_measure_logfile"})
+#: What to do with an event that a fork added to the tool in whose clone the config stands.
+_CALL_IT = "The fork whose clone this is raised it itself: call the method from another one, such as before_experiment."
 _TABLES = ("create_run_table", "create_run_table_model")
 
 
@@ -60,9 +62,9 @@ def check_file(recognised: Recognised) -> list[Finding]:
 
 
 def _unknown_imports(recognised: Recognised) -> Iterator[Finding]:
-    folders = folders_of_forks(recognised.path)
+    clone = clone_around(recognised.path)
     for each in imports_of(recognised.tree):
-        if not is_earlier_import(each.module) or each.is_guarded or _is_in_fork(each, folders):
+        if not is_earlier_import(each.module) or each.is_guarded or _is_in_clone(each, clone):
             continue
         where = f"{recognised.path}:{each.line}"
         plugin = plugin_of(f"{each.module}.{each.name}") or plugin_of(each.module)
@@ -77,11 +79,11 @@ def _unknown_imports(recognised: Recognised) -> Iterator[Finding]:
             yield Finding.error(where, problem, did_you_mean(each.name, known))
 
 
-def _is_in_fork(imported: ImportedName, folders: list[Path]) -> bool:
-    paths = [Path(*imported.module.split("."))]
-    if imported.name:
-        paths.append(paths[0] / imported.name)
-    return any((folder / path).with_suffix(".py").is_file() for folder in folders for path in paths)
+def _is_in_clone(imported: ImportedName, clone: Clone) -> bool:
+    if imported.module in MODULES:
+        return clone.defines(imported.module, imported.name)
+    modules = (imported.module, f"{imported.module}.{imported.name}")
+    return any(clone.file_of(module) is not None for module in modules)
 
 
 def _no_module(module: str) -> str:
@@ -103,20 +105,20 @@ def _nearest_module(module: str) -> str:
 
 
 def _unknown_events(recognised: Recognised) -> Iterator[Finding]:
+    clone = clone_around(recognised.path)
     for node in ast.walk(recognised.tree):
         match node:
             case ast.Attribute(value=ast.Name(id=("RobotRunnerEvents" | "RunnerEvents") as name), attr=event):
-                events = _EVENTS[name]
-                if event not in events.__members__ and not event.startswith("_"):
-                    where = f"{recognised.path}:{node.lineno}"
-                    fix = _counterpart(event, events.__members__)
-                    yield Finding.error(where, f"{name} has no event {event!r}", fix)
+                known = _EVENTS[name].__members__
+                if event not in known and not event.startswith("_"):
+                    is_of_fork = event in clone.text_of(f"EventManager.Models.{name}")
+                    fix = _CALL_IT if is_of_fork else _counterpart(event, known)
+                    yield Finding.error(f"{recognised.path}:{node.lineno}", f"{name} has no event {event!r}", fix)
             case _:
                 pass
 
 
-def _counterpart(event: str, members: object) -> str:
-    names = list(members) if isinstance(members, dict) else [str(each) for each in iter(members)]  # type: ignore[call-overload]
+def _counterpart(event: str, names: Collection[str]) -> str:
     for other, meant in (("LAUNCH_MISSION", "INTERACT"), ("INTERACT", "LAUNCH_MISSION")):
         if event == other and meant in names:
             return f"Did you mean {meant!r}?"
@@ -147,16 +149,29 @@ def _misspelt_members(recognised: Recognised) -> Iterator[Finding]:
     parameters = _PARAMETERS[recognised.dialect]
     methods = {node.name for node in config.body if isinstance(node, ast.FunctionDef)}
     bound = bound_names(config.body)
+    there = {*bound, *_assigned_later(config)}
+    there |= set(_TABLES) if there & set(_TABLES) else set()  # one of them is enough
     for name, line in bound.items():
         known = _TABLES if name in methods else parameters
         near = None if name in known or name.startswith("_") else _alike(name, known)
-        if near is not None and near not in bound and name not in (*parameters, *_TABLES):
+        if near is not None and near not in there and name not in (*parameters, *_TABLES):
             what = "no method is called" if name in methods else "there is no static parameter"
-            yield Finding.error(
+            # What a config lacks, the earlier tool missed too, unless it is optional or inherited.
+            is_missed = near not in _OPTIONAL and not config.bases
+            yield (Finding.error if is_missed else Finding.warning)(
                 f"{recognised.path}:{line}",
                 f"{what} {name!r}",
                 f"Did you mean {near!r}? Otherwise begin the name with '_'.",
             )
+
+
+def _assigned_later(config: ast.ClassDef) -> Iterator[str]:
+    for node in ast.walk(config):
+        match node:
+            case ast.Attribute(value=ast.Name(id="self"), attr=name, ctx=ast.Store()):
+                yield name
+            case _:
+                pass
 
 
 def _alike(name: str, known: tuple[str, ...]) -> str | None:

@@ -15,9 +15,19 @@ if TYPE_CHECKING:
     from robot_runner.dialects.conversion.edits import Edits
     from robot_runner.dialects.session import Session
 
-__all__ = ["CallbackNames", "convert_continue", "convert_rows_of_before_run", "named_callbacks", "remove_subscriptions"]
+__all__ = [
+    "CallbackNames",
+    "convert_continue",
+    "convert_lists_of_callbacks",
+    "convert_rows_of_before_run",
+    "named_callbacks",
+    "order_findings",
+    "remove_subscriptions",
+]
 
 _CONTROLLER = "EventSubscriptionController"
+_OF_ALL = "subscribe_to_multiple_events"
+_OF_FORK = f"{_OF_ALL}_multiple_callbacks"
 _INDENT = 4
 
 
@@ -63,10 +73,31 @@ def remove_subscriptions(config: ast.ClassDef, edits: Edits) -> None:
         found = [statement for statement in method.body if _subscribes(statement)]
         others = [statement for statement in method.body if statement not in found and not _is_docstring(statement)]
         if found and not others and method.name == "__init__":
-            edits.remove_lines(_first_line(method), method.end_lineno or method.lineno)
+            edits.remove_paragraph(_first_line(method), method.end_lineno or method.lineno)
             continue
         for statement in found:
             edits.remove_lines(statement.lineno, statement.end_lineno or statement.lineno)
+        if len(found) == len(method.body):
+            edits.insert(edits.line_start(method.body[0].lineno), f"{' ' * method.body[0].col_offset}pass\n")
+
+
+def convert_lists_of_callbacks(config: ast.ClassDef, edits: Edits) -> None:
+    """Write an entry for each callback where a fork took lists of them; what is in them is converted already."""
+    for node in ast.walk(config):
+        match node:
+            case ast.Call(func=ast.Attribute(value=ast.Name(id=name), attr=attr) as func) if (
+                name == _CONTROLLER and attr == _OF_FORK
+            ):
+                edits.replace_span(edits.end_of(func) - len(_OF_FORK), edits.end_of(func), _OF_ALL)
+                for pair in ast.walk(node):
+                    match pair:
+                        case ast.Tuple(elts=[event, ast.List(elts=callbacks)]):
+                            parts = [f"({edits.edited(event)}, {edits.edited(each)})" for each in callbacks]
+                            edits.replace(pair, ", ".join(parts))
+                        case _:
+                            pass
+            case _:
+                pass
 
 
 def convert_continue(config: ast.ClassDef, names: CallbackNames, edits: Edits) -> None:

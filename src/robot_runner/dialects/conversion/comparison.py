@@ -38,7 +38,9 @@ def differences(before: Experiment, after: Experiment) -> Iterator[Finding]:
     lost = set(before.columns.names) - set(after.columns.names)
     if lost:
         yield Finding.warning(
-            "run table", f"there is no column {', '.join(map(repr, sorted(lost)))} any more", "Add it to data_columns."
+            "run table",
+            f"there is no column {', '.join(map(repr, sorted(lost)))} any more",
+            "Add it to data_columns, unless a plugin has it under another name.",
         )
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from robot_runner.config.source import CONFIG_CLASS
 from robot_runner.dialects.conversion.callbacks import (
     convert_continue,
+    convert_lists_of_callbacks,
     convert_rows_of_before_run,
     named_callbacks,
     order_findings,
@@ -16,8 +17,11 @@ from robot_runner.dialects.conversion.callbacks import (
 )
 from robot_runner.dialects.conversion.comparison import differences
 from robot_runner.dialects.conversion.contexts import convert_contexts
+from robot_runner.dialects.conversion.decorators import convert_decorators
 from robot_runner.dialects.conversion.edits import Edits
 from robot_runner.dialects.conversion.imports import ConvertedImports, convert_imports
+from robot_runner.dialects.conversion.neighbours import check_neighbours
+from robot_runner.dialects.conversion.parameters import convert_parameters
 from robot_runner.dialects.conversion.run_tables import convert_run_tables
 from robot_runner.dialects.preparation import prepare
 from robot_runner.dialects.recognition import Recognised, is_earlier_import, recognise
@@ -34,13 +38,6 @@ if TYPE_CHECKING:
     from robot_runner.dialects.session import Session
 
 __all__ = ["Conversion", "check_conversion", "convert"]
-
-_PATH_PROPERTY = '''
-    @property
-    def experiment_path(self) -> Path:
-        """Where everything of this experiment is kept; callbacks also have it as context.experiment_folder."""
-        return Path(__file__).parent / Path(self.results_output_path).expanduser() / self.experiment_name
-'''
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +74,7 @@ def convert(path: Path) -> Conversion:
     with config.executing_nothing() as session:
         converting = _Converting(recognised, session, experiment)
         text = converting.text()
-    refused = [*converting.imports.findings, *_neighbours(experiment)]
+    refused = [*converting.imports.findings, *check_neighbours(experiment, recognised.tree)]
     if any(finding.is_error for finding in refused):
         raise ConfigError.of_findings([finding for finding in refused if finding.is_error])
     return Conversion(text, experiment, (*refused, *order_findings(session), *_left_out(session)))
@@ -98,7 +95,7 @@ class _Converting:
         self._experiment = experiment
         self._tree = recognised.tree
         self._edits = Edits(recognised.text)
-        self.imports: ConvertedImports = convert_imports(recognised.path, self._tree, self._edits)
+        self.imports = ConvertedImports()
 
     def text(self) -> str:
         """Return the converted text."""
@@ -109,6 +106,8 @@ class _Converting:
                 where=str(self._recognised.path),
                 fix="Convert the file that has it.",
             )
+        convert_decorators(f"{self._recognised.path}:{config.lineno}", self._tree, config, self.imports, self._edits)
+        convert_imports(self._recognised.path, self._tree, self.imports, self._edits)
         methods = {node.name for node in config.body if isinstance(node, ast.FunctionDef)}
         callbacks = named_callbacks(self._session, methods)
         self._rename_class(config)
@@ -122,7 +121,8 @@ class _Converting:
         self._rename_members(config, callbacks.renamed | {"create_run_table_model": "create_run_table"})
         convert_run_tables(self._session, self._tree, self.imports, self._edits)
         self._convert_names()
-        self._convert_parameters(config)
+        convert_lists_of_callbacks(config, self._edits)
+        convert_parameters(config, self._experiment.parameters.results_output_path, self._edits)
         self._put_imports()
         return self._edits.applied()
 
@@ -169,60 +169,10 @@ class _Converting:
                 case _:
                     pass
 
-    def _convert_parameters(self, config: ast.ClassDef) -> None:
-        uses_path = False
-        for node in ast.walk(config):
-            match node:
-                case ast.Attribute(value=ast.Name(id="self"), attr="experiment_path"):
-                    uses_path = True
-                case _:
-                    pass
-        for statement in config.body:
-            for target in _targets(statement):
-                if target.id == "name":
-                    self._edits.replace(target, "experiment_name")
-                elif target.id == "experiment_path":
-                    self._edits.remove_lines(statement.lineno, statement.end_lineno or statement.lineno)
-                elif target.id == "results_output_path":
-                    self._convert_results(statement)
-        if uses_path:
-            self._edits.insert(self._edits.end_of(config), f"\n{_PATH_PROPERTY.rstrip()}")
-
-    def _convert_results(self, statement: ast.stmt) -> None:
-        """Have a relative path begin in the current folder, as it did: ours begin where the config file is."""
-        value = getattr(statement, "value", None)
-        earlier = self._experiment.parameters.results_output_path
-        if value is not None and not earlier.expanduser().is_absolute():
-            self._edits.insert(self._edits.start_of(value), "Path.cwd() / (")
-            self._edits.insert(self._edits.end_of(value), ")")
-
     def _put_imports(self) -> None:
         lines = [each.line for each in imports_of(self._tree) if is_earlier_import(each.module)]
         first = min(lines, default=1)
         self._edits.insert(self._edits.line_start(first), self.imports.lines())
-
-
-def _targets(statement: ast.stmt) -> Iterator[ast.Name]:
-    match statement:
-        case ast.Assign(targets=targets):
-            yield from (target for target in targets if isinstance(target, ast.Name))
-        case ast.AnnAssign(target=ast.Name() as target):
-            yield target
-        case _:
-            pass
-
-
-def _neighbours(experiment: Experiment) -> Iterator[Finding]:
-    for module in experiment.local_modules:
-        tree = ast.parse(module.read_text(encoding="utf-8"))
-        for each in imports_of(tree):
-            if is_earlier_import(each.module):
-                yield Finding.error(
-                    f"{module}:{each.line}",
-                    f"the config imports this module, which imports {each.module} of the earlier tool",
-                    "Write this line with robot_runner, or put what is needed into the config.",
-                )
-                break
 
 
 def _left_out(session: Session) -> Iterator[Finding]:

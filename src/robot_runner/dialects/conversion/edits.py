@@ -50,6 +50,11 @@ class Edits:
         """Put `text` before the byte at `position`."""
         self._edits.append(_Edit(position, position, text))
 
+    def remove_paragraph(self, first: int, last: int) -> None:
+        """Remove whole lines, and the blank one after them."""
+        following = self._bytes[self._line_starts[last] :].partition(b"\n")[0]
+        self.remove_lines(first, last if following.strip() else min(last + 1, len(self._line_starts) - 1))
+
     def remove_lines(self, first: int, last: int) -> None:
         """Remove whole lines, counted from 1."""
         self._edits.append(_Edit(self._line_starts[first - 1], self._line_starts[last], ""))

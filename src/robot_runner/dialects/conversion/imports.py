@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from robot_runner.dialects.profilers.catalogue import plugin_of
 from robot_runner.dialects.recognition import is_earlier_import
 from robot_runner.dialects.stand_ins.catalogue import MODULES
+from robot_runner.dialects.syntax import names_of_types, used_names
 from robot_runner.errors import Finding
 
 if TYPE_CHECKING:
@@ -35,8 +36,8 @@ _OURS = {
     "RunnerEvents": "RobotRunnerEvents",
     "BaseError": "RobotRunnerError",
 }
-#: Names that stand for something that Python has.
-_BUILT_IN = {"SupportsStr": "object"}
+#: What a name becomes that says of what type something is, and has no counterpart.
+_ANYTHING = "object"
 #: The modules of the earlier tools' profilers that need nothing of the tools around them.
 _KEPT_HOMES = ("command_line", "property_lists", "data_source", "nvidia", "nvidia_names", "pico")
 
@@ -76,13 +77,17 @@ class ConvertedImports:
 _WIDTH = 120
 
 
-def convert_imports(path: Path, tree: ast.Module, edits: Edits) -> ConvertedImports:
+def convert_imports(path: Path, tree: ast.Module, converted: ConvertedImports, edits: Edits) -> None:
     """Remove the earlier tool's import lines; the new ones are put in place by `ConvertedImports.lines`."""
-    converted = ConvertedImports()
+    used, types = used_names(tree), names_of_types(tree)
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module and is_earlier_import(node.module):
             for alias in node.names:
-                _take(converted, f"{path}:{node.lineno}", node.module, alias.name, alias.asname or alias.name)
+                bound = alias.asname or alias.name
+                if alias.name == "*" or bound in used or (bound in types and alias.name in _OURS):
+                    _take(converted, f"{path}:{node.lineno}", node.module, alias.name, bound)
+                elif bound in types:
+                    converted.names[bound] = _ANYTHING
             edits.remove_lines(node.lineno, node.end_lineno or node.lineno)
         elif isinstance(node, ast.Import) and any(is_earlier_import(alias.name) for alias in node.names):
             converted.findings.append(
@@ -92,7 +97,6 @@ def convert_imports(path: Path, tree: ast.Module, edits: Edits) -> ConvertedImpo
                     "Import its names: from ... import ...",
                 )
             )
-    return converted
 
 
 def _take(converted: ConvertedImports, where: str, module: str, name: str, bound: str) -> None:
@@ -100,16 +104,24 @@ def _take(converted: ConvertedImports, where: str, module: str, name: str, bound
         converted.findings += _take_profiler(converted, where, module, name, bound)
     elif name == _OUTPUT:
         converted.outputs.add(bound)
-    elif name in _BUILT_IN:
-        converted.names[bound] = _BUILT_IN[name]
     elif name in _OURS:
         converted.names[bound] = _OURS[name]
         converted.ours.add(_OURS[name])
         if _OURS[name] == "RobotRunnerEvents":
             converted.events.add(bound)
-    elif name == "*" or name in MODULES.get(module, ()):
-        problem = "everything of a module is imported" if name == "*" else f"{name} has no counterpart here"
-        converted.findings.append(Finding.error(where, problem, "Write this part by hand, then convert the file."))
+    else:
+        converted.findings.append(Finding.error(where, *_without_counterpart(module, name)))
+
+
+def _without_counterpart(module: str, name: str) -> tuple[str, str]:
+    if name == "*":
+        return "everything of a module is imported", "Import the names that are used, then convert the file."
+    if name in MODULES.get(module, ()):
+        return f"{name} has no counterpart here", "Write this part by hand, then convert the file."
+    return (
+        f"{module} is a module of the clone that the config stands in",
+        "Put it beside the config under a name of its own, then convert the file.",
+    )
 
 
 def _take_profiler(converted: ConvertedImports, where: str, module: str, name: str, bound: str) -> Iterator[Finding]:

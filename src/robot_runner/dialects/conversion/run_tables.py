@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import ast
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-from robot_runner.dialects.exclusions import NamedExclusion, named_exclusions
+from robot_runner.dialects.exclusions import EarlierFactor, NamedExclusion, named_exclusions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,7 +45,7 @@ def convert_run_tables(session: Session, tree: ast.Module, imports: ConvertedImp
         match node:
             case ast.Call(func=ast.Name(id=name)) if imports.names.get(name) == "RunTableModel":
                 _convert_model(session, node, edits)
-                if _vary(_factors_of(node), edits):
+                if _vary(node, edits):
                     imports.ours.add("Factor")
             case ast.Call(func=ast.Attribute(value=owner, attr=name), args=[], keywords=[]) if name in _CALLS:
                 edits.replace_span(edits.end_of(owner), edits.end_of(node), _CALLS[name])
@@ -73,14 +74,20 @@ def _convert_model(session: Session, call: ast.Call, edits: Edits) -> None:
 
 
 def _factors_of(call: ast.Call) -> ast.expr | None:
-    return next((each.value for each in call.keywords if each.arg == "factors"), call.args[0] if call.args else None)
+    named = (each.value for each in call.keywords if each.arg in {"factors", "treatments"})
+    return next(named, call.args[0] if call.args else None)
 
 
-def _vary(factors: ast.expr | None, edits: Edits) -> bool:
+def _vary(call: ast.Call, edits: Edits) -> bool:
     """Give a model without factors one that has one treatment."""
-    if not isinstance(factors, ast.List) or factors.elts:
+    factors = _factors_of(call)
+    only = f'[Factor("{ONLY_FACTOR}", ["{_ONLY_TREATMENT}"])]'
+    if factors is None:
+        edits.insert(edits.find("(", edits.end_of(call.func)) + 1, f"factors={only}, ")
+    elif isinstance(factors, ast.List) and not factors.elts:
+        edits.replace(factors, only)
+    else:
         return False
-    edits.replace(factors, f'[Factor("{ONLY_FACTOR}", ["{_ONLY_TREATMENT}"])]')
     return True
 
 
@@ -104,26 +111,40 @@ def _convert_repetitions_in_place(call: ast.Call, keyword: ast.keyword, edits: E
 
 
 def _convert_exclusions(session: Session, exclusions: ast.expr, edits: Edits) -> None:
-    """Name the factors of sets of values; mappings from factors are ours already."""
+    """Name the factors of sets of values, and leave out what names no treatment: ours are refused for that."""
     if isinstance(exclusions, ast.Constant) and exclusions.value is None:
         edits.replace(exclusions, "[]")
-    if not isinstance(exclusions, ast.List) or not session.models:
+    model = session.models[-1] if session.models else None
+    if not isinstance(exclusions, ast.List) or model is None:
         return
-    factors = session.models[-1].get_factors()
-    for element in exclusions.elts:
-        if isinstance(element, ast.Set | ast.Tuple | ast.List):
-            (named,) = named_exclusions(session, factors, [_value_of(element)])
-            edits.replace(element, _in_our_words(named, factors))
+    given = list(model.exclusions or ())
+    if len(given) != len(exclusions.elts):
+        return  # the list is not the one that was given to the model
+    factors = model.get_factors()
+    named = [named_exclusions(session, factors, [each])[0] for each in given]
+    for element, value, exclusion in zip(exclusions.elts, given, named, strict=True):
+        if not isinstance(value, Mapping) or exclusion.has_unknown:
+            edits.replace(element, _in_our_words(exclusion, factors))
+    _leave_out(exclusions, [each.names_nothing for each in named], edits)
 
 
-def _value_of(element: ast.expr) -> Any:
-    try:
-        return ast.literal_eval(element)
-    except ValueError:
-        return set()
+def _leave_out(exclusions: ast.List, is_idle: Sequence[bool], edits: Edits) -> None:
+    """Remove elements of a list, each with the comma and the comment after it."""
+    elements = exclusions.elts
+    if not any(is_idle):
+        return
+    if all(is_idle):
+        edits.replace(exclusions, "[]")
+        return
+    last = max(place for place, idle in enumerate(is_idle) if not idle)
+    for place in range(last):
+        if is_idle[place]:
+            edits.replace_span(edits.start_of(elements[place]), edits.start_of(elements[place + 1]), "")
+    if last < len(elements) - 1:
+        edits.replace_span(edits.end_of(elements[last]), edits.end_of(elements[-1]), "")
 
 
-def _in_our_words(named: NamedExclusion, factors: Sequence[Any]) -> str:
+def _in_our_words(named: NamedExclusion, factors: Sequence[EarlierFactor]) -> str:
     if named.treatments is not None:
         parts = [f"{factors[place].factor_name!r}: {list(values)!r}" for place, values in named.treatments.items()]
         return "{" + ", ".join(parts) + "}"

@@ -46,7 +46,7 @@ class EarlierPlugin:
         needs: what must be there.
         ours: the plugin of ours that measures or does the same, as `robot-runner plugins` lists it; empty for none.
         note: what a user should know: one sentence.
-        operates_robot: whether it needs the experiment to name a robot.
+        operates_robot: whether it operates a robot: the one that is found, where the experiment names none.
     """
 
     modules: tuple[str, ...]

@@ -10,6 +10,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from robot_runner.dialects.warnings import warn_of_run
 from robot_runner.errors import PluginError
 
 __all__ = [
@@ -112,15 +113,23 @@ def populate_data_columns(method: Method) -> Method:
     @functools.wraps(method)
     def populated(self: Any, context: Any) -> Any:
         data = dict(method(self, context) or {})
-        tracker = getattr(self, _TRACKER)
-        with (Path(tracker._output_dir) / tracker._output_file).open(newline="") as file:  # noqa: SLF001 - it has no other
-            measured = list(csv.DictReader(file))[-1]
+        measured = _measured(getattr(self, _TRACKER))
         for name in self.run_table_model.get_data_columns():
-            if name.startswith(_PREFIX):
+            if name.startswith(_PREFIX) and measured:
                 data[name] = float(measured[name.removeprefix(_PREFIX)])
         return data
 
     return populated
+
+
+def _measured(tracker: Any) -> dict[str, str]:
+    """Return what a tracker wrote last; nothing, with a word to the user, where it could not measure."""
+    file = Path(tracker._output_dir) / tracker._output_file  # noqa: SLF001 - it has no other
+    if not file.exists():
+        warn_of_run("CodeCarbon measured nothing: it wrote no emissions.csv", fix="Look into the run's log for why.")
+        return {}
+    with file.open(newline="", encoding="utf-8") as rows:
+        return list(csv.DictReader(rows))[-1]
 
 
 def add_co2_data_column(method: Method) -> Method:

@@ -70,7 +70,7 @@ def own_event(name: str) -> OwnEvents:
 
 
 class EventSubscriptionController:
-    """Where a config subscribes; the earlier tools kept one callback an event, the last."""
+    """Where a config subscribes; the earlier tools kept one callback an event, the last; a fork took lists of them."""
 
     @staticmethod
     def subscribe_to_single_event(event: Any, callback_method: Callable[..., Any]) -> None:
@@ -82,19 +82,22 @@ class EventSubscriptionController:
         _subscribe(event, callback_method, _calling_code())
 
     @staticmethod
-    def subscribe_to_multiple_events(subscriptions: Iterable[tuple[Any, Callable[..., Any]]]) -> None:
+    def subscribe_to_multiple_events(subscriptions: Iterable[tuple[Any, Any]]) -> None:
         """Subscribe several callbacks, each given as `(event, callback)`.
 
         Raises:
             ConfigError: an element is no such pair, there is no such event, or a callback cannot be called.
         """
-        place = _calling_code()
-        if not isinstance(subscriptions, Iterable):
-            raise _no_pair(subscriptions)
-        for subscription in subscriptions:
-            if not isinstance(subscription, tuple | list) or len(subscription) != 2:  # noqa: PLR2004 - a pair
-                raise _no_pair(subscription)
-            _subscribe(*subscription, place)
+        _subscribe_all(subscriptions, _calling_code())
+
+    @staticmethod
+    def subscribe_to_multiple_events_multiple_callbacks(subscriptions: Iterable[tuple[Any, Any]]) -> None:
+        """Subscribe several callbacks, given as `(event, [callback, ...])`: the spelling of a public fork.
+
+        Raises:
+            ConfigError: as above.
+        """
+        _subscribe_all(subscriptions, _calling_code())
 
     @staticmethod
     def raise_event(event: Any, context: Any = None) -> Any:
@@ -111,33 +114,54 @@ class EventSubscriptionController:
         return heard[-1].callback if heard else None
 
 
+def _subscribe_all(subscriptions: Any, place: CodeType) -> None:
+    if not isinstance(subscriptions, Iterable):
+        raise _no_pair(subscriptions)
+    for subscription in subscriptions:
+        if not isinstance(subscription, tuple | list) or len(subscription) != 2:  # noqa: PLR2004 - a pair
+            raise _no_pair(subscription)
+        event, callback = subscription
+        _subscribe(event, callback, place)
+
+
 def _subscribe(event: Any, callback: Any, place: CodeType) -> None:
+    """Subscribe a callback, or a list of them: those were meant to be called one after another."""
     session = current_session()
     events = RunnerEvents if session.recognised.dialect.class_name == "RunnerConfig" else RobotRunnerEvents
     if not isinstance(event, RobotRunnerEvents | RunnerEvents):
         name = getattr(event, "name", None) or str(event)
         raise ConfigError(f"{event!r} is no event", where=events.__name__, fix=did_you_mean(name, events.__members__))
-    if not callable(callback):
-        raise ConfigError(
-            f"the callback of {event.name} is {callback!r}, which cannot be called",
-            where="EventSubscriptionController",
-            fix=f"Give a method such as self.{event.name.lower()}.",
-        )
-    subscription = EarlierSubscription(own_event(event.name), callback, place)
-    earlier = _heard(session, subscription.event)
-    if any(each.callback == callback for each in earlier):
-        return
-    for each in earlier:
+    callbacks = list(callback) if isinstance(callback, list | tuple) else [callback]
+    for each in callbacks:
+        if not callable(each):
+            raise ConfigError(
+                f"the callback of {event.name} is {each!r}, which cannot be called",
+                where="EventSubscriptionController",
+                fix=f"Give a method such as self.{event.name.lower()}.",
+            )
+    _make_room(session, event, callbacks, place)
+    heard = [each.callback for each in _heard(session, own_event(event.name))]
+    session.subscriptions += [
+        EarlierSubscription(own_event(event.name), each, place)
+        for each in dict.fromkeys(callbacks)
+        if each not in heard
+    ]
+
+
+def _make_room(session: Session, event: Any, callbacks: list[Any], place: CodeType) -> None:
+    """Remove what a config takes over from the one that it derives from; say where both are called now."""
+    for each in _heard(session, own_event(event.name)):
+        if each.callback in callbacks:
+            continue
         if each.place is not place:
-            session.subscriptions.remove(each)  # a config that derives from another takes the event over
+            session.subscriptions.remove(each)
         else:
             session.warn(
                 "EventSubscriptionController",
-                f"two callbacks hear {event.name}: {_named(each.callback)} and {_named(callback)}; the earlier tools "
-                "called the last alone, and now both are called",
+                f"two callbacks hear {event.name}: {_named(each.callback)} and {', '.join(map(_named, callbacks))}; "
+                "the earlier tools called the last alone, and now both are called",
                 "Subscribe one of them only, if that was not meant.",
             )
-    session.subscriptions.append(subscription)
 
 
 def _heard(session: Session, event: OwnEvents) -> list[EarlierSubscription]:

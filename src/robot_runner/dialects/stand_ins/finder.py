@@ -7,32 +7,33 @@ from contextlib import contextmanager
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
-from pathlib import Path
-from typing import TYPE_CHECKING
+from importlib.util import module_from_spec, spec_from_file_location
+from typing import TYPE_CHECKING, Any
 
+from robot_runner.dialects.clones import clone_around
 from robot_runner.dialects.recognition import is_earlier_import
 from robot_runner.dialects.stand_ins.catalogue import MODULES, PACKAGES
 from robot_runner.errors import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from pathlib import Path
     from types import ModuleType
 
-__all__ = ["StandIns", "folders_of_forks"]
+__all__ = ["StandIns"]
 
-#: Where public forks keep modules of their own: beside the config, or in the tool's folder of the same clone.
-_TOOL_FOLDERS = ("", "experiment-runner", "robot-runner")
 _LOWER_CASE_ROOT = "plugins"
 
 
 class StandIns(MetaPathFinder, Loader):
     """The stand-in modules of one config file.
 
-    Modules of a fork's own (`Plugins.Profilers.MyMeter`) are found in the clone that the config file stands in.
+    Modules of a fork's own (`Plugins.Profilers.MyMeter`) are found in the clone that the config file stands in, and so
+    are names that a fork added to a module of the tool.
     """
 
     def __init__(self, config: Path) -> None:
-        self._folders = folders_of_forks(config)
+        self._clone = clone_around(config)
         self._modules: dict[str, ModuleType] = {}
         self._depth = 0
 
@@ -94,11 +95,30 @@ class StandIns(MetaPathFinder, Loader):
         for name, home in MODULES.get(module.__name__, {}).items():
             home_module, _, attribute = home.partition(":")
             setattr(module, name, getattr(import_module(home_module), attribute))
+        file = self._clone.file_of(module.__name__)
+        if module.__name__ in MODULES and file is not None:
+            self._add_names_of_fork(module, file)
+
+    @staticmethod
+    def _add_names_of_fork(module: ModuleType, file: Path) -> None:
+        """Have what the stand-in lacks come from the clone's own version, which is executed when it is asked for."""
+        loaded: list[ModuleType] = []
+
+        def of_fork(name: str) -> Any:
+            spec = spec_from_file_location(f"{module.__name__} of the clone", file)
+            if name.startswith("__") or spec is None or spec.loader is None:
+                raise AttributeError(f"module {module.__name__!r} has no attribute {name!r}", name=name, obj=module)
+            if not loaded:
+                loaded.append(module_from_spec(spec))
+                spec.loader.exec_module(loaded[0])
+            return getattr(loaded[0], name)
+
+        vars(module)["__getattr__"] = of_fork
 
     def _package(self, fullname: str) -> ModuleSpec:
         spec = ModuleSpec(fullname, self, is_package=True)
-        below = Path(*fullname.split("."))
-        spec.submodule_search_locations = [str(folder / below) for folder in self._folders if (folder / below).is_dir()]
+        folders = [folder.joinpath(*fullname.split(".")) for folder in self._clone.folders]
+        spec.submodule_search_locations = [str(folder) for folder in folders if folder.is_dir()]
         return spec
 
     def _taken_away(self) -> dict[str, ModuleType]:
@@ -107,13 +127,3 @@ class StandIns(MetaPathFinder, Loader):
 
     def _is_own(self, module: ModuleType | None) -> bool:
         return getattr(getattr(module, "__spec__", None), "loader", None) is self
-
-
-def folders_of_forks(config: Path) -> list[Path]:
-    """Return the folders that may hold modules which a fork added to a tool."""
-    return [
-        folder / tool
-        for folder in (config.parent, *config.parents)
-        for tool in _TOOL_FOLDERS
-        if (folder / tool / "Plugins").is_dir() or (tool and (folder / tool / "ConfigValidator").is_dir())
-    ]

@@ -73,7 +73,7 @@ class RunTableModel:
         """
         refuse_unknown("RunTableModel", set(named) - set(_KNOWN), _KNOWN)
         given = _by_position(arguments) | named
-        self._numbering = numbering_of(current_session().recognised, {*named, *({"repetitions"} & set(given))})
+        self._arguments = {*named, *({"repetitions"} & set(given))}
         self._factors = _factors(_first(given, _FACTORS, ()))
         self._exclusions = _first(given, _EXCLUSIONS, ())
         self._repetitions = _repetitions(_first(given, _REPETITIONS, 1))
@@ -86,6 +86,11 @@ class RunTableModel:
     def is_shuffled(self) -> bool:
         """Whether the order is randomised."""
         return self._shuffle
+
+    @property
+    def exclusions(self) -> Any:
+        """What is left out, as it was given."""
+        return self._exclusions
 
     def get_factors(self) -> list[FactorModel]:
         """Return the factors."""
@@ -112,19 +117,20 @@ class RunTableModel:
         session = current_session()
         _check_equal_names("column", [*(factor.factor_name for factor in self._factors), *self._data_columns])
         combinations = kept_combinations(session, self._factors, self._exclusions)
+        numbering = numbering_of(session.recognised, self._arguments, self._repetitions)
         rows = (
             self._repeated_in_place(combinations, session)
-            if self._numbering is Numbering.COUNTED_FROM_1
-            else self._repeated_as_a_whole(combinations, session)
+            if numbering is Numbering.COUNTED_FROM_1
+            else self._repeated_as_a_whole(combinations, session, numbering)
         )
         blanks = dict.fromkeys(self._data_columns, MISSING)
         return [{"__run_id": run_id, "__done": RunProgress.TODO, **treatments, **blanks} for run_id, treatments in rows]
 
     def _repeated_as_a_whole(
-        self, combinations: Sequence[Sequence[Any]], session: Session
+        self, combinations: Sequence[Sequence[Any]], session: Session, numbering: Numbering
     ) -> list[tuple[str, dict[str, Any]]]:
         rows = [
-            (self._numbering.run_id(place, repetition), self._treatments(combination))
+            (numbering.run_id(place, repetition), self._treatments(combination))
             for repetition in range(self._repetitions)
             for place, combination in enumerate(combinations)
         ]
@@ -143,7 +149,7 @@ class RunTableModel:
             treatments = self._treatments(combinations[place])
             if self._repetitions > 1:
                 treatments["repetition"] = counts[place]
-            rows.append((self._numbering.run_id(number, 0), treatments))
+            rows.append((Numbering.COUNTED_FROM_1.run_id(number, 0), treatments))
         return rows
 
     def _order(self, count: int, session: Session) -> Sequence[int]:
