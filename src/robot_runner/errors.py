@@ -9,7 +9,8 @@ RobotRunnerError
 ├── StorageError       a file or folder that cannot be read or written
 ├── LinkError          a robot, host or device that cannot be reached
 ├── ExecutionError     an experiment that cannot start or go on
-└── AnalysisError      results that cannot be read, adopted or analysed
+├── AnalysisError      results that cannot be read, adopted or analysed
+└── PackageError       a replication package that cannot be made, or must not be used
 ```
 """
 
@@ -32,6 +33,7 @@ __all__ = [
     "Finding",
     "LinkError",
     "MeasureError",
+    "PackageError",
     "PluginError",
     "RobotRunnerError",
     "Severity",
@@ -145,6 +147,10 @@ class ExecutionError(RobotRunnerError):
 
 class AnalysisError(RobotRunnerError):
     """Results that cannot be read, adopted or analysed."""
+
+
+class PackageError(RobotRunnerError):
+    """A replication package that cannot be made, or that must not be used as it is."""
 
 
 def nearest(name: str, candidates: Iterable[str]) -> str | None:

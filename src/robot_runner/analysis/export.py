@@ -18,6 +18,7 @@ import pyarrow as pa
 from pyarrow import parquet
 
 from robot_runner.design.columns import RUN_ID
+from robot_runner.storage.data_package import data_package, file_resource, table_resource
 from robot_runner.storage.safe_write import storage_error, write_beside_and_rename
 
 if TYPE_CHECKING:
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
 __all__ = ["arrow_table", "export_results"]
 
-_PROFILE = "data-package"
 _RUNS_AT_ONCE = 50  # so that an export takes no more memory than the samples of so many runs
 _UNIT = b"unit"
 
@@ -153,27 +153,16 @@ def _renamed(path: Path) -> Iterator[Path]:
 
 
 def _package(results: Results, target: Path, files: Sequence[Path]) -> dict[str, Any]:
-    return {
-        "profile": _PROFILE,
-        "name": re.sub(r"[^a-z0-9._-]+", "-", results.name.casefold()).strip("-") or "experiment",
-        "title": results.name,
-        "description": f"Results of the experiment {results.name}, executed with Robot Runner.",
-        "resources": [_resource(target, path) for path in files if path.name != "run_table.schema.json"],
-    }
+    listed = [_resource(target, path) for path in files if path.name != "run_table.schema.json"]
+    return data_package(results.name, listed)
 
 
 def _resource(target: Path, path: Path) -> dict[str, Any]:
     relative = path.relative_to(target).as_posix()
     content = path.read_bytes()
-    resource: dict[str, Any] = {
-        "name": re.sub(r"[^a-z0-9._-]+", "-", relative.casefold()),
-        "path": relative,
-        "format": path.suffix.removeprefix("."),
-        "bytes": len(content),
-        "hash": f"sha256:{hashlib.sha256(content).hexdigest()}",
-    }
+    size, sha256 = len(content), hashlib.sha256(content).hexdigest()
     if path.suffix == ".csv":
-        tabular = {"profile": "tabular-data-resource", "mediatype": "text/csv", "encoding": "utf-8"}
-        schema = {"schema": "run_table.schema.json"} if (target / "run_table.schema.json").exists() else {}
-        return resource | tabular | schema
-    return resource | {"type": "file", "mediatype": "application/vnd.apache.parquet", "robot_runner:key": RUN_ID}
+        has_schema = (target / "run_table.schema.json").exists()
+        return table_resource(relative, size, sha256, schema="run_table.schema.json" if has_schema else None)
+    described = {"type": "file", "mediatype": "application/vnd.apache.parquet", "robot_runner:key": RUN_ID}
+    return file_resource(relative, size, sha256) | described

@@ -34,6 +34,8 @@ class Experiment:
         folder: where everything of this experiment is kept.
         columns: the measures that runs may yield, and which of them the run table has columns for.
         spelling: how the run table's file spells headings and statuses.
+        replication: which package is executed again and what was changed on purpose, for the manifest; None where
+            the experiment is nobody's replication.
     """
 
     config_path: Path
@@ -48,6 +50,7 @@ class Experiment:
     local_modules: tuple[Path, ...]
     folder: ExperimentFolder
     spelling: TableSpelling = OWN_SPELLING
+    replication: Mapping[str, Any] | None = None
 
     def table_layout(self, types: Mapping[str, str] | None = None) -> TableLayout:
         """Return the columns of the run table; `types` are those in its schema, where there is one already.

@@ -11,6 +11,7 @@ from robot_runner.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from robot_runner.config.authors import Author
     from robot_runner.design.analysis_plan import AnalysisPlan
     from robot_runner.design.run_table import RunTable
     from robot_runner.design.run_table_model import RunTableModel
@@ -52,6 +53,9 @@ class ExperimentConfig:
     grace_in_s: float = 10.0
     run_process: RunProcess = RunProcess.FORK
     analysis: AnalysisPlan | None = None
+    authors: Sequence[Author | str] = ()
+    licence: str | None = None
+    citation: str | None = None
     plugins: ClassVar[Sequence[Plugin]] = ()
 
     def create_run_table(self) -> RunTableModel | RunTable:

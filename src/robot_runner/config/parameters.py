@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.config.authors import Author, authors_from_text, is_licence
 from robot_runner.config.choices import FailurePolicy, OperationType, RunProcess
 from robot_runner.design.analysis_plan import AnalysisPlan
 
@@ -41,6 +42,9 @@ class Parameters:
     grace_in_s: float
     run_process: RunProcess
     analysis: AnalysisPlan | None
+    authors: tuple[Author, ...]
+    licence: str | None
+    citation: str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +105,16 @@ def _choice(name: str, choices: type[Enum], default: Enum, description: str) -> 
     )
 
 
+def _are_authors(value: Any) -> bool:
+    return isinstance(value, list | tuple) and all(
+        isinstance(each, Author) or (isinstance(each, str) and each.strip() != "") for each in value
+    )
+
+
+def _as_authors(value: Any) -> tuple[Author, ...]:
+    return tuple(each if isinstance(each, Author) else Author(each.strip()) for each in value)
+
+
 def _not_as_text(text: str) -> Any:
     raise ValueError(f"{text!r} cannot be set from outside")
 
@@ -157,7 +171,8 @@ PARAMETERS = (
         "robot",
         "str | None",
         None,
-        'How the robot is reached: "simulated" is the embedded TurtleBot3. It is never chosen silently.',
+        'How the robot is reached: "simulated" is the embedded TurtleBot3, which is never chosen silently; real ones '
+        "by ros1, ros2, dds, rosbridge://host:9090 or auto.",
         accepts=lambda value: value is None or (isinstance(value, str) and value != ""),
         expected='the name of a robot link, such as "simulated", or None',
         from_text=_optional(str),
@@ -226,6 +241,34 @@ PARAMETERS = (
         accepts=lambda value: value is None or isinstance(value, AnalysisPlan),
         expected="an AnalysisPlan(...) in the config file, or None",
         from_text=_not_as_text,
+    ),
+    Parameter(
+        "authors",
+        "Sequence[Author | str]",
+        (),
+        "Who made the experiment: names, or `Author(name, orcid=..., affiliation=..., affiliation_url=...)`.",
+        accepts=_are_authors,
+        expected="a list of names or Author(...)",
+        from_text=authors_from_text,
+        normalise=_as_authors,
+    ),
+    Parameter(
+        "licence",
+        "str | None",
+        None,
+        'Under which terms others may use the results: an SPDX identifier such as "CC-BY-4.0", or a URL.',
+        accepts=lambda value: value is None or is_licence(value),
+        expected='an SPDX identifier such as "CC-BY-4.0", a URL, or None',
+        from_text=_optional(str),
+    ),
+    Parameter(
+        "citation",
+        "str | None",
+        None,
+        "What to cite when the results are used: a DOI, a URL or a sentence.",
+        accepts=lambda value: value is None or (isinstance(value, str) and value.strip() != ""),
+        expected="a text, or None",
+        from_text=_optional(str),
     ),
 )
 

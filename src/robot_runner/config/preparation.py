@@ -13,7 +13,7 @@ from robot_runner.config.checks.names import check_names
 from robot_runner.config.checks.parameters import read_parameters
 from robot_runner.config.checks.plugins import check_plugins, gather_plugins
 from robot_runner.config.checks.results import check_disk_space, check_results_path
-from robot_runner.config.checks.robot import check_robot
+from robot_runner.config.checks.robot import check_robot, choose_robot
 from robot_runner.config.checks.run_table import create_model
 from robot_runner.config.checks.threads import check_threads
 from robot_runner.config.experiment import Experiment, event_manager_for, experiment_folder
@@ -67,7 +67,7 @@ def prepare(
         loaded = load(path, overrides)
     except ConfigError as error:
         return Preparation(None, error.findings)
-    findings = [*loaded.findings, *check_names(loaded)]
+    findings = [*loaded.findings, *check_names(loaded), *(choose_robot(loaded) if is_for_here else ())]
     parameters, parameter_findings = read_parameters(loaded)
     plugins, plugin_findings = gather_plugins(loaded)
     model, model_findings = create_model(loaded)
@@ -91,7 +91,7 @@ def _check_machine(
     yield from check_plugins(plugins, model, getattr(loaded.config, "robot", None))
     if parameters is not None:
         runs = len(model.plan()) if model is not None else 0
-        yield from check_robot(loaded, parameters)
+        yield from check_robot(loaded, parameters, plugins)
         yield from check_results_path(loaded, parameters)
         yield from check_disk_space(loaded, parameters, plugins, runs)
 

@@ -118,6 +118,11 @@ class RunTableModel:
         self._order = _ordered(replace(self._order, shuffle=True), seed, blocks)
         return self.plan()
 
+    def take_seed(self, seed: int) -> None:
+        """Take the seed of an experiment that is executed again, in place of the one that is given or was drawn."""
+        self._order = replace(self._order, seed=seed)
+        self._planned = None
+
     def plan(self, seed: int | None = None) -> RunTable:
         """Return the run table; the model does not change.
 

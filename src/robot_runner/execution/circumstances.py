@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.errors import ExecutionError
 from robot_runner.execution.changes import config_files
+from robot_runner.links.ros_packages import describe_ros
 from robot_runner.plugins.registry import installed_plugins
 from robot_runner.storage.journal import utc_now
 from robot_runner.storage.manifest import describe_host, describe_software
@@ -43,8 +44,14 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "seed_is_given": model.seed_is_given,
         # What was fixed for the analysis before the first run: statistics tell it from what is exploratory.
         "analysis": _analysis(experiment),
+        "authors": [author.as_mapping() for author in experiment.parameters.authors],
+        "licence": experiment.parameters.licence,
+        "citation": experiment.parameters.citation,
+        # Where this experiment executes a package again: which one, and what was changed on purpose.
+        "replication": dict(experiment.replication) if experiment.replication else None,
         "plugins": [_described(plugin) for plugin in experiment.plugins],
         "host": describe_host(),
+        "ros": describe_ros(),
         "software": describe_software(),
         "executions": [_execution(experiment)],
     }

@@ -6,6 +6,7 @@ import json
 import os
 import platform
 import sys
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +24,7 @@ FORMAT = 1
 
 
 def describe_host() -> dict[str, Any]:
-    """Return what this machine is: system, processor, cores, memory (bytes)."""
+    """Return what this machine is: system, processor, cores, memory (bytes), and how its frequency is governed."""
     return {
         "system": platform.system(),
         "release": platform.release(),
@@ -31,6 +32,7 @@ def describe_host() -> dict[str, Any]:
         "processor": _processor(),
         "cores": os.cpu_count(),
         "memory_bytes": _memory_bytes(),
+        "governor": _governor(),
     }
 
 
@@ -97,6 +99,15 @@ def _processor() -> str:
         return platform.processor()
     named = {name.strip(): value.strip() for name, _, value in (line.partition(":") for line in lines)}
     return named.get("model name") or named.get("Model") or platform.processor()
+
+
+def _governor() -> str | None:
+    """Return the policy by which Linux sets the processor's frequency; several where its cores differ."""
+    found = set()
+    for path in Path("/sys/devices/system/cpu").glob("cpu[0-9]*/cpufreq/scaling_governor"):
+        with suppress(OSError):
+            found.add(path.read_text(encoding="ascii").strip())
+    return ", ".join(sorted(found)) or None
 
 
 def _memory_bytes() -> int | None:

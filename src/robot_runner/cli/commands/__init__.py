@@ -20,8 +20,13 @@ COMMANDS = {
     "import": "Adopt results of an earlier tool, or made by hand.",
     "report": "Write the report of an experiment: tables, figures, tests, threats to validity.",
     "compare": "Compare two experiments, and say whether they are equivalent.",
+    "pack": "Seal an experiment as one file that anyone can check and execute again.",
+    "verify": "Check whether a package is intact.",
+    "replicate": "Execute a package again, and say whether the results agree.",
+    "explain": "Say where the values of a run come from.",
     "fit-power-model": "Fit a software power model to the measured runs of an experiment.",
     "plugins": "List the installed plugins, with their measures and parameters.",
+    "simulate": "Offer the embedded robot on a ROS graph, as if it were a real one.",
     "try": "Try a profiler without an experiment.",
 }
 

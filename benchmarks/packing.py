@@ -1,0 +1,99 @@
+"""What packing an experiment's folder costs in time and memory, beside zipping and hashing the same bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import random
+import resource
+import tempfile
+import time
+import zipfile
+from pathlib import Path
+
+from benchmarks.table import Row, print_table
+from robot_runner.replication.packing import Packing, pack
+from robot_runner.storage.layout import ExperimentFolder
+from robot_runner.storage.manifest import describe_host, describe_software, write_manifest
+from robot_runner.storage.table_layout import ColumnRole
+from robot_runner.storage.table_schema import ColumnDescription, write_schema
+
+_MEBIBYTE = 1 << 20
+_RUNS = 8
+_SIZES = (8, 64)  # MiB of raw samples a run: memory must not follow
+_MOST_MEMORY = 150.0  # MiB, the interpreter and all libraries included
+
+
+def make_folder(root: Path, mebibytes: int) -> ExperimentFolder:
+    """Make an experiment's folder with raw samples of this size for each run."""
+    files = ExperimentFolder(root)
+    draw = random.Random(1)
+    block = "".join(
+        f"{place / 200:.6f},{draw.randrange(8000)},{draw.random():.6f},{12 + draw.random():.3f}\n"
+        for place in range(30000)
+    ).encode()
+    for number in range(1, _RUNS + 1):
+        folder = files.run(f"r_{number}") / "Meter"
+        folder.mkdir(parents=True)
+        with (folder / "samples.csv").open("wb") as file:
+            for _ in range(mebibytes * _MEBIBYTE // len(block)):
+                file.write(block)
+    lines = ["run_id,status,Task", *(f"r_{number},Done,Video" for number in range(1, _RUNS + 1))]
+    files.run_table.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    roles = {"run_id": ColumnRole.PROGRESS, "status": ColumnRole.PROGRESS, "Task": ColumnRole.FACTOR}
+    write_schema(files.schema, [ColumnDescription(name=name, role=role) for name, role in roles.items()])
+    software = describe_software()
+    write_manifest(files.manifest, {"experiment_name": "packing", "software": software, "host": describe_host()})
+    files.journal.write_text(json.dumps({"kind": "table_written", "at": ""}) + "\n", encoding="utf-8")
+    return files
+
+
+def zipped(files: ExperimentFolder, target: Path) -> float:
+    """Return how long zipping and hashing take without looking for secrets, in seconds."""
+    begun = time.perf_counter()
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in sorted(files.root.rglob("*.csv")):
+            with (
+                path.open("rb") as file,
+                archive.open(str(path.relative_to(files.root)), "w", force_zip64=True) as inside,
+            ):
+                digest = hashlib.sha256()
+                while block := file.read(_MEBIBYTE):
+                    digest.update(block)
+                    inside.write(block)
+    return time.perf_counter() - begun
+
+
+def packed(files: ExperimentFolder, target: Path) -> float:
+    """Return how long packing takes, in seconds."""
+    begun = time.perf_counter()
+    pack(files.root, target, Packing(with_wheels=False))
+    return time.perf_counter() - begun
+
+
+def main() -> None:
+    """Pack small and large raw data, and compare time with zipping and memory with each other."""
+    rows = []
+    for mebibytes in _SIZES:
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            files = make_folder(folder / "packing", mebibytes)
+            total = mebibytes * _RUNS
+            seconds = packed(files, folder / "packed.zip")
+            memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+            floor = zipped(files, folder / "zipped.zip")
+        rate, zip_rate = total / seconds, total / floor
+        rows += [
+            Row(
+                f"{total} MiB packed",
+                f"{rate:.1f} MiB/s",
+                f"{zip_rate:.1f} MiB/s (zip, SHA-256)",
+                f"{floor / seconds:.2f}",
+            ),
+            Row("  memory, at most", f"{memory:.0f} MiB", bound=f"{_MOST_MEMORY:.0f} MiB"),
+        ]
+    print_table("Packing: raw samples as CSV, cleaned of secrets, hashed, compressed", rows)
+
+
+if __name__ == "__main__":
+    main()

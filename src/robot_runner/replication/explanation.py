@@ -1,0 +1,236 @@
+"""Where each value of a run comes from, told from the experiment's folder alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.design.columns import RUN_ID, STATUS
+from robot_runner.errors import StorageError, did_you_mean
+from robot_runner.replication.config_lines import ConfigLine, ConfigLines
+from robot_runner.replication.contents import CONFIG_OWNER
+from robot_runner.replication.run_history import read_run_history
+from robot_runner.storage.layout import ExperimentFolder
+from robot_runner.storage.manifest import read_manifest
+from robot_runner.storage.run_table_reading import read_run_table
+from robot_runner.storage.safe_write import storage_error
+from robot_runner.storage.table_layout import ColumnRole, TableLayout
+from robot_runner.storage.table_schema import ColumnDescription, read_schema
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+__all__ = ["Explanation", "RunExplanation", "explain_run"]
+
+_ORCHESTRATED = frozenset({"before_run", "continue"})
+_UNMEASURED = {"simulated": "simulated, not measured", "estimated": "estimated by a model, not measured"}
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """Where one value comes from.
+
+    Attributes:
+        name: the column, or the measure where it has none.
+        role: what it is: factor, measure, timestamp, and so on.
+        value: None where it is missing.
+        facts: what is known of where it comes from, in order: a word and what is said.
+    """
+
+    name: str
+    role: str
+    value: Any
+    unit: str
+    facts: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RunExplanation:
+    """Where the values of one run come from.
+
+    Attributes:
+        facts: what holds for all of them: status, attempts, robot, host.
+        values: one for each that was asked for.
+    """
+
+    experiment: str
+    run_id: str
+    facts: tuple[tuple[str, str], ...]
+    values: tuple[Explanation, ...]
+
+
+def explain_run(root: Path, run_id: str, names: Sequence[str] = ()) -> RunExplanation:
+    """Explain the values of a run.
+
+    Args:
+        root: the experiment's folder.
+        run_id: the run.
+        names: the columns or measures to explain; none means all.
+
+    Raises:
+        StorageError: there is no such run or column, or something cannot be read.
+    """
+    return _Explaining(root, run_id).explain(names)
+
+
+class _Explaining:
+    def __init__(self, root: Path, run_id: str) -> None:
+        self._files = ExperimentFolder.found_at(root)
+        self._manifest = read_manifest(self._files.manifest)
+        self._columns = {column.name: column for column in read_schema(self._files.schema)}
+        rows = read_run_table(self._files.run_table, TableLayout.of_schema(tuple(self._columns.values())))
+        place = rows.run_ids.place_of(run_id)
+        if place is None:
+            known = [rows.run_id(each) for each in range(min(len(rows), 1000))]
+            raise StorageError(f"there is no run {run_id!r}", where=str(root), fix=did_you_mean(run_id, known))
+        self._run_id = run_id
+        self._number, self._count = place + 1, len(rows)
+        self._row = rows.row(place)
+        self._history = read_run_history(self._files.journal, run_id)
+        try:
+            self._lines = ConfigLines(root)
+        except OSError as error:
+            raise storage_error(self._files.config, "read", error) from error
+
+    def explain(self, names: Sequence[str]) -> RunExplanation:
+        extra = {name: None for name in self._history.measures if name not in self._row}
+        known = [name for name in (*self._row, *extra) if name != RUN_ID]
+        for name in names:
+            if name not in known:
+                fix = did_you_mean(name, known)
+                raise StorageError(f"there is no column or measure {name!r}", where=self._run_id, fix=fix)
+        return RunExplanation(
+            str(self._manifest.get("experiment_name", self._files.root.name)),
+            self._run_id,
+            tuple(self._run_facts()),
+            tuple(map(self._explained, names or known)),
+        )
+
+    def _explained(self, name: str) -> Explanation:
+        column = self._columns.get(name) or ColumnDescription(name=name, role=ColumnRole.MEASURE)
+        value = self._row[name] if name in self._row else self._history.measures[name]["value"]
+        facts = {
+            ColumnRole.MEASURE: self._measure_facts,
+            ColumnRole.FACTOR: self._factor_facts,
+            ColumnRole.REPETITION: self._factor_facts,
+            ColumnRole.TIMESTAMP: self._stamp_facts,
+            ColumnRole.PROGRESS: self._progress_facts,
+            ColumnRole.EXTRA: self._extra_facts,
+        }[column.role](column)
+        return Explanation(
+            name, column.role.value, _plain(value), column.unit, tuple(fact for fact in facts if fact[1])
+        )
+
+    def _run_facts(self) -> Iterator[tuple[str, str]]:
+        history = self._history
+        yield "Status", _plain(self._row[STATUS])
+        yield "Place", f"run {self._number} of {self._count}, {self._order()}"
+        if history.attempt:
+            yield "Attempt", f"{history.attempt}, {history.started_at} to {history.finished_at or 'no end'}"
+        for number, failure in history.failures.items():
+            yield f"Attempt {number}", f"failed: {failure}"
+        yield "Robot", str(self._manifest.get("robot") or "as the config says")
+        yield "Host", self._host()
+        for host in history.hosts:
+            yield "Other host", host
+
+    def _order(self) -> str:
+        design = self._manifest.get("design") or {}
+        if design.get("source") not in {None, "config"}:
+            return f"in the order of {design['source']}, which was written by hand"
+        blocks = f" within blocks of {design['blocks']}" if design.get("blocks") else ""
+        seed = self._manifest.get("seed")
+        return (
+            f"randomised{blocks} from seed {seed}" if design.get("shuffle") else f"in the order of the config{blocks}"
+        )
+
+    def _host(self) -> str:
+        host = self._manifest.get("host") or {}
+        software = self._manifest.get("software") or {}
+        parts = [host.get("processor"), host.get("system"), host.get("release")]
+        machine = " ".join(str(part) for part in parts if part)
+        return f"{machine}, Python {software['python']}" if software.get("python") else machine
+
+    def _measure_facts(self, column: ColumnDescription) -> Iterator[tuple[str, str]]:
+        published = self._history.measures.get(column.name, {})
+        owner = str(published.get("owner") or column.owner)
+        origin = str(published.get("origin") or column.origin or "")
+        yield "Origin", _UNMEASURED.get(origin, origin)
+        yield from self._owner_facts(owner, column.name)
+        yield "Aggregation", column.description
+        yield "Raw data", ", ".join(self._raw_files(owner))
+        yield "Published", self._published(column.name)
+        if published and _plain(self._row.get(column.name, published["value"])) != _plain(published["value"]):
+            yield "Edited", f"the journal has {published['value']!r}: the table was changed by hand since"
+        yield from (("Doubt", doubt) for doubt in self._history.doubts.get(owner, ()))
+
+    def _owner_facts(self, owner: str, measure: str) -> Iterator[tuple[str, str]]:
+        if owner == CONFIG_OWNER:
+            yield "From", "the config"
+            yield "Config", _shown(self._lines.of_measure(measure))
+            return
+        plugin: Mapping[str, Any] = next(
+            (each for each in self._manifest.get("plugins", ()) if each.get("name") == owner), {}
+        )
+        kind = str(plugin.get("class", "")).rpartition(":")[2]
+        package = f" ({plugin['package']} {plugin.get('version')})" if plugin.get("package") else ""
+        named = f"{owner}, " if kind != owner and kind else ""
+        yield "Plugin", f"{named}{kind or owner}{package}" if owner else "none: nobody published it"
+        yield "Config", _shown(self._lines.of_plugin(owner, kind))
+
+    def _raw_files(self, owner: str) -> Iterator[str]:
+        run = self._files.run(self._run_id)
+        folder = run if owner == CONFIG_OWNER and not (run / CONFIG_OWNER).is_dir() else run / owner
+        if not owner or not folder.is_dir():
+            return
+        for path in sorted(each for each in folder.rglob("*") if each.is_file()):
+            if folder == run and (path.parent != run or path == self._files.log(self._run_id)):
+                continue
+            yield f"{path.relative_to(self._files.root).as_posix()} ({path.stat().st_size:,} bytes)"
+
+    def _published(self, name: str) -> str:
+        if name not in self._history.measures:
+            return "" if self._history.attempt else "not executed yet"
+        return f"in populate_run_data of attempt {self._history.attempt} ({self._files.journal.name})"
+
+    def _factor_facts(self, column: ColumnDescription) -> Iterator[tuple[str, str]]:
+        design = self._manifest.get("design") or {}
+        treatments = (design.get("factors") or {}).get(column.name)
+        if treatments:
+            yield "Treatments", ", ".join(treatments)
+        elif column.role is ColumnRole.REPETITION:
+            yield "Treatments", f"1 to {design.get('repetitions')}"
+        if design.get("source") not in {None, "config"}:
+            yield "From", f"{design['source']}, which was written by hand before the first run"
+        found = self._lines.of_factor(column.name)
+        yield "Config", _shown(found or self._lines.of_method("create_run_table"))
+
+    def _stamp_facts(self, column: ColumnDescription) -> Iterator[tuple[str, str]]:
+        event = column.name.removesuffix("_at")
+        where = "the orchestrator" if event in _ORCHESTRATED else "the run's own process"
+        yield "Event", f"{event}, emitted in {where}, before anybody was called; UTC of {self._host()}"
+        clock = self._history.clocks.get(event)
+        if clock is not None and event not in _ORCHESTRATED:
+            yield "Run's clock", f"{clock:.3f} s{' (simulated time)' if self._is_simulated() else ''}"
+        heard = self._lines.of_method("continue_experiment" if event == "continue" else event)
+        yield "Config", _shown(heard)
+
+    def _is_simulated(self) -> bool:
+        return str(self._manifest.get("robot") or "").startswith("simulated")
+
+    def _progress_facts(self, column: ColumnDescription) -> Iterator[tuple[str, str]]:
+        yield "From", f"Robot Runner: {column.description or 'how far the run has come'}"
+
+    def _extra_facts(self, column: ColumnDescription) -> Iterator[tuple[str, str]]:
+        yield "From", f"a column that somebody added to {self._files.run_table.name} by hand"
+        yield "Meaning", column.description
+
+
+def _shown(line: ConfigLine | None) -> str:
+    return f"{line.place}  {line.text}" if line else ""
+
+
+def _plain(value: Any) -> Any:
+    plain = getattr(value, "value", value)
+    return plain if isinstance(plain, bool | int | float | str) or plain is None else str(plain)

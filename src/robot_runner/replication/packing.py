@@ -1,0 +1,204 @@
+"""From an experiment's folder to a replication package; the folder alone is enough."""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+from dataclasses import dataclass, field
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.errors import Finding, PackageError, StorageError
+from robot_runner.replication.about import About
+from robot_runner.replication.contents import ALL, LeftOut, choose_contents
+from robot_runner.replication.crate import require_rocrate
+from robot_runner.replication.environment import record_environment
+from robot_runner.replication.names import DESCRIPTION
+from robot_runner.replication.plain_zip import written_beside
+from robot_runner.replication.redaction import Redactor, secrets_in_code
+from robot_runner.replication.sealing import PackingPlan, Progress, Replaced, Sealing
+from robot_runner.replication.secret_patterns import SECRET_NAME
+from robot_runner.storage.layout import ExperimentFolder
+from robot_runner.storage.lock import holder_of
+from robot_runner.storage.manifest import read_manifest
+from robot_runner.storage.run_status import RunStatus
+from robot_runner.storage.run_table_reading import read_run_table
+from robot_runner.storage.safe_write import storage_error
+from robot_runner.storage.table_layout import TableLayout
+from robot_runner.storage.table_schema import read_schema
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from robot_runner.config.authors import Author
+    from robot_runner.storage.run_table_rows import RunTableRows
+
+__all__ = ["Packed", "Packing", "file_sha256", "pack"]
+
+_BLOCK = 1 << 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Packing:
+    """What is asked of a package.
+
+    Attributes:
+        raw: whose raw data to take: `all`, `none`, or names of plugins.
+        keep: patterns of names of files to pack as they are, though something in them looks secret.
+        authors, licence, citation: take the place of what the config said.
+        with_wheels: whether packages that only this machine has go in as wheels.
+
+    Example:
+        >>> Packing(raw=("Ina219",)).licence is None
+        True
+    """
+
+    raw: tuple[str, ...] = (ALL,)
+    keep: tuple[str, ...] = ()
+    authors: tuple[Author, ...] = ()
+    licence: str | None = None
+    citation: str | None = None
+    with_wheels: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Packed:
+    """A package that was made.
+
+    Attributes:
+        sha256: of the whole file.
+        file_count: how many files are in it.
+        left_out: what is not in it, and why.
+        replaced: which secrets were replaced in which files.
+        wheels: distributions that went in as wheels.
+        findings: what others will miss.
+    """
+
+    path: Path
+    size: int
+    sha256: str
+    file_count: int
+    left_out: tuple[LeftOut, ...]
+    replaced: tuple[Replaced, ...]
+    wheels: tuple[str, ...]
+    findings: tuple[Finding, ...] = field(default=())
+
+
+def pack(folder: Path, target: Path, packing: Packing | None = None, progress: Progress = lambda _, __: None) -> Packed:
+    """Seal an experiment's folder as one file. Doing it twice gives the same bytes.
+
+    Args:
+        folder: the experiment's folder; nothing in it is changed.
+        target: the file to write; an earlier package is replaced.
+        packing: what is asked for.
+        progress: is told how many bytes are packed, of how many.
+
+    Raises:
+        PackageError: it cannot be packed as it is.
+        StorageError: something cannot be read or written.
+    """
+    require_rocrate()
+    asked = packing or Packing()
+    files = ExperimentFolder.found_at(folder)
+    manifest = read_manifest(files.manifest)
+    _refuse(files, target)
+    rows = _rows(files)
+    run_ids = [rows.run_id(place) for place in range(len(rows))]
+    about = About.of_manifest(manifest, authors=asked.authors, licence=asked.licence, citation=asked.citation)
+    environment = record_environment(manifest, files.config)
+    plan = PackingPlan(
+        about=about,
+        manifest=manifest,
+        columns=read_schema(files.schema),
+        contents=choose_contents(files, run_ids, asked.raw),
+        raw=asked.raw,
+        environment=environment,
+        redactor=Redactor.knowing(_known_secrets(files, manifest), home=Path.home()),
+        keep=lambda name: any(fnmatch(name, pattern) for pattern in asked.keep),
+        failed=rows.count(RunStatus.FAILED),
+        with_wheels=asked.with_wheels,
+    )
+    with written_beside(target) as archive:
+        sealing = Sealing(plan, archive, progress)
+        sealing.write()
+    return Packed(
+        target,
+        target.stat().st_size,
+        file_sha256(target),
+        len(archive.stored),
+        tuple(sealing.left_out),
+        tuple(sealing.replaced),
+        tuple(sorted(sealing.wheels)),
+        (*about.findings(), *environment.findings, *_findings(files, rows)),
+    )
+
+
+def file_sha256(path: Path) -> str:
+    """Return the SHA-256 of a file.
+
+    Raises:
+        StorageError: it cannot be read.
+    """
+    digest = hashlib.sha256()
+    try:
+        with path.open("rb") as file:
+            while block := file.read(_BLOCK):
+                digest.update(block)
+    except OSError as error:
+        raise storage_error(path, "read", error) from error
+    return digest.hexdigest()
+
+
+def _refuse(files: ExperimentFolder, target: Path) -> None:
+    holder = holder_of(files.lock)
+    if holder is not None:
+        problem = f"it is being executed by process {holder.pid} on {holder.host}"
+        raise PackageError(problem, where=str(files.root), fix="Wait until it has ended, then pack it.")
+    if files.root in target.resolve().parents:
+        fix = "Name a file outside the experiment's folder."
+        raise PackageError("a package cannot be part of what it holds", where=str(target), fix=fix)
+    if target.exists() and not _is_package(target):
+        fix = "Name another file, or remove that one."
+        raise PackageError("there is a file of this name, and it is no package", where=str(target), fix=fix)
+
+
+def _is_package(path: Path) -> bool:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return DESCRIPTION in archive.namelist()
+    except (OSError, zipfile.BadZipFile):
+        return False
+
+
+def _rows(files: ExperimentFolder) -> RunTableRows:
+    if not files.schema.exists():
+        fix = "Execute the experiment, or resume it: the schema is written then."
+        raise StorageError("the run table has no schema", where=str(files.schema), fix=fix)
+    return read_run_table(files.run_table, TableLayout.of_schema(read_schema(files.schema)))
+
+
+def _known_secrets(files: ExperimentFolder, manifest: Mapping[str, Any]) -> set[str]:
+    """Return the texts that the configs and what was set by hand give away as secrets, to find them elsewhere too."""
+    found: set[str] = set()
+    for folder in (files.config, files.earlier_configs):
+        for path in sorted(folder.rglob("*.py")):
+            try:
+                found |= secrets_in_code(path.read_text(encoding="utf-8", errors="replace"))
+            except OSError as error:
+                raise storage_error(path, "read", error) from error
+    for execution in (manifest, *(manifest.get("executions") or ())):
+        settings = execution.get("deviations") or {}
+        found |= {str(text) for name, text in settings.items() if text and SECRET_NAME.search(str(name))}
+    return found
+
+
+def _findings(files: ExperimentFolder, rows: RunTableRows) -> Iterator[Finding]:
+    where = str(files.root)
+    if not any(files.config.glob("*.py")):
+        yield Finding.warning(where, "there is no config: nobody can execute it again", "Add it to the folder config.")
+    if not files.report.exists():
+        yield Finding.warning(where, "there is no report in it", f"Make one first: robot-runner report {where}")
+    undone = len(rows) - rows.count(RunStatus.DONE)
+    if undone:
+        yield Finding.warning(where, f"{undone} of {len(rows)} runs are not done", "Resume the experiment first.")

@@ -1,0 +1,120 @@
+"""A zip file whose bytes depend on its contents alone, written as its contents come."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import zipfile
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from robot_runner.storage.safe_write import fsync_folder, storage_error
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+    from pathlib import Path
+
+__all__ = ["STAMP", "PlainZip", "StoredFile", "written_beside"]
+
+#: The time of every file in a package: the earliest that a zip file can say.
+STAMP = (1980, 1, 1, 0, 0, 0)
+
+_LEVEL = 6
+_LARGE = 1 << 30
+_PACKED = (".bz2", ".gz", ".npz", ".parquet", ".pdf", ".png", ".whl", ".woff2", ".xz", ".zip", ".zst")
+
+
+class StoredFile:
+    """What was written under one name.
+
+    Attributes:
+        name: in the zip file.
+        size: in bytes, uncompressed.
+        sha256: of the bytes, in hexadecimal digits.
+    """
+
+    __slots__ = ("name", "sha256", "size")
+
+    def __init__(self, name: str, size: int, sha256: str) -> None:
+        self.name = name
+        self.size = size
+        self.sha256 = sha256
+
+
+class PlainZip:
+    """A zip file being written.
+
+    Attributes:
+        stored: what was written so far, by name.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._archive = zipfile.ZipFile(path, "x", allowZip64=True)
+        self.stored: dict[str, StoredFile] = {}
+
+    def add(self, name: str, blocks: Iterable[bytes], *, size: int = 0) -> StoredFile:
+        """Write a file block by block.
+
+        Args:
+            name: in the zip file.
+            blocks: its contents.
+            size: about how large it will be: above 1 GiB it is written in the form for large files.
+
+        Raises:
+            OSError: it cannot be read or written.
+        """
+        entry = zipfile.ZipInfo(name, STAMP)
+        is_packed = name.casefold().endswith(_PACKED)
+        entry.compress_type = zipfile.ZIP_STORED if is_packed else zipfile.ZIP_DEFLATED
+        entry._compresslevel = _LEVEL  # type: ignore[attr-defined] # noqa: SLF001 - public from Python 3.13 only
+        entry.create_system = 3
+        entry.external_attr = 0o100644 << 16
+        digest, written = hashlib.sha256(), 0
+        with self._archive.open(entry, "w", force_zip64=size > _LARGE) as file:
+            for block in blocks:
+                digest.update(block)
+                written += len(block)
+                file.write(block)
+        self.stored[name] = StoredFile(name, written, digest.hexdigest())
+        return self.stored[name]
+
+    def add_folders(self) -> None:
+        """Write an entry for each folder at the top: what describes a package names them.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        for name in sorted({f"{name.partition('/')[0]}/" for name in self.stored if "/" in name}):
+            entry = zipfile.ZipInfo(name, STAMP)
+            entry.create_system = 3
+            entry.external_attr = (0o40755 << 16) | 0x10  # the second part is how MS-DOS marks a folder
+            self._archive.writestr(entry, b"")
+
+    def close(self) -> None:
+        """Write the directory of the zip file, and close it."""
+        self._archive.close()
+
+
+@contextmanager
+def written_beside(target: Path) -> Iterator[PlainZip]:
+    """Yield a zip file beside `target`, which replaces it once everything is in it and on the disk.
+
+    Raises:
+        StorageError: it cannot be written; what stood at `target` is intact.
+    """
+    beside = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    try:
+        beside.unlink(missing_ok=True)
+        archive = PlainZip(beside)
+        try:
+            yield archive
+        finally:
+            archive.close()
+        with beside.open("rb") as file:
+            os.fsync(file.fileno())
+        beside.replace(target)
+        fsync_folder(target.parent)
+    except OSError as error:
+        raise storage_error(target, "written", error) from error
+    finally:
+        beside.unlink(missing_ok=True)

@@ -1,0 +1,228 @@
+"""Whether a package is intact, of a format that is known, and fit to be executed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.errors import Finding, PackageError
+from robot_runner.replication import names
+from robot_runner.storage.manifest import FORMAT as MANIFEST_FORMAT
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from pathlib import Path
+
+    from robot_runner.replication.opening import OpenPackage
+
+__all__ = ["Verification", "refuse_faults", "verify_package"]
+
+_MANIFEST = "manifest.json"
+_LARGEST_TEXT = 64 << 20  # of what is read whole: descriptions and sums
+_MOST_FINDINGS = 20
+#: What is read of each description, and what it has to be; what is missing is none of ours to judge.
+_SHAPES: dict[str, dict[str, str]] = {
+    names.DESCRIPTION: {"left_out": "mappings", "replaced": "mappings", "experiment": "text"},
+    names.ENVIRONMENT: {"packages": "mapping of mappings", "host": "mapping", "ros": "mapping"},
+    _MANIFEST: {
+        "config": "mapping",
+        "design": "mapping",
+        "deviations": "mapping",
+        "software": "mapping",
+        "host": "mapping",
+        "executions": "mappings",
+        "plugins": "mappings",
+        "seed": "number",
+        "experiment_name": "text",
+    },
+}
+_IS_OF_SHAPE: dict[str, Callable[[Any], bool]] = {
+    "mapping": lambda value: isinstance(value, dict),
+    "mappings": lambda value: isinstance(value, list) and all(isinstance(each, dict) for each in value),
+    "mapping of mappings": lambda value: isinstance(value, dict) and all(isinstance(v, dict) for v in value.values()),
+    "number": lambda value: isinstance(value, int),
+    "text": lambda value: isinstance(value, str),
+}
+_SUM = re.compile(r"([0-9a-f]{64})  (.+)")
+_ALTERED = "Get it again from where it came from."
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """What was found of a package.
+
+    Attributes:
+        description: what it says of itself.
+        manifest: the manifest of its experiment.
+        environment: the environment of its experiment.
+        file_count, size: how many files it has, and how many bytes in all.
+        findings: everything that is wrong.
+    """
+
+    where: Path
+    description: Mapping[str, Any]
+    manifest: Mapping[str, Any]
+    environment: Mapping[str, Any]
+    file_count: int
+    size: int
+    findings: tuple[Finding, ...]
+
+    @property
+    def is_intact(self) -> bool:
+        """Whether nothing is wrong with it."""
+        return not any(finding.is_error for finding in self.findings)
+
+    @property
+    def experiment(self) -> str:
+        """The experiment's name."""
+        return str(self.description.get("experiment") or self.manifest.get("experiment_name") or "")
+
+
+def verify_package(package: OpenPackage, progress: Callable[[int, int], None] = lambda _, __: None) -> Verification:
+    """Read a package from end to end and compare it with what it says of itself.
+
+    Args:
+        package: opened.
+        progress: is told how many bytes are read, of how many.
+
+    Raises:
+        PackageError: it is damaged so that it cannot be read, is no package, or has a newer format.
+        StorageError: it cannot be read.
+    """
+    description = _description(package)
+    if package.faults:  # not even looked into
+        return _verified(package, description, {}, {}, package.faults)
+    sums, findings = _sums(package)
+    findings += _differing_names(package, sums)
+    findings += _differing_contents(package, sums, progress)
+    manifest = _mapping(package, _MANIFEST, findings)
+    environment = _mapping(package, names.ENVIRONMENT, findings)
+    findings += _malformed(package, names.DESCRIPTION, description)
+    findings += _malformed(package, names.ENVIRONMENT, environment)
+    malformed = list(_malformed(package, _MANIFEST, manifest))
+    findings += malformed or _unfit(package, manifest)
+    return _verified(package, description, manifest, environment, tuple(findings))
+
+
+def refuse_faults(verification: Verification) -> None:
+    """Let only an intact package pass.
+
+    Raises:
+        PackageError: something is wrong with it; carries every finding.
+    """
+    errors = [finding for finding in verification.findings if finding.is_error]
+    if errors:
+        raise PackageError.of_findings(errors)
+
+
+def _verified(
+    package: OpenPackage,
+    description: Mapping[str, Any],
+    manifest: Mapping[str, Any],
+    environment: Mapping[str, Any],
+    findings: tuple[Finding, ...],
+) -> Verification:
+    shown = findings[:_MOST_FINDINGS]
+    if len(findings) > _MOST_FINDINGS:
+        more = f"there are {len(findings) - _MOST_FINDINGS:,} more faults"
+        shown = (*shown, Finding.error(str(package.where), more, _ALTERED))
+    size = sum(package.sizes.values())
+    return Verification(package.where, description, manifest, environment, len(package.sizes), size, shown)
+
+
+def _description(package: OpenPackage) -> Mapping[str, Any]:
+    where = f"{package.where}, {names.DESCRIPTION}"
+    if names.DESCRIPTION not in package.sizes:
+        fix = "Name a package; `robot-runner pack` makes one of an experiment's folder."
+        raise PackageError(f"it is no package: it has no {names.DESCRIPTION}", where=str(package.where), fix=fix)
+    try:
+        found = json.loads(_text(package, names.DESCRIPTION))
+    except ValueError as error:
+        raise PackageError(f"it cannot be read: {error}", where=where, fix=_ALTERED) from error
+    if not isinstance(found, dict) or not isinstance(found.get("format"), int):
+        raise PackageError("it does not describe a package", where=where, fix=_ALTERED)
+    if found["format"] > names.FORMAT:
+        problem = f"it has format {found['format']}, newer than {names.FORMAT}, which this version knows"
+        raise PackageError(problem, where=where, fix="Update robot-runner.")
+    return found
+
+
+def _text(package: OpenPackage, name: str) -> str:
+    if package.sizes[name] > _LARGEST_TEXT:
+        problem = f"it has {package.sizes[name]:,} bytes, more than any such file"
+        raise PackageError(problem, where=f"{package.where}, {name}", fix=_ALTERED)
+    return b"".join(package.blocks(name)).decode("utf-8", "replace")
+
+
+def _sums(package: OpenPackage) -> tuple[dict[str, str], list[Finding]]:
+    if names.SUMS not in package.sizes:
+        return {}, [Finding.error(f"{package.where}, {names.SUMS}", "it is missing", _ALTERED)]
+    sums: dict[str, str] = {}
+    findings = []
+    for number, line in enumerate(_text(package, names.SUMS).splitlines(), start=1):
+        found = _SUM.fullmatch(line)
+        if found is None:
+            where = f"{package.where}, {names.SUMS}:{number}"
+            findings.append(Finding.error(where, "this line is no checksum", _ALTERED))
+        else:
+            sums[found[2]] = found[1]
+    return sums, findings
+
+
+def _differing_names(package: OpenPackage, sums: Mapping[str, str]) -> Iterator[Finding]:
+    for name in sorted(set(sums) - set(package.sizes)):
+        yield Finding.error(f"{package.where}, {name}", "it is missing", _ALTERED)
+    for name in sorted(set(package.sizes) - set(sums) - {names.SUMS}):
+        yield Finding.error(f"{package.where}, {name}", "it is no part of the package", "Remove it, or get it again.")
+
+
+def _differing_contents(
+    package: OpenPackage, sums: Mapping[str, str], progress: Callable[[int, int], None]
+) -> Iterator[Finding]:
+    total, done = sum(package.sizes.values()), 0
+    for name in sorted(set(sums) & set(package.sizes)):
+        digest = hashlib.sha256()
+        try:
+            for block in package.blocks(name):
+                digest.update(block)
+                done += len(block)
+                progress(min(done, total), total)
+        except PackageError as error:
+            yield error.as_finding()
+            continue
+        if digest.hexdigest() != sums[name]:
+            yield Finding.error(f"{package.where}, {name}", "it was altered: its SHA-256 is another", _ALTERED)
+
+
+def _mapping(package: OpenPackage, name: str, findings: list[Finding]) -> Mapping[str, Any]:
+    if name not in package.sizes:
+        return {}  # said already, if it was ever part of the package
+    try:
+        found = json.loads(_text(package, name))
+    except (ValueError, PackageError) as error:
+        findings.append(Finding.error(f"{package.where}, {name}", f"it cannot be read: {error}", _ALTERED))
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _malformed(package: OpenPackage, name: str, facts: Mapping[str, Any]) -> Iterator[Finding]:
+    for key, shape in _SHAPES[name].items():
+        if facts.get(key) is not None and not _IS_OF_SHAPE[shape](facts[key]):
+            yield Finding.error(f"{package.where}, {name}", f"{key} is no {shape}: {facts[key]!r:.80}", _ALTERED)
+
+
+def _unfit(package: OpenPackage, manifest: Mapping[str, Any]) -> Iterator[Finding]:
+    """Yield why the experiment in it could not be executed, though nothing was altered."""
+    where = str(package.where)
+    if not manifest:
+        yield Finding.error(f"{where}, {_MANIFEST}", "it is missing, or empty", _ALTERED)
+        return
+    if isinstance(manifest.get("format"), int) and manifest["format"] > MANIFEST_FORMAT:
+        problem = f"the experiment in it has format {manifest['format']}, newer than {MANIFEST_FORMAT}"
+        yield Finding.error(f"{where}, {_MANIFEST}", problem, "Update robot-runner.")
+    config = (manifest.get("config") or {}).get("file")
+    if config and f"config/{config}" not in package.sizes:
+        yield Finding.error(f"{where}, config/{config}", "the config is missing", _ALTERED)

@@ -1,0 +1,68 @@
+"""`robot-runner pack` writes a package, and lists what it replaced and left out."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture
+def study(experiment, tmp_path):
+    return Path(shutil.copytree(experiment, tmp_path / "small"))
+
+
+@pytest.mark.usefixtures("study")
+class TestPack:
+    def test_it_says_what_it_wrote_and_what_it_replaced(self, robot_runner, tmp_path):
+        answer = robot_runner("pack", "small")
+        assert answer.code == 0, answer.err
+        assert answer.out.startswith("small.zip")
+        assert "Wheels   robot-runner" in answer.out
+        assert "replaced: password, 1 time (config/small.py)" in answer.out
+        assert "replaced: password, 4 times in 4 files (runs/…/log.txt)" in answer.out
+        assert "there is no report" in answer.err
+        assert (tmp_path / "small.zip").exists()
+
+    def test_json_is_all_that_is_printed(self, robot_runner):
+        facts = robot_runner("pack", "small", "--to", "a.zip", "--raw", "none", "--no-wheels", "--json").json
+        assert {each["name"] for each in facts["left_out"]} == {
+            "raw data of BasicTurtlebot3",
+            "raw data of Ina219",
+            "raw data of PsUtil",
+        }
+        assert facts["wheels"] == []
+        assert len(facts["sha256"]) == 64
+
+    def test_authors_and_licence_can_be_given(self, robot_runner):
+        author = "Ada Lovelace; 0000-0002-1825-0097; Analytical Society; https://ror.org/008xxew50"
+        answer = robot_runner("pack", "small", "--author", author, "--licence", "MIT", "--citation", "Ask Ada.")
+        assert answer.code == 0
+        assert "Ada" not in answer.err
+
+    @pytest.mark.parametrize(
+        ("words", "problem", "fix"),
+        [
+            (["--author", "Ada; 0000-0002-1825-0098"], "is no author", "NAME; ORCID"),
+            (["--author", "Ada; a; b; c"], "is no author", "NAME; ORCID"),
+            (["--licence", "do what you want"], "is no licence", "spdx.org"),
+            (["--raw", "Ina"], "no run has raw data of 'Ina'", "'Ina219'"),
+            (["--to", "nowhere/a.zip"], "cannot be written", "make the folder"),
+        ],
+    )
+    def test_what_cannot_be_is_refused_with_a_way_out(self, robot_runner, words, problem, fix):
+        answer = robot_runner("pack", "small", *words)
+        assert answer.code == 2
+        assert problem in answer.err or "no ORCID" in answer.err
+        assert fix in answer.err or "0000-0002-1825-0097" in answer.err
+
+    def test_the_bar_is_shown_on_a_terminal(self, terminal, study):
+        with (study / "runs" / "r_1" / "PsUtil" / "long.csv").open("wb") as file:
+            for _ in range(200):
+                file.write(b"0.041389,6051,24938,0.605100,12.468\n" * 6000)
+        screen = terminal("pack", "small")
+        assert screen.finish() == 0
+        assert "packing" in screen.raw
+        assert "packing" not in screen.text
+        assert "small.zip" in screen.text

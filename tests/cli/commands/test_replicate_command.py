@@ -1,0 +1,179 @@
+"""`robot-runner replicate` executes a package again, once it is verified and the user has said yes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import subprocess
+import sys
+import sysconfig
+import zipfile
+from pathlib import Path
+
+import pytest
+from tests.replication.small_experiment import own_modules
+
+
+@pytest.fixture(autouse=True)
+def _modules_of_its_own():
+    with own_modules():
+        yield
+
+
+@pytest.fixture
+def package(packed, tmp_path):
+    return Path(shutil.copy(packed.path, tmp_path / "small.zip"))
+
+
+@pytest.mark.usefixtures("package")
+class TestReplicate:
+    def test_it_ends_with_a_verdict_on_each_measure(self, robot_runner, tmp_path):
+        answer = robot_runner("replicate", "small.zip", "--yes", "--bound", "2%")
+        assert answer.code == 0, answer.err
+        assert "verified: every file is as it was packed" in answer.out
+        assert "The results are identical: every value of 4 runs" in answer.out
+        assert "Energy (J)  equivalent  Identical in all 4 runs; the bound was 2 %." in " ".join(
+            answer.out.replace("\n", "  ").split("   ")
+        ).replace("  Energy", "Energy")
+        folder = tmp_path / "small_replication"
+        assert {path.name for path in folder.iterdir()} == {"package", "small", "comparison.html", "comparison.json"}
+        assert json.loads((folder / "comparison.json").read_text("utf-8"))["measures"]
+        assert not list(folder.rglob("__pycache__"))
+
+    def test_nothing_is_executed_before_somebody_has_said_yes(self, robot_runner, tmp_path):
+        answer = robot_runner("replicate", "small.zip")
+        assert answer.code == 2
+        assert "add --yes" in answer.err
+        assert [path.name for path in tmp_path.iterdir()] == ["small.zip"]
+
+    def test_a_user_who_says_no_is_not_asked_twice(self, terminal, tmp_path):
+        screen = terminal("replicate", "small.zip")
+        screen.wait_for("Execute the code of this package")
+        screen.child.sendline("no")
+        assert screen.finish() == 2
+        assert [path.name for path in tmp_path.iterdir()] == ["small.zip"]
+
+    def test_what_differs_from_this_machine_is_shown_first(self, robot_runner, package):
+        _rewrite(
+            package, "environment/environment.json", b'"rich": {\n      "name": "rich",\n      "version": "', b"0."
+        )
+        answer = robot_runner("replicate", "small.zip")
+        assert "This machine differs from the package's:" in answer.out
+        assert "rich" in answer.out.partition("differs")[2]
+
+    def test_a_deviation_gets_its_verdict(self, robot_runner):
+        robot = "robot=simulated:task_power_factor=3"
+        answer = robot_runner("replicate", "small.zip", "--yes", "--set", robot)
+        assert answer.code == 0, answer.err
+        assert f"Deviates  {robot}" in answer.out
+        energy = next(line for line in answer.out.splitlines() if line.strip().startswith("Energy"))
+        assert "different" in energy
+        assert "identical" not in answer.out
+
+    def test_the_container_is_built_by_commands_that_are_printed(self, robot_runner, tmp_path):
+        answer = robot_runner("replicate", "small.zip", "--environment", "container")
+        assert answer.code == 0
+        assert "podman build -t small small_replication/package" in answer.out
+        recipe = (tmp_path / "small_replication" / "package" / "Containerfile").read_text("utf-8")
+        assert recipe.splitlines()[2].startswith("ARG BASE=docker.io/library/python:3.")
+        assert not (tmp_path / "small_replication" / "small").exists()
+
+    def test_an_altered_package_is_refused_and_nothing_is_written(self, robot_runner, package, tmp_path):
+        _rewrite(package, "config/small.py", b"Video", b"Videos", with_sums=False)
+        answer = robot_runner("replicate", "small.zip", "--yes")
+        assert answer.code == 2
+        assert "it was altered" in answer.err
+        assert [path.name for path in tmp_path.iterdir()] == ["small.zip"]
+
+    def test_an_experiment_that_nobody_sealed_says_so(self, robot_runner, experiment, tmp_path):
+        answer = robot_runner("replicate", shutil.copytree(experiment, tmp_path / "open"), "--yes", "--to", "again")
+        assert answer.code == 0, answer.err
+        assert "not sealed" in answer.out
+        assert "nothing tells whether it was altered" in answer.err
+
+    def test_a_name_that_leads_elsewhere_leads_nowhere(self, robot_runner, package, tmp_path):
+        _rewrite(package, "package.json", b'"experiment": "', b"../../\\u001b[2J")
+        answer = robot_runner("replicate", "small.zip", "--environment", "container")
+        assert answer.code == 0, answer.err
+        assert "\x1b" not in answer.out
+        assert len(list(tmp_path.iterdir())) == 2  # the package, and a folder beside it
+
+    def test_an_unknown_environment_is_refused(self, robot_runner):
+        answer = robot_runner("replicate", "small.zip", "--environment", "vnev")
+        assert (answer.code, "'venv'" in answer.err) == (2, True)
+
+    def test_a_bound_that_is_none_is_refused_before_anything_is_executed(self, robot_runner, tmp_path):
+        answer = robot_runner("replicate", "small.zip", "--yes", "--bound", "five")
+        assert answer.code == 2
+        assert "'five'" in answer.err
+        assert [path.name for path in tmp_path.iterdir()] == ["small.zip"]
+
+
+def test_it_is_replicated_in_an_empty_folder_and_a_fresh_environment(packed, tmp_path):
+    """The program is the one that the package brings, and it knows nothing of where it was packed."""
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    package = shutil.copy(packed.path, folder / "small.zip")
+    python = _fresh_environment(tmp_path / "fresh", Path(package))
+    where = subprocess.run(
+        [python, "-c", "import robot_runner; print(robot_runner.__file__)"], capture_output=True, text=True, check=True
+    )
+    assert str(tmp_path / "fresh") in where.stdout
+    environment = {"PATH": "/usr/bin:/bin", "HOME": str(folder), "LANG": "C.UTF-8"}
+    answer = subprocess.run(
+        [python, "-m", "robot_runner", "replicate", "small.zip", "--yes"],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+    assert answer.returncode == 0, answer.stderr
+    assert "The results are identical: every value of 4 runs, to the last digit." in answer.stdout
+    assert answer.stdout.count("equivalent") == 4
+
+
+@pytest.mark.soak
+def test_the_whole_demo_is_replicated_identically(program, tmp_path):
+    for words in (
+        ["demo", "--folder", "demo"],
+        ["pack", "demo/basic_experiment", "--to", "demo.zip"],
+        ["replicate", "demo.zip", "--yes"],
+    ):
+        answer = subprocess.run(
+            [program, *words], cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False
+        )
+        assert answer.returncode == 0, answer.stderr
+    assert "The results are identical: every value of 15 runs" in answer.stdout
+
+
+def _fresh_environment(folder, package):
+    """Make an environment with the package's wheel; the libraries are those of the tests, for want of a network."""
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True, timeout=60)
+    site = next(folder.glob("lib/python*/site-packages"))
+    with zipfile.ZipFile(package) as archive:
+        wheels = [name for name in archive.namelist() if name.endswith(".whl")]
+        assert [name.rpartition("/")[2].partition("-")[0] for name in wheels] == ["robot_runner"]
+        wheel = archive.extract(wheels[0], folder)
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(site)
+    (site / "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n", encoding="utf-8")
+    return str(folder / "bin" / "python")
+
+
+def _rewrite(package, name, before, after, *, with_sums=True):
+    """Write a package anew with one file changed; `before` is replaced, or followed where sums are made right."""
+    beside = package.with_suffix(".new")
+    with zipfile.ZipFile(package) as old, zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED) as new:
+        content = old.read(name)
+        assert before in content
+        changed = content.replace(before, before + after if with_sums else after)
+        sums = old.read("SHA256SUMS")
+        if with_sums:
+            digests = [hashlib.sha256(each).hexdigest().encode() for each in (content, changed)]
+            sums = sums.replace(*digests)
+        for entry in old.namelist():
+            new.writestr(entry, {name: changed, "SHA256SUMS": sums}.get(entry, old.read(entry)))
+    beside.replace(package)

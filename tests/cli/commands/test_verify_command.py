@@ -1,0 +1,48 @@
+"""`robot-runner verify` says whether a package is intact, and executes nothing of it."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture
+def package(packed, tmp_path):
+    return Path(shutil.copy(packed.path, tmp_path / "small.zip"))
+
+
+def test_an_intact_package_is_called_so(robot_runner, package, packed, tmp_path):
+    answer = robot_runner("verify", "small.zip", "--sha256", packed.sha256.upper())
+    assert answer.code == 0
+    assert answer.out.startswith("small  intact")
+    assert packed.sha256 in answer.out
+    assert [path.name for path in tmp_path.iterdir()] == ["small.zip"]
+
+
+def test_a_damaged_package_is_refused(robot_runner, package):
+    content = bytearray(package.read_bytes())
+    content[5000] ^= 255
+    package.write_bytes(content)
+    answer = robot_runner("verify", "small.zip")
+    assert answer.code == 2
+    assert "damaged" in answer.err
+    facts = robot_runner("verify", "small.zip", "--json").json
+    assert facts["is_intact"] is False
+    assert facts["findings"][0]["severity"] == "error"
+
+
+@pytest.mark.usefixtures("package")
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (["small.zip", "--sha256", "0" * 64], "its SHA-256 is"),
+        (["small.zip", "--sha256", "12"], "no SHA-256"),
+        (["smal.zip"], "no such file"),
+    ],
+)
+def test_what_cannot_be_is_refused(robot_runner, words, problem):
+    answer = robot_runner("verify", *words)
+    assert answer.code == 2
+    assert problem in answer.err

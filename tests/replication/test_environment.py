@@ -1,0 +1,150 @@
+"""What is known of an environment is recorded, and what is not is said."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import zipfile
+
+import pytest
+
+from robot_runner.errors import PackageError
+from robot_runner.links.ros_packages import describe_ros
+from robot_runner.replication.differences import differing_environment, differing_packages
+from robot_runner.replication.distributions import closure, installed_distributions
+from robot_runner.replication.environment import record_environment
+from robot_runner.replication.local_wheels import wheel_name, wheel_of, write_wheel
+from robot_runner.replication.virtual_environment import make_environment, remaining_differences
+from robot_runner.storage.manifest import describe_host, describe_software
+
+
+@pytest.fixture
+def manifest():
+    return {"software": describe_software(), "host": describe_host(), "robot": "simulated"}
+
+
+def test_what_the_program_needs_is_told_from_what_happens_to_be_installed(manifest, tmp_path):
+    (tmp_path / "config.py").write_text("import pexpect\n", encoding="utf-8")
+    needed = {each.name for each in record_environment(manifest, tmp_path).needed}
+    assert {"robot-runner", "rich", "numpy", "pexpect", "ptyprocess"} <= needed
+    assert not {"ruff", "mypy", "pytest"} & needed
+    assert "mdurl" in closure(["rich"])
+
+
+def test_a_hash_is_required_only_where_all_are_known(manifest, tmp_path):
+    environment = record_environment(manifest, tmp_path)
+    some = environment.requirements({"robot-runner": "ab" * 32})
+    assert "robot-runner==" in some
+    assert f"  # --hash=sha256:{'ab' * 32}" in some
+    every = environment.requirements(dict.fromkeys(environment.packages, "ab" * 32))
+    assert f"rich=={environment.packages['rich'].version} --hash=sha256:{'ab' * 32}" in every.splitlines()
+
+
+def test_an_environment_of_another_machine_is_said_to_be_one(manifest, tmp_path):
+    manifest["software"]["robot_runner"] = "0.0.1"
+    manifest["software"]["packages"] = {"robot_runner": "0.0.1", "rich": "1.0", "left_pad": "1.0"}
+    environment = record_environment(manifest, tmp_path)
+    assert [each.requirement for each in environment.needed] == ["left-pad==1.0", "rich==1.0", "robot-runner==0.0.1"]
+    assert "not the environment" in environment.findings[0].problem
+
+
+def test_a_wheel_of_a_local_package_can_be_imported_elsewhere(tmp_path):
+    distribution = installed_distributions()["robot-runner"]
+    if not distribution.is_local:
+        pytest.skip("robot-runner is not installed from a folder here")
+    wheel = tmp_path / wheel_name(distribution)
+    write_wheel(wheel_of(distribution), wheel)
+    again = tmp_path / "again.whl"
+    write_wheel(wheel_of(distribution), again)
+    assert wheel.read_bytes() == again.read_bytes()
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path / "site")
+    code = "import robot_runner.errors as e; print(e.__file__)"
+    answer = subprocess.run(
+        [sys.executable, "-c", code],
+        env={"PYTHONPATH": str(tmp_path / "site")},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert answer.stdout.startswith(str(tmp_path / "site"))
+
+
+def test_the_same_environment_does_not_differ(manifest, tmp_path):
+    environment = record_environment(manifest, tmp_path).as_mapping({})
+    assert differing_environment(environment, robot="simulated") == []
+
+
+def test_each_kind_of_difference_is_named(manifest, tmp_path):
+    environment = record_environment(manifest, tmp_path).as_mapping({})
+    environment["python"] = "3.9.1"
+    environment["host"] = {**environment["host"], "processor": "Cortex-A72", "memory_bytes": 1 << 30, "governor": "x"}
+    environment["ros"] = {"version": 2, "distro": "jazzy", "packages": {}}
+    environment["packages"]["rich"]["version"] = "1.0"
+    environment["packages"]["numpy"]["fingerprint"] = "00"
+    environment["packages"]["gone"] = {"name": "gone", "version": "2.0", "is_needed": True}
+    found = {each.what: (each.original, each.here) for each in differing_environment(environment, robot="rosbridge")}
+    assert found["Robot"] == ("simulated", "rosbridge")
+    assert found["Python"][0] == "3.9.1"
+    assert found["Processor"][0] == "Cortex-A72"
+    assert found["Memory"][0] == "1.0 GiB"
+    assert found["ROS"] == ("2 jazzy", "-")
+    assert found["rich"][0] == "1.0"
+    assert found["numpy"][1].endswith("with other files")
+    assert found["gone"] == ("2.0", "-")
+
+
+def test_ros_packages_are_found_with_their_versions(tmp_path):
+    for prefix, name, version in (("overlay", "nav2", "2.0.0"), ("base", "nav2", "1.0.0"), ("base", "rclpy", "7.1.1")):
+        folder = tmp_path / prefix / "share" / name
+        folder.mkdir(parents=True)
+        (folder / "package.xml").write_text(f"<package><version> {version} </version></package>", encoding="utf-8")
+    path = f"{tmp_path / 'overlay'}:{tmp_path / 'base'}"
+    found = describe_ros({"ROS_VERSION": "2", "ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": path})
+    assert found == {
+        "version": 2,
+        "distro": "jazzy",
+        "middleware": None,
+        "packages": {"nav2": "2.0.0", "rclpy": "7.1.1"},
+    }
+    assert describe_ros({}) is None
+
+
+def test_an_environment_is_made_of_the_packages_own_wheels(tmp_path):
+    root = tmp_path / "package"
+    _tiny_wheel(root / "environment" / "wheels")
+    (root / "environment" / "requirements.txt").write_text("tiny==1.0\n", encoding="utf-8")
+    environment = {"packages": {"tiny": {"name": "tiny", "version": "1.0", "is_needed": True}}}
+    folder = tmp_path / "made"
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setenv("PIP_NO_INDEX", "1")
+        make_environment(root, folder, environment)
+        (root / "environment" / "requirements.txt").unlink()
+        make_environment(root, folder, environment)  # made already
+    assert remaining_differences(folder, environment) == []
+    environment["packages"]["tiny"]["version"] = "2.0"
+    assert [each.here for each in remaining_differences(folder, environment)] == ["1.0"]
+
+
+def test_what_pip_said_is_shown_where_an_environment_cannot_be_made(tmp_path):
+    root = tmp_path / "package"
+    _tiny_wheel(root / "environment" / "wheels")
+    (root / "environment" / "requirements.txt").write_text("no-such-package==1.0\n", encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setenv("PIP_NO_INDEX", "1")
+        with pytest.raises(PackageError, match="No matching distribution"):
+            make_environment(root, tmp_path / "made", {})
+
+
+def test_an_uninstalled_package_is_a_difference():
+    environment = {"packages": {"a": {"version": "1", "is_needed": True}, "b": {"version": "1", "is_needed": False}}}
+    assert [each.what for each in differing_packages(environment, {})] == ["a"]
+
+
+def _tiny_wheel(folder):
+    folder.mkdir(parents=True)
+    with zipfile.ZipFile(folder / "tiny-1.0-py3-none-any.whl", "w") as archive:
+        archive.writestr("tiny.py", "")
+        archive.writestr("tiny-1.0.dist-info/METADATA", "Metadata-Version: 2.1\nName: tiny\nVersion: 1.0\n")
+        archive.writestr("tiny-1.0.dist-info/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
+        archive.writestr("tiny-1.0.dist-info/RECORD", "tiny.py,,\n")

@@ -1,0 +1,94 @@
+"""Each value of a run is traced to where it comes from, from the folder alone."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from tests.analysis.experiment_folders import two_tasks
+from tests.replication.small_experiment import CONFIG
+
+from robot_runner.errors import StorageError
+from robot_runner.replication.explanation import explain_run
+
+
+def _facts(folder, run, name):
+    value = explain_run(folder, run, [name]).values[0]
+    return value, dict(value.facts)
+
+
+def _line(text):
+    return next(place for place, line in enumerate(CONFIG.splitlines(), start=1) if text in line)
+
+
+def test_a_value_of_a_plugin(experiment):
+    value, facts = _facts(experiment, "r_2", "Energy")
+    assert (value.role, value.unit) == ("measure", "J")
+    assert facts["Origin"] == "simulated, not measured"
+    assert facts["Plugin"].startswith("Ina219 (robot-runner ")
+    assert facts["Raw data"].startswith("runs/r_2/Ina219/quality.json (")
+    assert "integral of power" in facts["Aggregation"]
+    assert facts["Config"].startswith(f"config/small.py:{_line('Ina219()')}  ")
+    assert facts["Published"] == "in populate_run_data of attempt 1 (journal.jsonl)"
+
+
+def test_a_value_of_a_callback(experiment):
+    _, facts = _facts(experiment, "r_2", "Phases")
+    assert facts["From"] == "the config"
+    assert facts["Config"].startswith(f"config/small.py:{_line('def populate_run_data')}  ")
+
+
+def test_a_value_that_has_no_column(experiment):
+    value, facts = _facts(experiment, "r_1", "MeanPower")
+    assert value.value > 0
+    assert facts["Plugin"].startswith("Ina219 (")
+
+
+def test_a_factor_and_a_repetition(experiment):
+    _, facts = _facts(experiment, "r_1", "Task")
+    assert facts["Treatments"] == "Video, Network"
+    assert facts["Config"].startswith(f"config/small.py:{_line('Factor(')}  ")
+    assert _facts(experiment, "r_1", "Repetition")[1]["Treatments"] == "1 to 2"
+
+
+def test_a_time_stamp(experiment):
+    _, facts = _facts(experiment, "r_1", "launch_mission_at")
+    assert facts["Event"].startswith("launch_mission, emitted in the run's own process")
+    assert facts["Run's clock"].endswith("s (simulated time)")
+    assert facts["Config"].startswith(f"config/small.py:{_line('def launch_mission')}  ")
+    assert "orchestrator" in _facts(experiment, "r_1", "before_run_at")[1]["Event"]
+
+
+def test_what_holds_for_the_whole_run(experiment):
+    explanation = explain_run(experiment, "r_1")
+    facts = dict(explanation.facts)
+    assert facts["Place"].startswith("run 1 of 4, randomised from seed ")
+    assert facts["Attempt"].startswith("1, 20")
+    assert facts["Robot"] == "simulated"
+    assert "Python 3." in facts["Host"]
+    assert "Energy" in {each.name for each in explanation.values}
+
+
+def test_a_value_that_was_edited_by_hand_is_told_from_what_was_published(experiment, tmp_path):
+    folder = Path(shutil.copytree(experiment, tmp_path / "edited"))
+    value, _ = _facts(folder, "r_1", "Energy")
+    table = folder / "run_table.csv"
+    table.write_text(table.read_text("utf-8").replace(repr(value.value), "1.0", 1), encoding="utf-8")
+    edited, facts = _facts(folder, "r_1", "Energy")
+    assert edited.value == 1.0
+    assert f"the journal has {value.value!r}" in facts["Edited"]
+
+
+def test_a_folder_without_config_is_explained_as_far_as_it_goes(tmp_path):
+    two_tasks(tmp_path / "made", (1.0, 2.0), (3.0, 4.0), name="made")
+    value, facts = _facts(tmp_path / "made", "r_1", "Energy")
+    assert value.value == 1.0
+    assert "Config" not in facts
+
+
+@pytest.mark.parametrize(("run", "name", "near"), [("r_11", "Energy", "'r_1'"), ("r_1", "Enrgy", "'Energy'")])
+def test_what_is_not_there_is_named_with_the_nearest(experiment, run, name, near):
+    with pytest.raises(StorageError) as refused:
+        explain_run(experiment, run, [name])
+    assert near in refused.value.fix

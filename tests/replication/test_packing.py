@@ -1,0 +1,206 @@
+"""A package holds everything that others need, nothing that is private, and is the same each time."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import tracemalloc
+import zipfile
+from pathlib import Path
+
+import pytest
+from tests.replication.small_experiment import RUNS, SECRET, home
+
+from robot_runner.config.authors import Author
+from robot_runner.errors import PackageError
+from robot_runner.replication.packing import Packing, pack
+from robot_runner.storage.lock import ExperimentLock
+
+
+@pytest.fixture
+def copied(experiment, tmp_path):
+    return Path(shutil.copytree(experiment, tmp_path / "small"))
+
+
+def _names(path):
+    with zipfile.ZipFile(path) as archive:
+        return set(archive.namelist())
+
+
+def _text(path, name):
+    with zipfile.ZipFile(path) as archive:
+        return archive.read(name).decode()
+
+
+def test_packing_twice_gives_the_same_bytes(experiment, ada, tmp_path):
+    # Wheels of code that somebody edits meanwhile would differ: that they are the same is a test of theirs.
+    with home(ada):
+        first, again = (pack(experiment, tmp_path / name, Packing(with_wheels=False)) for name in ("a.zip", "b.zip"))
+    assert again.sha256 == first.sha256
+    assert again.path.read_bytes() == first.path.read_bytes()
+
+
+def test_everything_that_others_need_is_in_it(packed):
+    names = _names(packed.path)
+    assert names >= {
+        "config/small.py",
+        "config/packed_paces.py",
+        "run_table.csv",
+        "run_table.schema.json",
+        "journal.jsonl",
+        "manifest.json",
+        "runs/r_1/log.txt",
+        "runs/r_1/Ina219/samples.csv",
+        "environment/requirements.txt",
+        "environment/environment.json",
+        "ro-crate-metadata.json",
+        "datapackage.json",
+        "package.json",
+        "SHA256SUMS",
+        "README.md",
+        "Containerfile",
+    }
+    assert not {name for name in names if "current_log" in name or name.startswith(".")}
+
+
+def test_the_checksums_can_be_checked_without_us(unpacked):
+    checked = subprocess.run(["sha256sum", "--check", "--quiet", "SHA256SUMS"], cwd=unpacked, check=False)
+    assert checked.returncode == 0
+
+
+def test_secrets_and_home_paths_are_nowhere(packed, ada):
+    with zipfile.ZipFile(packed.path) as archive:
+        for name in archive.namelist():
+            content = archive.read(name)
+            assert SECRET.encode() not in content, name
+            assert str(ada).encode() not in content, name
+            if not name.endswith(".whl"):  # our own documentation has examples
+                assert b"/home/ada" not in content, name
+
+
+def test_what_was_replaced_is_listed(packed):
+    listed = {(each.name, each.what): each.count for each in packed.replaced}
+    assert listed["config/small.py", "password"] == 1
+    assert listed["config/small.py", "home path"] == 1
+    assert listed["runs/r_1/log.txt", "password"] == 1
+    assert listed["runs/r_1/log.txt", "home path"] == 1
+    assert json.loads(_text(packed.path, "package.json"))["replaced"] == [
+        {"name": each.name, "what": each.what, "count": each.count} for each in packed.replaced
+    ]
+
+
+def test_a_config_still_parses_once_its_secrets_are_replaced(packed):
+    code = _text(packed.path, "config/small.py")
+    compile(code, "small.py", "exec")
+    assert 'wifi_password = "REDACTED"' in code
+
+
+def test_keys_links_and_what_is_half_written_stay_behind(copied, tmp_path):
+    (copied / "known_hosts").write_text("robot ssh-ed25519 AAAA\n", encoding="utf-8")
+    (copied / "robot.pem").write_text("-----BEGIN PRIVATE KEY-----", encoding="utf-8")
+    (copied / "passwords").symlink_to("/etc/passwd")
+    (copied / "elsewhere").symlink_to("/etc", target_is_directory=True)
+    packed = pack(copied, tmp_path / "small.zip")
+    assert {each.name for each in packed.left_out} == {"known_hosts", "robot.pem", "passwords", "elsewhere"}
+    assert not {"known_hosts", "robot.pem", "passwords"} & _names(packed.path)
+    assert "`robot.pem`" in _text(packed.path, "README.md")
+
+
+def test_a_binary_file_with_a_secret_is_left_out_unless_it_is_kept(copied, tmp_path):
+    (copied / "recording.db3").write_bytes(b"\0\1\2 /home/ada/bags \0")
+    assert [each.name for each in pack(copied, tmp_path / "a.zip").left_out] == ["recording.db3"]
+    kept = pack(copied, tmp_path / "b.zip", Packing(keep=("*.db3",)))
+    assert kept.left_out == ()
+    assert "recording.db3" in _names(kept.path)
+
+
+@pytest.mark.parametrize(
+    ("raw", "taken"),
+    [(("none",), set()), (("PsUtil",), {"PsUtil"}), (("all",), {"PsUtil", "Ina219", "BasicTurtlebot3"})],
+)
+def test_raw_data_can_be_chosen(copied, tmp_path, raw, taken):
+    packed = pack(copied, tmp_path / "small.zip", Packing(raw=raw))
+    names = {name for name in _names(packed.path) if name.startswith("runs/")}
+    assert {name.split("/")[2] for name in names if name.count("/") == 3} == taken
+    assert "runs/r_1/log.txt" in names
+    assert len(packed.left_out) == 3 - len(taken)
+
+
+def test_raw_data_of_a_plugin_that_has_none_are_refused(copied, tmp_path):
+    with pytest.raises(PackageError, match="'Ina219'"):
+        pack(copied, tmp_path / "small.zip", Packing(raw=("Ina129",)))
+    assert not (tmp_path / "small.zip").exists()
+
+
+def test_who_packs_may_name_authors_and_licence(copied, tmp_path):
+    packed = pack(copied, tmp_path / "small.zip", Packing(authors=(Author("Ada Lovelace"),), licence="MIT"))
+    crate = json.loads(_text(packed.path, "ro-crate-metadata.json"))["@graph"]
+    root = next(entity for entity in crate if entity["@id"] == "./")
+    assert root["license"] == {"@id": "https://spdx.org/licenses/MIT"}
+    assert [entity["name"] for entity in crate if entity["@type"] == "Person"] == ["Ada Lovelace"]
+    assert "has no orcid" in " ".join(finding.problem for finding in packed.findings)
+
+
+def test_the_environment_names_versions_and_fingerprints(packed):
+    environment = json.loads(_text(packed.path, "environment/environment.json"))
+    rich = environment["packages"]["rich"]
+    assert rich["is_needed"]
+    assert len(rich["fingerprint"]) == 64
+    lines = _text(packed.path, "environment/requirements.txt").splitlines()
+    assert f"rich=={rich['version']}" in lines
+    assert not [line for line in lines if line.startswith("pytest")]
+    assert environment["host"]["memory_bytes"] > 0
+
+
+def test_an_experiment_that_is_being_executed_is_not_packed(copied, tmp_path):
+    with ExperimentLock(copied / ".lock"):  # this process holds it: another one has to look
+        code = (
+            "from pathlib import Path; from robot_runner.replication.packing import pack; pack(Path({!r}), Path({!r}))"
+        )
+        words = code.format(str(copied), str(tmp_path / "a.zip"))
+        asked = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=False)
+    assert "it is being executed by process" in asked.stderr
+    assert not (tmp_path / "a.zip").exists()
+
+
+def test_a_package_is_not_written_into_what_it_holds(copied):
+    with pytest.raises(PackageError, match="part of what it holds"):
+        pack(copied, copied / "small.zip")
+
+
+def test_a_file_that_is_no_package_is_not_replaced(copied, tmp_path):
+    (tmp_path / "notes.zip").write_text("mine", encoding="utf-8")
+    with pytest.raises(PackageError, match="no package"):
+        pack(copied, tmp_path / "notes.zip")
+    assert (tmp_path / "notes.zip").read_text(encoding="utf-8") == "mine"
+
+
+def test_memory_does_not_grow_with_the_size_of_a_file(copied, tmp_path):
+    line = b"0.041389,6051,24938,0.605100,12.468,7.544387\n"
+    with (copied / "runs" / "r_1" / "Ina219" / "long.csv").open("wb") as file:
+        for _ in range(40):
+            file.write(line * ((1 << 20) // len(line)))
+    (copied / "runs" / "r_1" / "Ina219" / "one_line.csv").write_bytes(b"7" * (10 << 20))
+    told = []
+    tracemalloc.start()
+    try:
+        pack(copied, tmp_path / "a.zip", Packing(with_wheels=False), lambda done, total: told.append((done, total)))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 32 << 20
+    assert told[-1][0] == told[-1][1] > 50 << 20
+
+
+def test_what_is_missing_is_said(copied, tmp_path):
+    said = " ".join(finding.problem for finding in pack(copied, tmp_path / "small.zip").findings)
+    assert "there is no report" in said
+    shutil.rmtree(copied / "config")
+    said = " ".join(finding.problem for finding in pack(copied, tmp_path / "small.zip").findings)
+    assert "there is no config" in said
+
+
+def test_the_table_of_the_package_has_every_run(packed):
+    assert len(_text(packed.path, "run_table.csv").splitlines()) == RUNS + 1

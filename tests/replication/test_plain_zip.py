@@ -1,0 +1,46 @@
+"""The zip file of a package is the same each time, also in the form for large files, and whole or not there."""
+
+from __future__ import annotations
+
+import sys
+import zipfile
+
+import pytest
+
+from robot_runner.errors import PackageError, StorageError
+from robot_runner.replication import plain_zip
+from robot_runner.replication.packing import pack
+from robot_runner.replication.plain_zip import written_beside
+
+
+def test_the_form_for_large_files_reads_as_any(tmp_path, monkeypatch):
+    monkeypatch.setattr(plain_zip, "_LARGE", 10)
+    with written_beside(tmp_path / "a.zip") as archive:
+        stored = archive.add("runs/a.csv", [b"a,b\n", b"1,2\n"], size=11)
+        archive.add_folders()
+    assert (stored.size, len(stored.sha256)) == (8, 64)
+    with zipfile.ZipFile(tmp_path / "a.zip") as opened:
+        assert opened.read("runs/a.csv") == b"a,b\n1,2\n"
+        assert [entry.filename for entry in opened.infolist()] == ["runs/a.csv", "runs/"]
+        assert {entry.date_time for entry in opened.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+        assert opened.getinfo("runs/a.csv").extract_version == 45  # version 4.5: ZIP64
+
+
+def test_what_breaks_off_leaves_nothing_behind(tmp_path):
+    (tmp_path / "a.zip").write_text("before", encoding="utf-8")
+
+    def breaks():
+        yield b"a"
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(StorageError), written_beside(tmp_path / "a.zip") as archive:
+        archive.add("a", breaks())
+    assert [path.name for path in tmp_path.iterdir()] == ["a.zip"]
+    assert (tmp_path / "a.zip").read_text(encoding="utf-8") == "before"
+
+
+def test_without_the_extra_it_is_named(experiment, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rocrate", None)
+    with pytest.raises(PackageError) as refused:
+        pack(experiment, tmp_path / "a.zip")
+    assert refused.value.fix == "Install it: pip install 'robot-runner[replication]'"

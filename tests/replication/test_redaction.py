@@ -1,0 +1,110 @@
+"""Secrets are found in whatever form they are written, and what only looks like one stays."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from robot_runner.replication.redaction import Redactor, is_binary, secrets_in_code
+
+
+def _clean(text, *, loose=True, secrets=(), home=None):
+    return Redactor.knowing(secrets, home=home).redacted(text.encode(), Counter(), loose=loose).decode()
+
+
+@pytest.mark.parametrize(
+    ("text", "cleaned"),
+    [
+        ('{"password": "hunter2", "n": 3}', '{"password": "REDACTED", "n": 3}'),
+        (r'{"password": "a\"b", "n": 3}', '{"password": "REDACTED", "n": 3}'),
+        (r'{"fields":"{\"api_key\": \"abc\"}"}', r'{"fields":"{\"api_key\": \"REDACTED\"}"}'),
+        ('password = "1234"', 'password = "REDACTED"'),
+        ("connect(token='xyz', user='ada')", "connect(token='REDACTED', user='ada')"),
+        ("https://ada:lovelace@lab.example/x", "https://ada:REDACTED@lab.example/x"),
+        ("Authorization: Bearer abcdefghijklmnop", "Authorization: Bearer REDACTED"),
+        ("key ghp_abcdefghijklmnopqrstuvwxyz012345", "key REDACTED"),
+        ("pi ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIabc ada@pi", "pi ssh-ed25519 REDACTED ada@pi"),
+        ("SHA256:" + "aB3/" * 10 + "xyz", "SHA256:REDACTED"),
+        ("sshpass --password hunter2 pi", "sshpass --password REDACTED pi"),
+        ("opened /home/ada/maps/lab.pgm", "opened ~/maps/lab.pgm"),
+        ("file:///Users/ada/lab", "file://~/lab"),
+        ("cwd=/root/study", "cwd=~/study"),
+    ],
+)
+def test_a_secret_is_replaced(text, cleaned):
+    assert _clean(text, loose=False) == cleaned
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time_s,power_W\n0.1,7.5\n",
+        'getpass("Password: ") or ask("again")',
+        "password = os.environ['WIFI_PASSWORD']",
+        "def connect(password: str) -> None: ...",
+        "tokens = tokenize(text)",
+        "/mnt/home/data /opt/root/x /rootfs/x",
+        '{"hash": "sha256:' + "ab" * 32 + '"}',
+        "~/already/short",
+    ],
+)
+def test_what_is_no_secret_stays(text):
+    assert _clean(text, loose=False) == text
+
+
+def test_a_log_may_be_cleaned_more_loosely_than_code():
+    assert _clean("wifi password: hunter2\n") == "wifi password: REDACTED\n"
+    assert _clean("password: str = ask()\n", loose=False) == "password: str = ask()\n"
+
+
+def test_a_private_key_goes_whole():
+    key = "-----BEGIN OPENSSH PRIVATE KEY-----\nabc\ndef\n-----END OPENSSH PRIVATE KEY-----"
+    assert "abc" not in _clean(f"before\n{key}\nafter")
+    assert "abc" not in _clean(key.replace("\n", "\\n"))
+
+
+def test_secrets_of_the_config_and_the_own_home_are_found_everywhere():
+    home = Path("/srv/people/ada")
+    assert _clean("joined with swordfish at /srv/people/ada/x", secrets={"swordfish"}, home=home) == (
+        "joined with REDACTED at ~/x"
+    )
+
+
+def test_code_gives_its_secrets_away():
+    code = """\
+api_key: str = 'first-one'
+settings = {'db_password': 'second-one', 'name': 'nobody'}
+os.environ['TOKEN'] = 'third-one'
+def connect(host, passphrase='fourth-one', *, secret=b'fifth-one'): ...
+self.password = 'sixth-one'
+tokenizer = 'not-this'
+"""
+    assert secrets_in_code(code) == {"first-one", "second-one", "third-one", "fourth-one", "fifth-one", "sixth-one"}
+    assert secrets_in_code("this is (no code") == set()
+
+
+def test_a_secret_across_two_blocks_is_found(tmp_path):
+    path = tmp_path / "log.txt"
+    line = "x" * 99 + "\n"
+    path.write_text(line * 10485 + "token=abcdefgh\n" + line * 20000, encoding="utf-8")  # at the end of the first MiB
+    found: Counter[str] = Counter()
+    cleaned = b"".join(Redactor.knowing((), home=None).blocks(path, found))
+    assert b"abcdefgh" not in cleaned
+    assert found == {"password": 1}
+    assert len(cleaned) == path.stat().st_size
+
+
+def test_a_key_across_two_blocks_is_found(tmp_path):
+    path = tmp_path / "log.txt"
+    begin, end = "-----BEGIN RSA PRIVATE KEY-----\n", "-----END RSA PRIVATE KEY-----\n"
+    path.write_text("x" * 99 + "\n" + ("y" * 99 + "\n") * 10484 + begin + "MIIE\n" * 30 + end, encoding="utf-8")
+    assert b"MIIE" not in b"".join(Redactor.knowing((), home=None).blocks(path, Counter()))
+
+
+def test_bytes_that_are_no_text_are_told_from_text(tmp_path):
+    (tmp_path / "a.csv").write_text("a,b\n", encoding="utf-8")
+    (tmp_path / "b.dat").write_bytes(b"\0\1")
+    (tmp_path / "c.parquet").write_text("PAR1", encoding="utf-8")
+    assert [is_binary(tmp_path / name) for name in ("a.csv", "b.dat", "c.parquet")] == [False, True, True]
