@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import mujoco
 
 from benchmarks.table import Row, print_table
-from robot_runner.links.simulated import SimulatedHost, SimulatedRobotLink, SimulatedSerialLine
+from robot_runner.links.simulated import SimulatedHost, SimulatedSerialLine
+from robot_runner.links.simulated_robot import SimulatedRobotLink
 from robot_runner.simulator.clock import STEPS_PER_SECOND
 from robot_runner.simulator.model import burger_model
 from robot_runner.simulator.parameters import Turtlebot3Parameters

@@ -3,7 +3,8 @@
 #
 # On Debian as root it is installed. Elsewhere the tests that need it are skipped, and this says what is missing.
 set -u
-packages="openssh-server openssh-client gcc-avr avr-libc simavr libsimavr-dev gcc libc6-dev libelf-dev chromium tshark busybox dosfstools arduino-core-avr mtools linux-perf python3-rospy python3-rosmaster python3-rosbag python3-roslaunch python3-rosgraph python3-rosnode python3-rostopic python3-rosservice python3-geometry-msgs python3-nav-msgs python3-sensor-msgs python3-std-msgs python3-std-srvs python3-rosgraph-msgs python3-tf2-msgs"
+trap 'sh "$(dirname "$0")/debian_ros.sh"' EXIT
+packages="openssh-server openssh-client gcc-avr avr-libc simavr libsimavr-dev gcc libc6-dev libelf-dev chromium tshark busybox dosfstools arduino-core-avr mtools linux-perf python3-rospy python3-rosmaster python3-rosbag python3-roslaunch python3-rosgraph python3-rosnode python3-rostopic python3-rosservice python3-geometry-msgs python3-nav-msgs python3-sensor-msgs python3-std-msgs python3-std-srvs python3-rosgraph-msgs python3-tf2-msgs catkin"
 
 command -v dpkg-query >/dev/null 2>&1 || {
     echo "This is no Debian: tests that need one of these programs are skipped: $packages"

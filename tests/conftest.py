@@ -1,15 +1,16 @@
-"""What tests of several floors share: config files, written to a folder of the test's own."""
+"""What tests of several floors share: config files, written to a folder of the test's own, and one ROS 1 master."""
 
 from __future__ import annotations
 
+import os
 import textwrap
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
+    from collections.abc import Callable, Iterator
 
 HEAD = """\
 from pathlib import Path
@@ -38,3 +39,19 @@ def write_config(tmp_path: Path) -> Callable[..., Path]:
         return path
 
     return write
+
+
+@pytest.fixture(scope="session")
+def master_uri(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """One master for all tests of ROS 1: a process can join the graph of one only."""
+    from tests.links.ros1_master import ros1_environment, ros1_master
+
+    folder = Path(tmp_path_factory.mktemp("ros1"))
+    with ros1_master(folder) as uri:
+        before = dict(os.environ)
+        os.environ.update(ros1_environment(uri, folder))
+        try:
+            yield uri
+        finally:
+            os.environ.clear()
+            os.environ.update(before)

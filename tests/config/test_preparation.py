@@ -176,6 +176,7 @@ def test_without_ros_an_experiment_that_requires_it_is_refused_and_told_of_the_s
     write_config: Write, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("ROS_VERSION", raising=False)
+    monkeypatch.setattr("robot_runner.config.checks.required_ros.installed_ros", lambda: None)
     (finding,) = findings_of(write_config("required_ros_version = 1\nrequired_ros_distro = 'melodic'"))
     assert "requires ROS 1 melodic, and no ROS is found" in finding.problem
     assert "--set robot=simulated" in finding.fix

@@ -51,7 +51,7 @@ def context_of(robot, resources, folder=Path()):
         repetition=1,
         run_seed=5,
         run_path=folder,
-        clock=open_clock(robot if robot in ROBOT_LINKS else None, resources, 5),
+        clock=open_clock(robot if robot == "simulated" else None, resources, 5),
         resources=resources,
         owner="test",
         broker=None,
@@ -130,11 +130,20 @@ def test_without_a_robot_there_is_no_link(resources, connect):
 
 @pytest.mark.parametrize("connect", CONNECTIONS)
 def test_the_simulator_is_never_a_silent_fallback(resources, connect):
-    with pytest.raises(LinkError, match="'ros1'") as caught:
-        connect(context_of("ros1", resources))
+    with pytest.raises(LinkError, match="'ros3'") as caught:
+        connect(context_of("ros3", resources))
+    assert "--set robot=simulated" in caught.value.fix or "'ros" in caught.value.fix
+    with pytest.raises(LinkError, match="'ros3'"):
+        open_clock("ros3", resources, 1)
+
+
+@pytest.mark.parametrize("connect", CONNECTIONS[1:])
+def test_a_real_robot_has_no_meter_or_computer_that_is_not_named(resources, connect):
+    with pytest.raises(LinkError, match="'dds'") as caught:
+        connect(context_of("dds", resources))
     assert "--set robot=simulated" in caught.value.fix
-    with pytest.raises(LinkError, match="'ros1'"):
-        open_clock("ros1", resources, 1)
+    assert "port=" in caught.value.fix
+    assert "host=" in caught.value.fix
 
 
 def test_a_simulated_robot_has_no_other_port_than_its_own(context):
@@ -142,9 +151,8 @@ def test_a_simulated_robot_has_no_other_port_than_its_own(context):
         open_serial_line(context, "/dev/ttyUSB0")
 
 
-def test_known_names_have_nothing_in_their_way():
-    for name in (None, *ROBOT_LINKS):
-        assert link_findings(name) == []
+def test_what_is_on_this_machine_has_nothing_in_its_way():
+    assert link_findings(None) == link_findings("simulated") == []
 
 
 def test_each_known_name_is_described_in_one_line():
@@ -154,7 +162,13 @@ def test_each_known_name_is_described_in_one_line():
 
 @pytest.mark.parametrize(
     ("robot", "fix"),
-    [("Simulated", "'simulated'"), ("simulatd", "'simulated'"), ("ros1", "--set robot=simulated"), ("", "--set")],
+    [
+        ("Simulated", "'simulated'"),
+        ("simulatd", "'simulated'"),
+        ("rosbrigde", "'rosbridge'"),
+        ("gazebo", "--set robot=simulated"),
+        ("", "--set"),
+    ],
 )
 def test_an_unknown_name_is_a_finding_with_a_way_out(robot, fix):
     [finding] = link_findings(robot)

@@ -8,7 +8,8 @@ from robot_runner.errors import LinkError
 from robot_runner.links.host import HostLink, UtilisationSample, UtilisationSampler
 from robot_runner.links.robot import RobotLink, Subscription
 from robot_runner.links.serial import Chunk, SerialLine
-from robot_runner.links.simulated import SimulatedHost, SimulatedRobotLink, SimulatedSerialLine
+from robot_runner.links.simulated import SimulatedHost, SimulatedSerialLine
+from robot_runner.links.simulated_robot import SimulatedRobotLink
 from robot_runner.simulator.simulation import Simulation
 from robot_runner.simulator.tasks import Task
 
@@ -107,7 +108,7 @@ def test_a_service_answers_with_its_response(link, robot):
         (lambda link: link.publish("cmd_vell", TWIST, FORWARD), "'cmd_vell'", "'cmd_vel'"),
         (lambda link: link.publish("/cmdvel", TWIST, FORWARD), "'/cmdvel'", "'/cmd_vel'"),
         (lambda link: link.publish("odom", "nav_msgs/Odometry", {}), "'odom'", "'cmd_vel'"),
-        (lambda link: link.publish("cmd_vel", "geometry_msgs/msg/Twist", {}), "msg/Twist", f"'{TWIST}'"),
+        (lambda link: link.publish("cmd_vel", "geometry_msgs/Twists", {}), "geometry_msgs/Twists", f"'{TWIST}'"),
         (lambda link: link.publish("cmd_vel", TWIST, {"linaer": {"x": 1}}), "'linaer'", "'linear'"),
         (lambda link: link.subscribe("odometry", "nav_msgs/Odometry", print), "'odometry'", "'odom'"),
         (lambda link: link.subscribe("odom", "nav_msgs/Odom", print), "nav_msgs/Odom", "'nav_msgs/Odometry'"),

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import importlib.util
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from robot_runner.errors import Finding, LinkError, nearest
 from robot_runner.events.clock import SystemClock
+from robot_runner.links.automatic import AUTO, found_robot
+from robot_runner.links.graph_clock import GraphClock
+from robot_runner.links.graph_links import GRAPH_LINKS, follows_graph_clock, graph_findings, open_graph_link
 from robot_runner.links.host import LOCAL
 from robot_runner.links.robot_name import RobotName, simulation_options
 
@@ -29,6 +33,7 @@ __all__ = [
     "connect_robot",
     "is_simulated",
     "link_findings",
+    "lives_by_simulation",
     "open_clock",
     "open_serial_line",
 ]
@@ -37,12 +42,20 @@ SIMULATED = "simulated"
 
 #: How a robot can be reached, by the name that a config gives in `robot`.
 ROBOT_LINKS = MappingProxyType(
-    {SIMULATED: "the embedded TurtleBot3 Burger: a physics simulation with a clock of its own"}
+    {
+        SIMULATED: "the embedded TurtleBot3 Burger: a physics simulation with a clock of its own",
+        **{name: link.description for name, link in GRAPH_LINKS.items()},
+        AUTO: "what is found: a ROS that is sourced, a ROS 1 master, a rosbridge, ROS 2 over DDS; never the simulation",
+    }
 )
 
 _SIMULATOR_PACKAGES = ("mujoco", "numpy")
 _INSTALL = "Install the simulator: pip install 'robot-runner[sim]'."
 _SIMULATE = "Execute it on the embedded robot: --set robot=simulated."
+_NAME_IT = (
+    "Name the port or the host in the plugin, as in Ina219(port='/dev/ttyUSB0') or PsUtil(host='pi@robot'). "
+    "Or: --set robot=simulated."
+)
 
 
 def link_findings(robot: str | None) -> list[Finding]:
@@ -56,14 +69,9 @@ def link_findings(robot: str | None) -> list[Finding]:
         return []
     try:
         name = _known(robot)
-        missing = [package for package in _SIMULATOR_PACKAGES if importlib.util.find_spec(package) is None]
-        if missing:
-            return [_not_installed(missing).as_finding()]
-        if name.options:
-            simulation_options(name.options)
+        return _simulator_findings(name) if name.link == SIMULATED else graph_findings(name)
     except LinkError as error:
         return [error.as_finding()]
-    return []
 
 
 def is_simulated(robot: str | None) -> bool:
@@ -76,8 +84,13 @@ def is_simulated(robot: str | None) -> bool:
     return robot is not None and robot.partition(":")[0].strip() == SIMULATED
 
 
+def lives_by_simulation(context: RobotRunnerContext) -> bool:
+    """Whether the run's clock is that of a simulation: of the embedded robot, or of one on a graph."""
+    return is_simulated(context.robot) or isinstance(context.clock, GraphClock)
+
+
 def open_clock(robot: str | None, resources: Resources, seed: int) -> Clock:
-    """Return the clock of a run: the simulation's on a simulated robot, else that of this machine.
+    """Return the clock of a run: the simulation's, the graph's where that lives by one of its own, else this machine's.
 
     Args:
         robot: how the robot is reached, or None where the experiment has none; an option such as
@@ -86,11 +99,18 @@ def open_clock(robot: str | None, resources: Resources, seed: int) -> Clock:
         seed: the run's seed.
 
     Raises:
-        LinkError: there is no link of this name, or the simulator is not installed.
+        LinkError: there is no link of this name, the simulator is not installed, or the graph does not tell the time.
     """
     if robot is None:
         return SystemClock()
-    return _simulation(resources, seed, _simulated(robot)).clock
+    name = _known(robot)
+    if name.link == SIMULATED:
+        return _simulation(resources, seed, name).clock
+    return (
+        resources.open("graph clock", partial(_graph_clock, name, resources))
+        if follows_graph_clock(name)
+        else SystemClock()
+    )
 
 
 def connect_robot(context: RobotRunnerContext, *, namespace: str = "") -> RobotLink:
@@ -99,10 +119,13 @@ def connect_robot(context: RobotRunnerContext, *, namespace: str = "") -> RobotL
     Raises:
         LinkError: the run has no robot, or it cannot be reached.
     """
+    name = _named(context.robot)
+    if name.link != SIMULATED:
+        return _graph_link(name, context.resources, context.clock, namespace)
     simulation = _simulation_of(context)
 
     def opener() -> RobotLink:
-        from robot_runner.links.simulated import SimulatedRobotLink  # noqa: PLC0415  # it imports MuJoCo
+        from robot_runner.links.simulated_robot import SimulatedRobotLink  # noqa: PLC0415  # it imports MuJoCo
 
         return SimulatedRobotLink(simulation, namespace=namespace)
 
@@ -181,7 +204,7 @@ def connect_host(
 
 def _named_host(context: RobotRunnerContext, host: str, config: Path | None, form: str | None) -> HostLink:
     # The clock of a simulation says nothing of a real computer.
-    clock = SystemClock() if is_simulated(context.robot) else context.clock
+    clock = SystemClock() if lives_by_simulation(context) else context.clock
 
     def opener() -> HostLink:
         if host == LOCAL:
@@ -213,7 +236,28 @@ def _simulation(resources: Resources, seed: int, name: RobotName) -> Simulation:
     return resources.open("simulation", opener)
 
 
+def _graph_link(name: RobotName, resources: Resources, clock: Clock, namespace: str) -> RobotLink:
+    return resources.open(f"robot {_key(namespace)}", partial(open_graph_link, name, clock, namespace))
+
+
+def _graph_clock(name: RobotName, resources: Resources) -> GraphClock:
+    clock = GraphClock(_graph_link(name, resources, SystemClock(), ""))
+    clock.start()
+    return clock
+
+
 def _simulated(robot: str | None) -> RobotName:
+    name = _named(robot)
+    if name.link != SIMULATED:
+        raise LinkError(
+            f"robot is {robot!r}, which is not simulated, and what measures it is not named",
+            where="robot",
+            fix=_NAME_IT,
+        )
+    return name
+
+
+def _named(robot: str | None) -> RobotName:
     if robot is None:
         raise LinkError(
             "the experiment names no robot",
@@ -225,9 +269,18 @@ def _simulated(robot: str | None) -> RobotName:
 
 def _known(robot: str) -> RobotName:
     name = RobotName.parse(robot)
-    if name.link not in ROBOT_LINKS:
+    if name.link not in ROBOT_LINKS or (name.address is not None and name.link != "rosbridge"):
         raise _unknown(robot)
-    return name
+    return RobotName.parse(found_robot().name) if name.link == AUTO else name
+
+
+def _simulator_findings(name: RobotName) -> list[Finding]:
+    missing = [package for package in _SIMULATOR_PACKAGES if importlib.util.find_spec(package) is None]
+    if missing:
+        return [_not_installed(missing).as_finding()]
+    if name.options:
+        simulation_options(name.options)
+    return []
 
 
 def _check_own(kind: str, name: str | None) -> None:

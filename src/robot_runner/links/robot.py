@@ -1,19 +1,61 @@
-"""What a link to a robot can do, whatever stands behind it: ROS 1, ROS 2, rosbridge or the embedded simulator."""
+"""What a link to a robot can do, whatever stands behind it: ROS 1, ROS 2, DDS, rosbridge or the embedded simulator."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any, Protocol, runtime_checkable
 
-__all__ = ["Message", "RobotLink", "Subscription"]
+__all__ = ["Encoding", "Message", "Qos", "RawMessage", "RobotLink", "Subscription"]
 
 #: A ROS message as a plain mapping that follows its definition: `{"linear": {"x": 0.2, ...}, "angular": {...}}`.
+#: Times and durations are `{"sec": …, "nanosec": …}` in both generations of ROS, arrays are lists, byte arrays `bytes`.
 Message = Mapping[str, Any]
+
+
+class Qos(StrEnum):
+    """How a topic's messages are delivered, by the names of ROS' profiles.
+
+    ROS 1 knows one of them only: what is published `TRANSIENT_LOCAL` is latched there.
+    """
+
+    #: Reliable, volatile, the last 10 are kept: `rmw_qos_profile_default`.
+    DEFAULT = "default"
+    #: Best effort, volatile, the last 5 are kept: `rmw_qos_profile_sensor_data`.
+    SENSOR_DATA = "sensor_data"
+    #: Reliable, volatile, as many are kept as come: nothing is lost to a slow listener.
+    RELIABLE = "reliable"
+    #: Reliable, and the last message is there for who comes later, as of `/tf_static` and a map.
+    TRANSIENT_LOCAL = "transient_local"
+
+
+class Encoding(StrEnum):
+    """How the bytes of a message are laid out."""
+
+    #: ROS 1: little endian, no padding.
+    ROS1 = "ros1"
+    #: ROS 2: XCDR1 with its header of four bytes.
+    CDR = "cdr"
+
+
+@dataclass(frozen=True, slots=True)
+class RawMessage:
+    """A message as it was received, for who records it or weighs it.
+
+    Attributes:
+        data: the message's bytes, in the link's encoding.
+        received_ns: when it was received, in ns since the epoch, on the clock of this machine (a simulated one: of the
+            simulation).
+    """
+
+    data: bytes
+    received_ns: int
 
 
 @runtime_checkable
 class Subscription(Protocol):
-    """A subscription that can be ended."""
+    """A subscription, or an offered service, that can be ended."""
 
     def close(self) -> None:
         """Hear no more messages; closing twice does nothing."""
@@ -33,7 +75,12 @@ class RobotLink(Protocol):
         """Whether there is a simulation behind it, so that what it yields is labelled so."""
         ...
 
-    def publish(self, topic: str, message_type: str, message: Message) -> None:
+    @property
+    def encoding(self) -> Encoding:
+        """How the bytes of raw messages are laid out."""
+        ...
+
+    def publish(self, topic: str, message_type: str, message: Message, *, qos: Qos = Qos.DEFAULT) -> None:
         """Publish one message; fields that are left out take their ROS default.
 
         Raises:
@@ -41,11 +88,40 @@ class RobotLink(Protocol):
         """
         ...
 
-    def subscribe(self, topic: str, message_type: str, callback: Callable[[Message], None]) -> Subscription:
+    def subscribe(
+        self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None
+    ) -> Subscription:
         """Have `callback` called with each message of the topic.
 
+        Args:
+            topic: its name. It may come later, except on the simulated link, whose topics are all there.
+            message_type: ROS name, such as `nav_msgs/Odometry`.
+            callback: called with each message.
+            qos: None for what fits the topic's publishers.
+
         Raises:
-            LinkError: there is no such topic, or it carries another type.
+            LinkError: it carries another type, its publishers offer less than `qos` asks for, or there is no such type.
+        """
+        ...
+
+    def subscribe_raw(
+        self, topic: str, message_type: str, callback: Callable[[RawMessage], None], *, qos: Qos | None = None
+    ) -> Subscription:
+        """Have `callback` called with the bytes of each message of the topic; as `subscribe` in all else."""
+        ...
+
+    def wait_for(
+        self,
+        topic: str,
+        message_type: str,
+        condition: Callable[[Message], bool] | None = None,
+        *,
+        timeout: float = 5.0,
+    ) -> Message:
+        """Return the first message from now on that satisfies the condition (None: the first); `timeout` is in seconds.
+
+        Raises:
+            LinkError: none came in time, or as `subscribe`.
         """
         ...
 
@@ -53,10 +129,39 @@ class RobotLink(Protocol):
         """Call a service and return its response; `timeout` is in seconds.
 
         Raises:
-            LinkError: there is no such service, or it does not answer in time.
+            LinkError: there is no such service, it has another type, it fails or does not answer in time, or the
+                request does not follow its definition.
+        """
+        ...
+
+    def offer(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> Subscription:
+        """Offer a service until it is closed; `answer` makes the response of a request.
+
+        Raises:
+            LinkError: there is no such type, or somebody offers a service of this name already.
+        """
+        ...
+
+    def topics(self) -> Mapping[str, str]:
+        """Return the type of each topic that is published or heard on the graph, by its full name."""
+        ...
+
+    def services(self) -> Mapping[str, str]:
+        """Return the type of each service on the graph, by its full name; empty where the graph does not tell."""
+        ...
+
+    def nodes(self) -> Sequence[str]:
+        """Return the full names of the nodes on the graph, sorted."""
+        ...
+
+    def definition(self, message_type: str) -> str:
+        """Return the text of a type's definition, with those that it is made of after it, as bags store it.
+
+        Raises:
+            LinkError: the link knows no such type.
         """
         ...
 
     def close(self) -> None:
-        """End all subscriptions and leave; closing twice does nothing."""
+        """End all subscriptions and offers and leave; closing twice does nothing."""
         ...

@@ -21,19 +21,21 @@ _REAL_TIME_FACTOR = "real_time_factor"
 
 @dataclass(frozen=True, slots=True)
 class RobotName:
-    """What `robot` in a config says: `link`, or `link:option=value,option=value`.
+    """What `robot` in a config says: `link`, `link:option=value,option=value`, or an address: `link://host:port`.
 
     Attributes:
         link: the name of the robot link.
         options: what is set on it, as written, in that order.
+        address: the whole of an address; None where it is none.
 
     Example:
         >>> RobotName.parse("simulated:task_power_factor=1.1")
-        RobotName(link='simulated', options={'task_power_factor': '1.1'})
+        RobotName(link='simulated', options={'task_power_factor': '1.1'}, address=None)
     """
 
     link: str
     options: Mapping[str, str] = field(default_factory=dict)
+    address: str | None = None
 
     @classmethod
     def parse(cls, text: str) -> RobotName:
@@ -43,6 +45,8 @@ class RobotName:
             LinkError: an option has no name or no value, or is given twice.
         """
         link, colon, rest = text.partition(":")
+        if rest.startswith("//"):
+            return cls(link.strip(), {}, text.strip())
         options: dict[str, str] = {}
         for part in rest.split(",") if colon else ():
             name, equals, value = (piece.strip() for piece in part.partition("="))

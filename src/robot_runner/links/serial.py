@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-__all__ = ["Chunk", "SerialLine"]
+__all__ = ["SIMULATED_PORT", "Chunk", "SerialLine"]
+
+#: The name of the link to a port at whose other end is a simulated meter; it tells who opens it so.
+SIMULATED_PORT = "simulated-ina219"
 
 
 @dataclass(frozen=True, slots=True)

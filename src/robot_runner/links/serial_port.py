@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.errors import LinkError, did_you_mean
-from robot_runner.links.serial import Chunk
+from robot_runner.links.serial import SIMULATED_PORT, Chunk
 
 if TYPE_CHECKING:
     from robot_runner.events.clock import Clock
@@ -100,8 +100,8 @@ class SerialPort:
 
     @property
     def is_simulated(self) -> bool:
-        """Always false."""
-        return False
+        """Whether it is the port of a simulated meter, by its name."""
+        return Path(self._port).name == SIMULATED_PORT
 
     def drain(self) -> list[Chunk]:
         """Return, oldest first, everything that arrived since the last call, without waiting.

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
 from robot_runner.errors import LinkError
 from robot_runner.simulator.clock import SimulatedClock
 from robot_runner.simulator.parameters import Turtlebot3Parameters
 from robot_runner.simulator.turtlebot3 import SimulatedTurtlebot3
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
 
 __all__ = ["Simulation"]
 
@@ -19,6 +25,7 @@ class Simulation:
         clock: moves on only while it is slept on.
         parameters: what its robots are made of.
         real_time_factor: simulated seconds a real second; None for as fast as the physics goes.
+        offers: the services that others than the robots offer, by full name: their types and what answers.
 
     Example:
         >>> simulation = Simulation(seed=1)
@@ -33,8 +40,14 @@ class Simulation:
         self.clock = SimulatedClock(real_time_factor)
         self.parameters = parameters or Turtlebot3Parameters()
         self._seed = seed
+        self.offers: dict[str, tuple[str, Callable[[Mapping[str, Any]], Mapping[str, Any]]]] = {}
         self._robots: dict[str, SimulatedTurtlebot3] = {}
         self._is_closed = False
+
+    @property
+    def robots(self) -> Mapping[str, SimulatedTurtlebot3]:
+        """The robots that were asked for so far, by namespace: empty, or `/alice`."""
+        return MappingProxyType(self._robots)
 
     def turtlebot3(self, namespace: str = "") -> SimulatedTurtlebot3:
         """Return the robot of this namespace, which is made when it is first asked for.
@@ -58,3 +71,4 @@ class Simulation:
         """Let go of all robots; closing twice does nothing. The clock can still be read and slept on."""
         self._is_closed = True
         self._robots.clear()
+        self.offers.clear()

@@ -21,12 +21,16 @@ if TYPE_CHECKING:
     from robot_runner.links.serial import Chunk
     from robot_runner.testing.clock import FakeClock
     from robot_runner.testing.context import FakeLinks, RecordingBroker, context_for, make_context
+    from robot_runner.testing.graph_link_contract import GraphLinkContract
     from robot_runner.testing.host import FakeHostLink
+    from robot_runner.testing.link_contract import RobotLinkContract
     from robot_runner.testing.profiler_contract import ProfilerContract
     from robot_runner.testing.rehearsal import Rehearsal, rehearse
-    from robot_runner.testing.robot import FakeRobotLink, FakeTurtlebot3Link, Publication, ServiceCall
+    from robot_runner.testing.robot import FakeRobotLink, Publication, ServiceCall
+    from robot_runner.testing.rosbridge_server import RosbridgeServer
     from robot_runner.testing.serial import FakeSerialLine
     from robot_runner.testing.system_contract import SystemContract
+    from robot_runner.testing.turtlebot3 import FakeTurtlebot3Link
 
 __all__ = [
     "Chunk",
@@ -36,10 +40,13 @@ __all__ = [
     "FakeRobotLink",
     "FakeSerialLine",
     "FakeTurtlebot3Link",
+    "GraphLinkContract",
     "ProfilerContract",
     "Publication",
     "RecordingBroker",
     "Rehearsal",
+    "RobotLinkContract",
+    "RosbridgeServer",
     "ServiceCall",
     "SystemContract",
     "UtilisationSample",
@@ -55,11 +62,14 @@ _HOMES = {
     "FakeLinks": "robot_runner.testing.context",
     "FakeRobotLink": "robot_runner.testing.robot",
     "FakeSerialLine": "robot_runner.testing.serial",
-    "FakeTurtlebot3Link": "robot_runner.testing.robot",
+    "FakeTurtlebot3Link": "robot_runner.testing.turtlebot3",
+    "GraphLinkContract": "robot_runner.testing.graph_link_contract",
     "ProfilerContract": "robot_runner.testing.profiler_contract",
     "Publication": "robot_runner.testing.robot",
     "RecordingBroker": "robot_runner.testing.context",
     "Rehearsal": "robot_runner.testing.rehearsal",
+    "RobotLinkContract": "robot_runner.testing.link_contract",
+    "RosbridgeServer": "robot_runner.testing.rosbridge_server",
     "ServiceCall": "robot_runner.testing.robot",
     "SystemContract": "robot_runner.testing.system_contract",
     "UtilisationSample": "robot_runner.links.host",

@@ -1,23 +1,29 @@
-"""Robot links that tests script: one that only records, and one behind which a robot drives."""
+"""A robot link that tests script: it records what it is told."""
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.errors import LinkError, did_you_mean
+from robot_runner.links.graph_names import full_name
+from robot_runner.links.robot import Encoding, Qos, RawMessage
+from robot_runner.links.shapes import completed
 
 if TYPE_CHECKING:
     from robot_runner.events.clock import Clock
     from robot_runner.links.robot import Message
-    from robot_runner.testing.clock import FakeClock
+    from robot_runner.links.type_catalogue import TypeCatalogue
 
-__all__ = ["FakeRobotLink", "FakeTurtlebot3Link", "Publication", "ServiceCall"]
+__all__ = ["Answer", "FakeRobotLink", "Publication", "ServiceCall"]
 
 _TWIST = "geometry_msgs/Twist"
+_WHERE = "FakeRobotLink"
+_ANY_TYPE = "*"
+#: How far a wait moves the clock on between two looks, s.
+_POLL = 0.01
 #: What a service answers: a response, an error to raise, or a function from the request to a response.
 Answer = Mapping[str, Any] | Exception | Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
@@ -30,6 +36,7 @@ class Publication:
     topic: str
     message_type: str
     message: Message
+    qos: Qos = Qos.DEFAULT
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +50,8 @@ class ServiceCall:
 
 
 class _Listener:
-    def __init__(self, callback: Callable[[Message], None]) -> None:
+    def __init__(self, message_type: str, callback: Callable[[Message], None]) -> None:
+        self.message_type = message_type
         self.callback = callback
         self.is_closed = False
 
@@ -51,14 +59,26 @@ class _Listener:
         self.is_closed = True
 
 
+class _Offer:
+    def __init__(self, services: dict[str, Answer], service: str) -> None:
+        self._services = services
+        self._service = service
+
+    def close(self) -> None:
+        self._services.pop(self._service, None)
+
+
 class FakeRobotLink:
     """A `RobotLink` that records what it is told and says what the test has it say.
+
+    Names are taken as they are given; messages are not checked against their types. Raw messages are those of ROS 2.
 
     Attributes:
         publications: what was published, oldest first.
         calls: the services that were called, oldest first.
         is_closed: whether it was closed.
         fault: raised by whatever is asked of the link, once it is set.
+        known_topics: what others publish or hear on the graph, by name, with their types.
 
     Example:
         >>> from robot_runner.testing import FakeClock, FakeRobotLink
@@ -78,7 +98,9 @@ class FakeRobotLink:
         self.is_closed = False
         self.fault: LinkError | None = None
         self._clock = clock
+        self.known_topics: dict[str, str] = {}
         self._services = dict(services or {})
+        self._service_types: dict[str, str] = {}
         self._is_simulated = is_simulated
         self._listeners: defaultdict[str, list[_Listener]] = defaultdict(list)
 
@@ -86,6 +108,11 @@ class FakeRobotLink:
     def is_simulated(self) -> bool:
         """What it was made with."""
         return self._is_simulated
+
+    @property
+    def encoding(self) -> Encoding:
+        """That of ROS 2."""
+        return Encoding.CDR
 
     @property
     def stands_still(self) -> bool:
@@ -98,26 +125,75 @@ class FakeRobotLink:
         """The topics that somebody is subscribed to."""
         return {topic for topic, listeners in self._listeners.items() if not all(each.is_closed for each in listeners)}
 
-    def publish(self, topic: str, message_type: str, message: Message) -> None:
+    def publish(self, topic: str, message_type: str, message: Message, *, qos: Qos = Qos.DEFAULT) -> None:
         """Record the message.
 
         Raises:
             LinkError: the link was closed, or the fault that was set.
         """
         self._check()
-        self.publications.append(Publication(self._clock.now(), topic, message_type, message))
+        self.publications.append(Publication(self._clock.now(), topic, message_type, message, qos))
 
-    def subscribe(self, topic: str, message_type: str, callback: Callable[[Message], None]) -> _Listener:
+    def subscribe(
+        self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None
+    ) -> _Listener:
         """Have `callback` called with what is delivered on the topic.
 
         Raises:
             LinkError: the link was closed, or the fault that was set.
         """
-        del message_type
+        del qos
         self._check()
-        listener = _Listener(callback)
+        listener = _Listener(message_type, callback)
         self._listeners[topic].append(listener)
         return listener
+
+    def subscribe_raw(
+        self, topic: str, message_type: str, callback: Callable[[RawMessage], None], *, qos: Qos | None = None
+    ) -> _Listener:
+        """Have `callback` called with the bytes of what is delivered on the topic, completed as its type has it.
+
+        Raises:
+            LinkError: there is no such type, the link was closed, or the fault that was set.
+        """
+        types = _standard_types()
+        shape = types.shape(message_type)
+
+        def hear(message: Message) -> None:
+            data = types.serialise(message_type, completed(shape, message, where=topic), Encoding.CDR)
+            callback(RawMessage(data, round(self._clock.now() * 1e9)))
+
+        return self.subscribe(topic, message_type, hear, qos=qos)
+
+    def wait_for(
+        self,
+        topic: str,
+        message_type: str,
+        condition: Callable[[Message], bool] | None = None,
+        *,
+        timeout: float = 5.0,
+    ) -> Message:
+        """Let the clock go on until what is delivered satisfies the condition (None: anything).
+
+        Raises:
+            LinkError: nothing does within `timeout` seconds of the clock, or as `subscribe`.
+        """
+        found: list[Message] = []
+
+        def hear(message: Message) -> None:
+            if condition is None or condition(message):
+                found.append(message)
+
+        listener, deadline = self.subscribe(topic, message_type, hear), self._clock.now() + timeout
+        try:
+            while not found and self._clock.now() < deadline:
+                self._clock.sleep(_POLL)
+        finally:
+            listener.close()
+        if not found:
+            fix = "Deliver one while the clock is slept on: clock.at(1.0, lambda: link.deliver(...))."
+            raise LinkError(f"no message came within {timeout:g} s", where=topic, fix=fix)
+        return found[0]
 
     def deliver(self, topic: str, message: Message) -> None:
         """Hand a message to whoever subscribed to the topic."""
@@ -135,13 +211,51 @@ class FakeRobotLink:
         self._check()
         self.calls.append(ServiceCall(self._clock.now(), service, service_type, request or {}))
         if service not in self._services:
-            raise LinkError(
-                f"there is no service {service!r}", where="FakeRobotLink", fix=did_you_mean(service, self._services)
-            )
+            fix = did_you_mean(service, self._services)
+            raise LinkError(f"there is no service {service!r}", where=_WHERE, fix=fix)
         answer = self._services[service]
         if isinstance(answer, Exception):
             raise answer
         return answer(request or {}) if callable(answer) else answer
+
+    def offer(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> _Offer:
+        """Have `call` answered by a function until the offer is closed.
+
+        Raises:
+            LinkError: there is such a service, the link was closed, or the fault that was set.
+        """
+        self._check()
+        if service in self._services:
+            raise LinkError(f"there is a service {service!r} already", where=_WHERE, fix="Choose another name.")
+        self._services[service] = answer
+        self._service_types[service] = service_type
+        return _Offer(self._services, service)
+
+    def topics(self) -> dict[str, str]:
+        """Return the types of what is published and heard here, and of what the test says is there."""
+        self._check()
+        types = dict(self.known_topics)
+        types |= {topic: listeners[-1].message_type for topic, listeners in self._listeners.items() if listeners}
+        types |= {each.topic: each.message_type for each in self.publications}
+        return {full_name("", topic): message_type for topic, message_type in types.items()}
+
+    def services(self) -> dict[str, str]:
+        """Return the types of the services; `*` where a test scripted one."""
+        self._check()
+        return {full_name("", name): self._service_types.get(name, _ANY_TYPE) for name in self._services}
+
+    def nodes(self) -> list[str]:
+        """Return one node."""
+        self._check()
+        return ["/fake_robot"]
+
+    def definition(self, message_type: str) -> str:
+        """Return the text of a type's definition, as ROS 2 has it.
+
+        Raises:
+            LinkError: there is no such type.
+        """
+        return _standard_types().definition(message_type)
 
     def close(self) -> None:
         """Hear and say no more; closing twice does nothing."""
@@ -152,87 +266,13 @@ class FakeRobotLink:
         if self.fault is not None:
             raise self.fault
         if self.is_closed:
-            raise LinkError("the link was closed", where="FakeRobotLink", fix="Use it before the run ends.")
+            raise LinkError("the link was closed", where=_WHERE, fix="Use it before the run ends.")
 
 
-class FakeTurtlebot3Link(FakeRobotLink):
-    """A link to an ideal robot: it moves exactly as `cmd_vel` says and tells of it on `odom`, 30 times a second.
+def _standard_types() -> TypeCatalogue:
+    from robot_runner.links.type_catalogue import TypeCatalogue  # noqa: PLC0415  # it takes rosbags
 
-    The services of the three tasks answer; `working_on` is the task that is going on.
-
-    Attributes:
-        x: where it is, m.
-        y: where it is, m.
-        heading: where it looks, rad.
-        odometry_ends_at: the time from which on its odometry is silent, s.
-        slip: what of each movement does not happen, as a share from 0 to 1.
-
-    Example:
-        >>> from robot_runner.testing import FakeClock
-        >>> clock = FakeClock()
-        >>> robot = FakeTurtlebot3Link(clock)
-        >>> robot.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.1}})
-        >>> clock.sleep(3.0)
-        >>> round(robot.x, 3), robot.stands_still
-        (0.3, False)
-    """
-
-    def __init__(self, clock: FakeClock, *, slip: float = 0.0, is_simulated: bool = False) -> None:
-        super().__init__(clock, services=self._task_services(), is_simulated=is_simulated)
-        self.x = self.y = self.heading = 0.0
-        self.slip = slip
-        self.odometry_ends_at = math.inf
-        self.working_on: str | None = None
-        self._speed = self._rate = 0.0
-        self._moved_until = clock.now()
-        clock.every(1 / 30, self._tell)
-
-    def publish(self, topic: str, message_type: str, message: Message) -> None:
-        """Record the message; a velocity command holds until the next."""
-        super().publish(topic, message_type, message)
-        if topic == "cmd_vel":
-            self._move()
-            self._speed = float(message.get("linear", {}).get("x", 0.0)) * (1.0 - self.slip)
-            self._rate = float(message.get("angular", {}).get("z", 0.0)) * (1.0 - self.slip)
-
-    def _task_services(self) -> dict[str, Answer]:
-        services: dict[str, Answer] = {"task/stop": self._working_on(None)}
-        for task in ("computation", "video", "network"):
-            services[f"task/{task}/start"] = self._working_on(task)
-            services[f"task/{task}/stop"] = self._working_on(None)
-        return services
-
-    def _working_on(self, task: str | None) -> Callable[[Message], Message]:
-        def answer(request: Message) -> Message:
-            del request
-            self.working_on = task
-            return {"success": True, "message": ""}
-
-        return answer
-
-    def _move(self) -> None:
-        """Move as was last commanded until now: along a circle, or straight on where it does not turn."""
-        seconds, self._moved_until = self._clock.now() - self._moved_until, self._clock.now()
-        half = self._rate * seconds / 2
-        chord = self._speed * seconds * (math.sin(half) / half if half else 1.0)
-        self.x += chord * math.cos(self.heading + half)
-        self.y += chord * math.sin(self.heading + half)
-        self.heading += 2 * half
-
-    def _tell(self) -> None:
-        self._move()
-        if self._clock.now() < self.odometry_ends_at:
-            self.deliver("odom", _odometry(self._clock.now(), self.x, self.y, self.heading))
-
-
-def _odometry(time: float, x: float, y: float, heading: float) -> Message:
-    turn = {"x": 0.0, "y": 0.0, "z": math.sin(heading / 2), "w": math.cos(heading / 2)}
-    seconds = int(time)
-    return {
-        "header": {"stamp": {"sec": seconds, "nanosec": int((time - seconds) * 1e9)}, "frame_id": "odom"},
-        "child_frame_id": "base_footprint",
-        "pose": {"pose": {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turn}},
-    }
+    return TypeCatalogue.of(2)
 
 
 def _moves(twist: Message) -> bool:

@@ -1,0 +1,1 @@
+"""ROS 2 over DDS, with no ROS installed."""

@@ -1,0 +1,1 @@
+"""ROS 1 through its own client library, rospy."""

@@ -1,0 +1,1 @@
+"""ROS 2 through its own client library, rclpy."""

@@ -1,0 +1,137 @@
+"""Messages of ROS 2 to and from plain mappings; their types are the Python classes that ROS generates."""
+
+from __future__ import annotations
+
+from array import array
+from functools import lru_cache
+from importlib import import_module
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.errors import LinkError, did_you_mean
+from robot_runner.links.shapes import BYTE_KINDS, UNBOUNDED, Field, Shape, UpTo, plain_type
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = ["as_mapping", "as_message", "message_class", "service_class", "shape_of"]
+
+#: What the interface definition language calls some kinds.
+_KINDS = MappingProxyType({"boolean": "bool", "float": "float32", "double": "float64", "octet": "byte"})
+_OCTET = "byte"
+
+
+def message_class(message_type: str) -> Any:
+    """Return the class of a message type, such as `geometry_msgs/Twist`.
+
+    Raises:
+        LinkError: there is none, or its package is not in the sourced ROS.
+    """
+    return _class(plain_type(message_type), "msg")
+
+
+def service_class(service_type: str) -> Any:
+    """Return the class of a service type, such as `std_srvs/Trigger`.
+
+    Raises:
+        LinkError: as `message_class`.
+    """
+    return _class(plain_type(service_type), "srv")
+
+
+@lru_cache
+def _class(name: str, kind: str) -> Any:
+    what = {"msg": "message", "srv": "service"}[kind]
+    package, slash, short = name.partition("/")
+    if not slash or not package or not short.isidentifier():
+        fix = "Write it as in geometry_msgs/Twist." if kind == "msg" else "Write it as in std_srvs/Trigger."
+        raise LinkError(f"{name!r} cannot be the name of a {what} type", where="robot", fix=fix)
+    try:
+        module = import_module(f"{package}.{kind}")
+    except ImportError as error:
+        raise LinkError(
+            f"the {what}s of {package!r} cannot be imported ({error})",
+            where=name,
+            fix="Correct the name, or install its package and source its setup file.",
+        ) from error
+    sign = "get_fields_and_field_types" if kind == "msg" else "Request"
+    found = getattr(module, short, None)
+    if not hasattr(found, sign):
+        known = [each for each in vars(module) if hasattr(getattr(module, each), sign)]
+        raise LinkError(f"{package!r} has no {what} type {short!r}", where=name, fix=did_you_mean(short, known))
+    return found
+
+
+@lru_cache
+def shape_of(cls: Any) -> Shape:
+    """Return what a message class, or the class of a request or response, is made of."""
+    example = cls()
+    names = cls.get_fields_and_field_types()
+    fields = (_field(name, kind, getattr(example, name)) for name, kind in zip(names, cls.SLOT_TYPES, strict=True))
+    return Shape(f"{cls.__module__.partition('.')[0]}/{cls.__name__}", tuple(fields))
+
+
+def _field(name: str, written: Any, example: Any) -> Field:
+    element = getattr(written, "value_type", None)
+    kind = _kind(written if element is None else element)
+    limit = getattr(written if element is None else element, "maximum_size", None)
+    default = None if isinstance(kind, Shape) else _taken(Field(name, kind, _count(written)), example)
+    return Field(name, kind, _count(written), default or None, limit)
+
+
+def _count(written: Any) -> int | UpTo | None:
+    if not hasattr(written, "value_type"):
+        return None
+    size = getattr(written, "size", None)
+    if size is not None:
+        return int(size)
+    limit = getattr(written, "maximum_size", None)
+    return UNBOUNDED if limit is None else UpTo(int(limit))
+
+
+def _kind(written: Any) -> str | Shape:
+    if hasattr(written, "namespaces"):
+        return shape_of(message_class(f"{written.namespaces[0]}/{written.name}"))
+    if hasattr(written, "typename"):
+        name: str = written.typename
+        return _KINDS.get(name, name)
+    return "wstring" if "WString" in type(written).__name__ else "string"
+
+
+def as_mapping(message: Any) -> dict[str, Any]:
+    """Return a message of ROS as a plain mapping."""
+    cls: Any = type(message)
+    return {field.name: _taken(field, getattr(message, field.name)) for field in shape_of(cls).fields}
+
+
+def _taken(field: Field, value: Any) -> Any:
+    kind = field.kind
+    if field.count is None:
+        if isinstance(kind, Shape):
+            return as_mapping(value)
+        return value[0] if kind == _OCTET else value
+    if isinstance(kind, Shape):
+        return [as_mapping(each) for each in value]
+    if kind in BYTE_KINDS:
+        return b"".join(value) if kind == _OCTET else bytes(value)
+    return value.tolist() if hasattr(value, "tolist") else list(value)  # of arrays: numpy's and the standard library's
+
+
+def as_message(cls: Any, complete: Mapping[str, Any]) -> Any:
+    """Return the message of ROS that a mapping with every field is; `robot_runner.links.shapes.completed` makes one."""
+    message = cls()
+    for field in shape_of(cls).fields:
+        setattr(message, field.name, _given(field, complete[field.name]))
+    return message
+
+
+def _given(field: Field, value: Any) -> Any:
+    kind = field.kind
+    if isinstance(kind, Shape):
+        cls = message_class(kind.type_name)
+        return as_message(cls, value) if field.count is None else [as_message(cls, each) for each in value]
+    if kind == _OCTET:
+        return bytes([value]) if field.count is None else [bytes([each]) for each in value]
+    if kind in BYTE_KINDS and isinstance(field.count, UpTo):
+        return array("B", value)  # which ROS takes as it is; it looks at each element of anything else
+    return list(value) if field.count is not None else value

@@ -1,0 +1,67 @@
+"""Opens a link through a rosbridge, and says what stands in its way; nothing is connected before."""
+
+from __future__ import annotations
+
+import importlib.util
+from typing import TYPE_CHECKING
+
+from robot_runner.errors import Finding, LinkError
+from robot_runner.links.rosbridge.address import RosbridgeAddress
+
+if TYPE_CHECKING:
+    from robot_runner.events.clock import Clock
+    from robot_runner.links.robot import RobotLink
+    from robot_runner.links.robot_name import RobotName
+
+__all__ = ["findings", "open_rosbridge_link"]
+
+_PACKAGES = ("rosbags", "websockets")
+
+
+def findings(name: RobotName) -> list[Finding]:
+    """Return what stands in the way of reaching a robot at this address; nothing is opened by asking.
+
+    Example:
+        >>> from robot_runner.links.robot_name import RobotName
+        >>> [finding.problem for finding in findings(RobotName.parse("rosbridge://robot:port"))]
+        ["'rosbridge://robot:port' cannot be the address of a rosbridge"]
+    """
+    missing = [package for package in _PACKAGES if importlib.util.find_spec(package) is None]
+    if missing:
+        return [_not_installed(missing).as_finding()]
+    try:
+        address = RosbridgeAddress.parse(name.address or name.link)
+        from robot_runner.links.type_catalogue import TypeCatalogue  # noqa: PLC0415  # an extra, only where asked for
+
+        TypeCatalogue.of(address.generation or 2, None, address.types)
+    except LinkError as error:
+        return [error.as_finding()]
+    return []
+
+
+def open_rosbridge_link(url: str, clock: Clock, namespace: str = "") -> RobotLink:
+    """Connect to a rosbridge and return the link to the robot of this namespace.
+
+    Args:
+        url: `rosbridge://host:port`, with `?ros=`, `distro=` and `types=` for what the robot does not tell.
+        clock: the run's, by which messages are stamped where it is a simulation's.
+        namespace: of the robot.
+
+    Raises:
+        LinkError: the address is none, a package is missing, or the rosbridge cannot be reached.
+    """
+    address = RosbridgeAddress.parse(url)
+    missing = [package for package in _PACKAGES if importlib.util.find_spec(package) is None]
+    if missing:
+        raise _not_installed(missing)
+    from robot_runner.links.rosbridge.link import RosbridgeRobotLink  # noqa: PLC0415  # only where it is asked for
+
+    return RosbridgeRobotLink(address, clock, namespace=namespace)
+
+
+def _not_installed(missing: list[str]) -> LinkError:
+    return LinkError(
+        f"robot is reached through a rosbridge, but {' and '.join(missing)} cannot be imported",
+        where="robot",
+        fix="Install it: pip install 'robot-runner[rosbridge]'.",
+    )

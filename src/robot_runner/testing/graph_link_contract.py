@@ -1,0 +1,232 @@
+"""What holds for every link to a graph on which everybody may publish, as tests for its author to inherit."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.links.robot import Encoding, Qos, RawMessage
+from robot_runner.testing.link_contract import SLACK, RobotLinkContract, refusal
+from robot_runner.testing.plugin_contract import require
+
+if TYPE_CHECKING:
+    from robot_runner.links.robot import Message, RobotLink
+
+__all__ = ["GraphLinkContract"]
+
+_TWIST = "geometry_msgs/Twist"
+_TRIGGER = "std_srvs/Trigger"
+_STRING = "std_msgs/String"
+_IMAGE = "sensor_msgs/Image"
+_SCAN = "sensor_msgs/LaserScan"
+_MANY = 200
+_MINUTE_NS = 60_000_000_000
+
+
+class GraphLinkContract(RobotLinkContract):
+    """The facts of `RobotLinkContract`, and those about two links of one graph that hear each other.
+
+    Attributes:
+        discovery: how long, s, a publisher and a subscriber may take to find each other.
+        keeps_last: whether what is published `TRANSIENT_LOCAL` is there for who comes later.
+
+    Example:
+        >>> from robot_runner.events.clock import SystemClock
+        >>> from robot_runner.links.ros1.opening import open_ros1_link
+        >>> from robot_runner.testing import GraphLinkContract
+        >>> class TestRos1Link(GraphLinkContract):
+        ...     def make_link(self, namespace=""):
+        ...         return open_ros1_link({"master": "http://127.0.0.1:11311"}, SystemClock(), namespace)
+    """
+
+    publishes: ClassVar[bool] = False
+    discovery: ClassVar[float] = 10.0
+    keeps_last: ClassVar[bool] = True
+
+    def heard_on(
+        self, link: RobotLink, topic: str, message_type: str, speaker: RobotLink, message: Message
+    ) -> list[Message]:
+        """Subscribe, and publish until the first message is heard; return the list of what is heard from now on."""
+        heard: list[Message] = []
+        link.subscribe(topic, message_type, heard.append)
+
+        def said() -> bool:
+            speaker.publish(topic, message_type, message, qos=Qos.RELIABLE)
+            return bool(heard)
+
+        self.until(said, f"nothing is heard on {topic}", timeout=self.discovery)
+        return heard
+
+    def test_a_message_arrives_with_every_field(self) -> None:
+        """Hold that texts, numbers, arrays, bytes, times and nested fields arrive as they were sent."""
+        image = {
+            "header": {"stamp": {"sec": 12, "nanosec": 345}, "frame_id": "caméra"},
+            "height": 2,
+            "width": 1,
+            "encoding": "mono8",
+            "step": 1,
+            "data": b"\x00\xff",
+        }
+        with self.opened() as robot, self.opened() as link:
+            heard = self.heard_on(link, "image", _IMAGE, robot, image)[0]
+            header = heard["header"]
+            require(header["stamp"] == {"sec": 12, "nanosec": 345}, f"the stamp is {header['stamp']}")
+            require(header["frame_id"] == "caméra", f"a text is {header['frame_id']!r}")
+            require(heard["data"] == b"\x00\xff", f"bytes are {heard['data']!r}")
+            require((heard["height"], heard["is_bigendian"]) == (2, 0), f"numbers are {heard}")
+
+    def test_floats_that_are_no_numbers_arrive(self) -> None:
+        """Hold that a laser may say that it sees nothing."""
+        with self.opened() as robot, self.opened() as link:
+            scan = {"ranges": [1.5, math.inf, math.nan], "angle_max": 1.25}
+            ranges = self.heard_on(link, "scan", _SCAN, robot, scan)[0]["ranges"]
+            require(isinstance(ranges, list), f"an array is {ranges!r}")
+            require(ranges[:2] == [1.5, math.inf] and math.isnan(ranges[2]), f"the ranges are {ranges}")
+
+    def test_bytes_are_those_of_the_message(self) -> None:
+        """Hold that a recorder gets what a bag of this generation of ROS holds."""
+        from robot_runner.links.type_catalogue import TypeCatalogue  # noqa: PLC0415  # it needs rosbags
+
+        with self.opened() as robot, self.opened() as link:
+            raw: list[RawMessage] = []
+            link.subscribe_raw("chatter", _STRING, raw.append)
+            self.heard_on(link, "chatter", _STRING, robot, {"data": "hello"})
+            self.until(lambda: raw, "no bytes are heard")
+            catalogue = TypeCatalogue.of(1 if link.encoding is Encoding.ROS1 else 2)
+            message = catalogue.deserialise(_STRING, raw[0].data, link.encoding)
+            require(message == {"data": "hello"}, f"the bytes say {message}")
+            require(abs(raw[0].received_ns - time.time_ns()) < _MINUTE_NS, "the time is not that of this machine")
+
+    def test_all_subscriptions_hear_until_they_are_closed(self) -> None:
+        """Hold that one subscription's end is not another's."""
+        with self.opened() as robot, self.opened() as link:
+            first: list[Message] = []
+            subscription = link.subscribe("chatter", _STRING, first.append)
+            heard = self.heard_on(link, "chatter", _STRING, robot, {"data": "a"})
+            self.until(lambda: first, "the first subscription hears nothing")
+            subscription.close()
+            count = len(first)
+            robot.publish("chatter", _STRING, {"data": "b"})
+            self.until(lambda: heard[-1] == {"data": "b"}, "the second subscription hears no more")
+            require(len(first) == count, "a closed subscription hears")
+
+    def test_a_fault_of_a_callback_does_not_end_the_subscription(self) -> None:
+        """Hold that the next message is heard all the same."""
+        heard: list[Message] = []
+
+        def hear(message: Message) -> None:
+            heard.append(message)
+            raise ValueError("a fault of the callback")
+
+        with self.opened() as robot, self.opened() as link:
+            link.subscribe("chatter", _STRING, hear)
+
+            def said() -> bool:
+                robot.publish("chatter", _STRING, {"data": "a"})
+                return len(heard) > 1
+
+            self.until(said, "nothing is heard after a fault", timeout=self.discovery)
+
+    def test_many_messages_arrive_in_order_and_without_loss(self) -> None:
+        """Hold that what is published and heard reliably is all there."""
+        with self.opened() as robot, self.opened() as link:
+            heard: list[Message] = []
+            link.subscribe("numbers", "std_msgs/Int32", heard.append, qos=Qos.RELIABLE)
+            self.heard_on(link, "numbers", "std_msgs/Int32", robot, {"data": -1})
+            for number in range(_MANY):
+                robot.publish("numbers", "std_msgs/Int32", {"data": number}, qos=Qos.RELIABLE)
+            self.until(lambda: heard and heard[-1]["data"] == _MANY - 1, "the last message did not arrive")
+            numbers = [message["data"] for message in heard if message["data"] >= 0]
+            require(numbers == list(range(_MANY)), f"{_MANY - len(numbers)} of {_MANY} messages are missing")
+
+    def test_the_first_message_that_satisfies_a_condition_is_returned(self) -> None:
+        """Hold that `wait_for` passes over the others."""
+        with self.opened() as robot, self.opened() as link:
+            numbers = iter(range(100_000))
+            is_over = threading.Event()
+
+            def count() -> None:
+                while not is_over.wait(0.02):
+                    robot.publish("numbers", "std_msgs/Int32", {"data": next(numbers)})
+
+            counting = threading.Thread(target=count)
+            counting.start()
+            try:
+                found = link.wait_for("numbers", "std_msgs/Int32", lambda message: message["data"] % 7 == 0, timeout=10)
+            finally:
+                is_over.set()
+                counting.join()
+            require(found["data"] % 7 == 0, f"it returned {found}")
+
+    def test_a_last_message_is_there_for_who_comes_later(self) -> None:
+        """Hold that `TRANSIENT_LOCAL` is that of ROS: latched."""
+        if not self.keeps_last:
+            return
+        with self.opened() as robot, self.opened() as link:
+            robot.publish("map_name", _STRING, {"data": "arena"}, qos=Qos.TRANSIENT_LOCAL)
+            heard: list[Message] = []
+            link.subscribe("map_name", _STRING, heard.append, qos=Qos.TRANSIENT_LOCAL)
+            self.until(lambda: heard, "who came later hears nothing", timeout=self.discovery)
+            require(heard[0] == {"data": "arena"}, f"it says {heard[0]}")
+
+    def test_a_topic_with_another_type_is_refused(self) -> None:
+        """Hold that both types are named, to who hears and to who publishes."""
+        with self.opened() as robot, self.opened() as link:
+            self.heard_on(link, "chatter", _STRING, robot, {"data": "a"})
+            for error in (
+                refusal(lambda: link.subscribe("chatter", "std_msgs/Int32", lambda _: None)),
+                refusal(lambda: link.publish("chatter", "std_msgs/Int32", {"data": 1})),
+            ):
+                require(_STRING in error.problem and "std_msgs/Int32" in error.problem, f"types are missing: {error}")
+
+    def test_a_service_of_another_type_is_refused(self) -> None:
+        """Hold that calling it is an error within its deadline that says so."""
+        with self.opened() as robot, self.opened() as link:
+            robot.offer("lamp", _TRIGGER, lambda _: {"success": True})
+            link.call("lamp", _TRIGGER)
+            begun = time.monotonic()
+            error = refusal(lambda: link.call("lamp", "std_srvs/SetBool", {"data": True}, timeout=2.0))
+            require(time.monotonic() - begun < 2.0 + SLACK, "it waited too long")
+            require("lamp" in f"{error.where} {error.problem}", f"the service is not named: {error}")
+
+    def test_a_service_that_does_not_answer_is_given_up_at_the_deadline(self) -> None:
+        """Hold that a call ends though its service does not."""
+        released = threading.Event()
+
+        def answer(request: Message) -> dict[str, Any]:
+            del request
+            released.wait(10.0)
+            return {"success": True}
+
+        with self.opened() as robot, self.opened() as link:
+            robot.offer("slow", _TRIGGER, answer)
+            begun = time.monotonic()
+            try:
+                error = refusal(lambda: link.call("slow", _TRIGGER, timeout=0.5))
+                require(time.monotonic() - begun < 0.5 + SLACK, "it waited too long")
+                require("0.5 s" in f"{error.problem}", f"the deadline is not named: {error}")
+            finally:
+                released.set()
+
+    def test_topics_of_one_robot_are_not_those_of_another(self) -> None:
+        """Hold that a relative name is the robot's own."""
+        with self.opened("alice") as alice, self.opened("bob") as bob, self.opened() as link:
+            others: list[Message] = []
+            bob.subscribe("chatter", _STRING, others.append)
+            self.heard_on(link, "/alice/chatter", _STRING, alice, {"data": "a"})
+            bob.publish("chatter", _STRING, {"data": "b"})
+            self.heard_on(link, "/bob/chatter", _STRING, bob, {"data": "b"})
+            require(all(message == {"data": "b"} for message in others), f"bob hears {others}")
+
+    def test_a_robot_that_was_driven_is_stopped_when_the_link_is_closed(self) -> None:
+        """Hold that the last command that the robot hears is to stand still."""
+        with self.opened() as robot:
+            link = self.make_link()
+            try:
+                heard = self.heard_on(robot, "cmd_vel", _TWIST, link, {"linear": {"x": 0.2}})
+                require(heard[-1]["linear"]["x"] > 0, f"it heard {heard[-1]}")
+            finally:
+                link.close()
+            self.until(lambda: heard[-1]["linear"]["x"] == 0.0, f"the last command is {heard[-1]}")

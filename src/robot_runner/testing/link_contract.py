@@ -1,0 +1,253 @@
+"""What holds for every robot link, as tests for its author to inherit."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from typing import TYPE_CHECKING, ClassVar
+
+from robot_runner.errors import LinkError
+from robot_runner.links.robot import Encoding, RobotLink, Subscription
+from robot_runner.testing.plugin_contract import require
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from robot_runner.links.robot import Message, RawMessage
+
+__all__ = ["SLACK", "RobotLinkContract", "refusal"]
+
+_TWIST = "geometry_msgs/Twist"
+_ODOMETRY = "nav_msgs/Odometry"
+_TRIGGER = "std_srvs/Trigger"
+#: How much longer than its deadline something may take, s.
+SLACK = 3.0
+
+
+def refusal(attempt: Callable[[], object]) -> LinkError:
+    """Return the `LinkError` that the attempt raises; fail the test if it raises none."""
+    try:
+        attempt()
+    except LinkError as error:
+        require(error.problem and error.where, f"{error!r} does not say what is wrong and where")
+        return error
+    raise AssertionError("it was not refused")
+
+
+class RobotLinkContract:
+    """The facts that a link to any robot must keep to; pytest finds them in a subclass whose name begins with `Test`.
+
+    A link to a graph on which everybody may publish also keeps to `GraphLinkContract`.
+
+    Attributes:
+        topic: a topic that some robot publishes, of type nav_msgs/Odometry.
+        publishes: whether there is such a robot behind the link, without the test's publishing anything.
+
+    Example:
+        >>> from robot_runner.links.simulated_robot import SimulatedRobotLink
+        >>> from robot_runner.simulator.simulation import Simulation
+        >>> from robot_runner.testing import RobotLinkContract
+        >>> class TestSimulatedRobotLink(RobotLinkContract):
+        ...     def setup_method(self):
+        ...         self.simulation = Simulation(seed=1)
+        ...     def make_link(self, namespace=""):
+        ...         return SimulatedRobotLink(self.simulation, namespace=namespace)
+        ...     def pass_time(self, seconds):
+        ...         self.simulation.clock.sleep(seconds)
+    """
+
+    topic: ClassVar[str] = "odom"
+    publishes: ClassVar[bool] = True
+
+    def make_link(self, namespace: str = "") -> RobotLink:
+        """Return a new link to the robot of this namespace, all to one graph; for the author to write."""
+        raise NotImplementedError
+
+    def pass_time(self, seconds: float) -> None:
+        """Let time go by, so that messages may arrive; to be overridden where the robot has a clock of its own."""
+        time.sleep(seconds)
+
+    @contextmanager
+    def opened(self, namespace: str = "") -> Iterator[RobotLink]:
+        """Open a link that is closed whatever happens."""
+        with ExitStack() as closing:
+            link = self.make_link(namespace)
+            closing.callback(link.close)
+            yield link
+
+    def until(self, claim: Callable[[], object], otherwise: str, *, timeout: float = 10.0) -> None:
+        """Let time go by until the claim holds; fail the test if it does not within `timeout` s."""
+        passed = 0.0
+        deadline = time.monotonic() + timeout
+        while not claim():
+            require(passed < timeout and time.monotonic() < deadline, otherwise)
+            self.pass_time(0.02)
+            passed += 0.02
+
+    # --- what it is ---
+
+    def test_it_is_a_robot_link(self) -> None:
+        """Hold that it has all that the protocol asks for."""
+        with self.opened() as link:
+            require(isinstance(link, RobotLink), f"{link!r} lacks members of RobotLink")
+            require(isinstance(link.is_simulated, bool), "is_simulated is no bool")
+            require(link.encoding in Encoding, "encoding is no Encoding")
+
+    def test_it_can_be_closed_twice_and_not_used_after(self) -> None:
+        """Hold that a closed link refuses, and does not hang or crash."""
+        link = self.make_link()
+        link.close()
+        link.close()
+        refusal(lambda: link.publish("cmd_vel", _TWIST, {}))
+        refusal(lambda: link.subscribe(self.topic, _ODOMETRY, lambda _: None))
+        refusal(lambda: link.call("task/stop", _TRIGGER))
+
+    # --- messages ---
+
+    def test_a_misspelt_field_is_named_with_its_path(self) -> None:
+        """Hold that the error names the field and the nearest one."""
+        with self.opened() as link:
+            error = refusal(lambda: link.publish("cmd_vel", _TWIST, {"linear": {"X": 1.0}}))
+            require("linear.X" in error.problem, f"the field is not named: {error}")
+            require("'x'" in error.fix, f"the nearest is not named: {error}")
+
+    def test_a_value_of_another_kind_is_named_with_its_path(self) -> None:
+        """Hold that a text for a number, and a command that is not a number, are refused."""
+        with self.opened() as link:
+            for value in ("fast", None, float("nan"), float("inf")):
+                error = refusal(partial(link.publish, "cmd_vel", _TWIST, {"angular": {"z": value}}))
+                require("angular.z" in error.problem, f"the field is not named: {error}")
+
+    def test_an_unknown_type_is_refused(self) -> None:
+        """Hold that a type that there is not is an error at once, not silence."""
+        with self.opened() as link:
+            refusal(lambda: link.publish("cmd_vel", "geometry_msgs/Twit", {}))
+            refusal(lambda: link.subscribe(self.topic, "nav_msgs/Odometri", lambda _: None))
+
+    def test_a_definition_comes_with_those_that_it_is_made_of(self) -> None:
+        """Hold that a recorder gets the text that bags store."""
+        with self.opened() as link:
+            text = link.definition(_TWIST)
+            require("linear" in text and "angular" in text, f"that is no definition of {_TWIST}: {text!r}")
+            require("MSG: geometry_msgs/" in text, f"what it is made of is not there: {text!r}")
+            refusal(lambda: link.definition("geometry_msgs/Twit"))
+
+    # --- what the robot publishes ---
+
+    def test_what_the_robot_publishes_is_heard(self) -> None:
+        """Hold that messages are mappings with every field, until the subscription is closed."""
+        with self.opened() as link:
+            if not self.publishes:
+                return
+            heard: list[Message] = []
+            subscription = link.subscribe(self.topic, _ODOMETRY, heard.append)
+            require(isinstance(subscription, Subscription), f"{subscription!r} cannot be closed")
+            self.until(lambda: len(heard) > 1, "nothing was heard")
+            require({"header", "child_frame_id", "pose", "twist"} <= set(heard[0]), f"fields are missing: {heard[0]}")
+            require(set(heard[0]["header"]["stamp"]) == {"sec", "nanosec"}, "a stamp has other fields")
+            subscription.close()
+            subscription.close()
+
+    def test_bytes_of_what_the_robot_publishes_are_heard(self) -> None:
+        """Hold that raw messages come with their time."""
+        with self.opened() as link:
+            if not self.publishes:
+                return
+            first: list[RawMessage] = []
+            subscription = link.subscribe_raw(self.topic, _ODOMETRY, first.append)
+            self.until(lambda: len(first) > 1, "nothing was heard")
+            subscription.close()
+            require(isinstance(first[0].data, bytes) and first[0].data, "there are no bytes")
+            require(first[0].received_ns <= first[1].received_ns, "time goes back")
+
+    def test_a_message_that_never_comes_is_waited_for_until_the_deadline(self) -> None:
+        """Hold that `wait_for` ends, and says what did not come."""
+        with self.opened() as link:
+            begun = time.monotonic()
+            error = refusal(lambda: link.wait_for(self.topic, _ODOMETRY, lambda _: False, timeout=0.3))
+            require(time.monotonic() - begun < 0.3 + SLACK, "it waited too long")
+            require(self.topic in f"{error.where} {error.problem}", f"the topic is not named: {error}")
+
+    def test_a_fault_of_the_condition_is_raised_where_it_is_waited_for(self) -> None:
+        """Hold that a wrong condition is no silence."""
+        with self.opened() as link:
+            if not self.publishes:
+                return
+            try:
+                link.wait_for(self.topic, _ODOMETRY, lambda message: message["no such field"], timeout=5.0)
+            except KeyError:
+                return
+            raise AssertionError("the condition's KeyError was lost")
+
+    # --- services ---
+
+    def test_a_service_that_is_not_there_is_refused_in_time(self) -> None:
+        """Hold that a missing service is named, within the deadline."""
+        with self.opened() as link:
+            begun = time.monotonic()
+            error = refusal(lambda: link.call("no/such/service", _TRIGGER, timeout=1.0))
+            require(time.monotonic() - begun < 1.0 + SLACK, "it waited too long")
+            require("no/such/service" in f"{error.where} {error.problem}", f"the service is not named: {error}")
+
+    def test_an_offered_service_answers(self) -> None:
+        """Hold that requests and responses are mappings with every field, until the offer is closed."""
+        asked: list[Message] = []
+
+        def answer(request: Message) -> Message:
+            asked.append(request)
+            return {"success": True, "message": f"lamp is {request['data']}"}
+
+        with self.opened() as robot, self.opened() as link:
+            offer = robot.offer("lamp", "std_srvs/SetBool", answer)
+            response = link.call("lamp", "std_srvs/SetBool", {"data": True})
+            require(response == {"success": True, "message": "lamp is True"}, f"it answered {response}")
+            require(asked == [{"data": True}], f"it was asked {asked}")
+            error = refusal(lambda: link.call("lamp", "std_srvs/SetBool", {"dat": True}))
+            require("dat" in error.problem, f"the field is not named: {error}")
+            offer.close()
+            offer.close()
+            refusal(lambda: link.call("lamp", "std_srvs/SetBool", {"data": True}, timeout=1.0))
+
+    def test_a_service_is_offered_once(self) -> None:
+        """Hold that a second offer of one name is refused."""
+        with self.opened() as robot, self.opened() as link:
+            offer = robot.offer("door", _TRIGGER, lambda _: {"success": True})
+            link.call("door", _TRIGGER)
+            error = refusal(lambda: link.offer("door", _TRIGGER, lambda _: {}))
+            require("door" in f"{error.where} {error.problem}", f"the service is not named: {error}")
+            offer.close()
+
+    def test_a_fault_of_an_offered_service_is_the_caller_s_error(self) -> None:
+        """Hold that a service that fails is no silence and ends neither side."""
+
+        def answer(request: Message) -> Message:
+            del request
+            raise LinkError("the lamp is broken", where="lamp", fix="Change it.")
+
+        with self.opened() as robot, self.opened() as link:
+            robot.offer("lamp", _TRIGGER, answer)
+            refusal(lambda: link.call("lamp", _TRIGGER, timeout=2.0))
+
+    # --- the graph ---
+
+    def test_the_graph_is_listed(self) -> None:
+        """Hold that topics and services are listed by full names with their types, and nodes by full names."""
+        with self.opened() as robot, self.opened() as link:
+            robot.offer("lamp", _TRIGGER, lambda _: {"success": True})
+            robot.publish("cmd_vel", _TWIST, {})
+            self.until(lambda: link.topics().get("/cmd_vel") == _TWIST, f"/cmd_vel is not in {link.topics()}")
+            self.until(link.nodes, "there are no nodes")
+            services, nodes = link.services(), link.nodes()
+            require(not services or services.get("/lamp") == _TRIGGER, f"/lamp is not in {services}")
+            require(list(nodes) == sorted(nodes), f"{nodes} are not sorted")
+            require(all(name.startswith("/") for name in nodes), f"{nodes} are no full names")
+
+    def test_robots_are_kept_apart_by_their_namespaces(self) -> None:
+        """Hold that a service of one robot is not that of another, and that a full name reaches either."""
+        with self.opened("alice") as alice, self.opened("/bob") as bob:
+            alice.offer("who", _TRIGGER, lambda _: {"success": True, "message": "alice"})
+            bob.offer("who", _TRIGGER, lambda _: {"success": True, "message": "bob"})
+            require(alice.call("who", _TRIGGER)["message"] == "alice", "alice's service is not hers")
+            require(bob.call("who", _TRIGGER)["message"] == "bob", "bob's service is not his")
+            require(bob.call("/alice/who", _TRIGGER)["message"] == "alice", "a full name is not taken as such")

@@ -1,0 +1,34 @@
+"""A DDS domain on loopback for each worker of a test run, so that runs at the same time do not hear each other."""
+
+from __future__ import annotations
+
+import os
+import socket
+
+__all__ = ["LOOPBACK", "claim_domain"]
+
+#: Cyclone DDS on loopback alone; discovery goes by multicast there too.
+LOOPBACK = (
+    "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo' multicast='true'/></Interfaces></General>"
+    "</Domain></CycloneDDS>"
+)
+
+_held: list[socket.socket] = []
+
+
+def claim_domain() -> int:
+    """Return a domain that no other process has claimed; it is kept until this process ends.
+
+    A claim is an abstract socket's name, which the system frees with the process.
+    """
+    for number in range(100, 200):
+        domain = 100 + (number + os.getpid()) % 100
+        claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            claim.bind(f"\0robot-runner-dds-domain-{domain}")
+        except OSError:
+            claim.close()
+        else:
+            _held.append(claim)
+            return domain
+    raise AssertionError("all domains are claimed")

@@ -1,0 +1,88 @@
+"""Frames of a rosbridge: JSON, CBOR and fragments."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_runner.links.rosbridge import cbor
+from robot_runner.links.rosbridge.frames import FrameReader
+from robot_runner.testing.cbor_writing import TypedArray, as_cbor
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**64), 2**64 - 1) | st.floats(allow_nan=False) | st.text() | st.binary(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
+    max_leaves=12,
+)
+
+
+@given(VALUES)
+def test_what_is_written_as_cbor_is_read(value):
+    assert cbor.read(as_cbor(value)) == value
+
+
+# The examples of RFC 8949, appendix A.
+@pytest.mark.parametrize(
+    ("data", "value"),
+    [
+        ("1bffffffffffffffff", 18446744073709551615),
+        ("3903e7", -1000),
+        ("f93e00", 1.5),
+        ("fa47c35000", 100000.0),
+        ("fb7e37e43c8800759c", 1.0e300),
+        ("f97c00", math.inf),
+        ("5f42010243030405ff", b"\x01\x02\x03\x04\x05"),
+        ("7f657374726561646d696e67ff", "streaming"),
+        ("9f018202039f0405ffff", [1, [2, 3], [4, 5]]),
+        ("bf61610161629f0203ffff", {"a": 1, "b": [2, 3]}),
+        ("c11a514b67b0", 1363896240),
+    ],
+)
+def test_the_examples_of_the_standard_are_read(data, value):
+    assert cbor.read(bytes.fromhex(data)) == value
+
+
+@pytest.mark.parametrize(
+    "kind", ["uint16", "uint32", "uint64", "int8", "int16", "int32", "int64", "float32", "float64"]
+)
+def test_typed_arrays_are_lists(kind):
+    assert cbor.read(as_cbor(TypedArray(kind, [1, 2, 3]))) == [1, 2, 3]
+
+
+@pytest.mark.parametrize("data", ["", "1b00", "61", "ff", "a101", "8201ff", "0000", "fc", "9f" * 100, "1c"])
+def test_what_is_no_cbor_is_refused(data):
+    with pytest.raises(ValueError, match=r".+"):
+        cbor.read(bytes.fromhex(data))
+
+
+@given(st.binary())
+def test_arbitrary_bytes_are_read_or_refused(data):
+    try:
+        cbor.read(data)
+    except ValueError:
+        return
+
+
+@given(st.text(min_size=1), st.permutations(range(4)))
+def test_fragments_come_in_any_order(text, order):
+    whole = json.dumps({"op": "publish", "topic": text})
+    size = -(-len(whole) // 4)
+    parts = [whole[at * size : (at + 1) * size] for at in range(4)]
+    reader = FrameReader()
+    read = [
+        reader.read(json.dumps({"op": "fragment", "id": "1", "num": index, "total": 4, "data": parts[index]}))
+        for index in order
+    ]
+    assert read == [None, None, None, {"op": "publish", "topic": text}]
+
+
+@pytest.mark.parametrize(
+    "frame", ["[]", "{}", "nothing", '{"op": 1}', '{"op": "fragment", "num": 3, "total": 2, "data": ""}']
+)
+def test_what_is_no_operation_is_refused(frame):
+    with pytest.raises(ValueError, match=r".+"):
+        FrameReader().read(frame)
