@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import threading
 
 import pytest
 
@@ -86,9 +87,13 @@ def test_a_tracker_that_swallowed_an_exception_yields_no_value_and_a_warning(mea
             return None
 
     monkeypatch.setattr(codecarbon, "OfflineEmissionsTracker", Broken)
+    before = set(threading.enumerate())
     context = measure(seconds=0.1)
     assert set(context.measures.values()) == {None}
     assert [finding.problem for finding in context.broker.findings] == ["CodeCarbon said nothing"]
+    for left in set(threading.enumerate()) - before:
+        left.join(5.0)
+    assert set(threading.enumerate()) <= before
 
 
 def test_a_machine_without_the_library_is_told_which_extra_brings_it(tmp_path, monkeypatch):

@@ -15,7 +15,7 @@ from robot_runner.links.local_host import LocalHost
 from robot_runner.plugins.profilers import Ina219
 from robot_runner.plugins.profilers.ina219 import sysfs
 from robot_runner.plugins.profilers.ina219.sysfs import find_sensor
-from robot_runner.testing import FakeClock, make_context, rehearse
+from robot_runner.testing import FakeClock, ProfilerContract, make_context, rehearse
 
 HWMON = {
     "name": "ina219",
@@ -247,3 +247,23 @@ def test_a_sensor_that_the_robot_does_not_have_fails_the_run_before_its_mission(
     with pytest.raises(LinkError, match="shows no INA219"):
         rehearse(context, profiler)
     context.resources.close()
+
+
+class TestIna219BehindADriver(ProfilerContract):
+    robot = None
+    is_repeatable = False
+    measuring_seconds = 0.2
+
+    @pytest.fixture(autouse=True)
+    def _sensor(self, tmp_path_factory, monkeypatch):
+        folder = tmp_path_factory.mktemp("sys") / "hwmon0"
+        folder.mkdir()
+        for name, content in HWMON.items():
+            (folder / name).write_text(content)
+        monkeypatch.setattr(sysfs, "_PATTERNS", (f"{folder}/name",))
+
+    def make_plugin(self) -> Ina219:
+        return Ina219(sysfs="auto", rate_hz=100.0)
+
+    def make_context(self, folder, plugin, *, run_seed=1):
+        return make_context(folder, plugin, robot=None, clock=SystemClock(), run_seed=run_seed)

@@ -324,3 +324,58 @@ def test_the_simulated_mission_ends_within_a_centimetre_of_its_beginning(tmp_pat
     context.resources.close()
     assert measures["PoseError"] < 0.01
     assert measures["Distance"] == pytest.approx(3.4, rel=0.03)
+
+
+def test_two_robots_with_one_namespace_are_refused():
+    alice, again = BasicTurtlebot3(name="alice", namespace="/a"), BasicTurtlebot3(name="again", namespace="a")
+    circumstances = Circumstances(robot="simulated", factors={"Task": ["Video"]}, plugins=[alice, again])
+    assert list(alice.check(circumstances)) == []
+    (finding,) = again.check(circumstances)
+    assert "'/a'" in finding.problem
+    assert "'alice'" in finding.problem
+    assert "namespace=" in finding.fix
+    bob = BasicTurtlebot3(name="bob", namespace="b")
+    assert list(bob.check(Circumstances(robot="simulated", factors={"Task": ["Video"]}, plugins=[alice, bob]))) == []
+
+
+def test_a_robot_that_hears_no_commands_is_found_before_the_mission(stage):
+    played = stage()
+    played.robot.known_topics = {"cmd_vell": "geometry_msgs/Twist"}
+    with pytest.raises(LinkError, match="no topic '/cmd_vel'") as caught:
+        played.plugin.start_run(played.context)
+    assert "'/cmd_vell'" in caught.value.fix
+
+
+def test_two_robots_on_one_topic_are_told_by_their_stamps(stage):
+    played = stage()
+    played.plugin.start_run(played.context)
+    position = {"position": {"x": 0.0, "y": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+    for second in (7, 5) * 7:
+        stamp = {"stamp": {"sec": second, "nanosec": 0}}
+        played.robot.deliver("odom", {"header": stamp, "pose": {"pose": position}})
+    with pytest.raises(LinkError, match="went back 8 times") as caught:
+        played.plugin.launch_mission(played.context)
+    assert "namespace of its own" in caught.value.fix
+
+
+def test_a_simulated_robot_on_a_graph_is_labelled_as_such(stage):
+    played = stage()
+    played.robot.known_topics["/clock"] = "rosgraph_msgs/Clock"
+    played.execute()
+    assert {each.origin for each in played.context.broker.measures.values()} == {Origin.SIMULATED}
+
+
+def test_what_broke_the_mission_off_is_told_though_the_robot_cannot_be_made_safe(stage):
+    played = stage()
+    played.plugin.start_run(played.context)
+    played.robot.odometry_ends_at = played.clock.now() + 1.0
+
+    def lose_the_link():
+        played.robot.fault = LinkError("the cable came off", where="robot", fix="Plug it in.")
+
+    played.clock.at(played.clock.now() + 1.5, lose_the_link)
+    played.robot.publish = lambda *_, **__: None  # commands go nowhere, and nobody says so
+    with pytest.raises(LinkError, match="no odometry arrived") as caught:
+        played.plugin.launch_mission(played.context)
+    assert "could not be made safe" in caught.value.__notes__[0]
+    assert "the cable came off" in caught.value.__notes__[0]

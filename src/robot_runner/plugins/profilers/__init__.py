@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from robot_runner.plugins.profilers.powermetrics import Powermetrics
     from robot_runner.plugins.profilers.psutil import PsUtil
     from robot_runner.plugins.profilers.rapl import Rapl
+    from robot_runner.plugins.profilers.ros_bag.profiler import RosBag
+    from robot_runner.plugins.profilers.ros_graph import RosGraph
+    from robot_runner.plugins.profilers.ros_topics import RosTopics
     from robot_runner.plugins.profilers.watts_up_pro import WattsUpPro
 
 __all__ = [
@@ -42,6 +45,9 @@ __all__ = [
     "PsUtil",
     "Rapl",
     "RobotState",
+    "RosBag",
+    "RosGraph",
+    "RosTopics",
     "TimeColumn",
     "TimeKind",
     "WattsUpPro",
@@ -66,6 +72,9 @@ _HOMES = {
     "PsUtil": "robot_runner.plugins.profilers.psutil",
     "Rapl": "robot_runner.plugins.profilers.rapl",
     "RobotState": "robot_runner.plugins.profilers.power_model.states",
+    "RosBag": "robot_runner.plugins.profilers.ros_bag.profiler",
+    "RosGraph": "robot_runner.plugins.profilers.ros_graph",
+    "RosTopics": "robot_runner.plugins.profilers.ros_topics",
     "TimeColumn": "robot_runner.plugins.profilers.command_output",
     "TimeKind": "robot_runner.plugins.profilers.command_output",
     "WattsUpPro": "robot_runner.plugins.profilers.watts_up_pro",

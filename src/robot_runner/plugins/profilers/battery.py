@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 from robot_runner.errors import Finding, PluginError
 from robot_runner.events.measure import Measure, Origin
 from robot_runner.links.connect import connect_robot
+from robot_runner.links.simulation_mark import is_simulation
 from robot_runner.plugins.api.plugin import Profiler
 from robot_runner.plugins.sampling.integration import energy, mean
 from robot_runner.plugins.sampling.quality import quality_of
@@ -122,7 +123,7 @@ class Battery(Profiler):
     def start_measurement(self, context: RobotRunnerContext) -> None:
         """Begin to listen."""
         link, clock = connect_robot(context, namespace=self.namespace), context.clock
-        self._heard = heard = _Heard(link.is_simulated)
+        self._heard = heard = _Heard(is_simulation(link, self.namespace))
         self._subscription = link.subscribe(self.topic, _TYPE, lambda message: heard.take(clock.now(), message))
         self._start = clock.now()
 

@@ -121,7 +121,10 @@ class CodeCarbon(Profiler):
         if tracker is None:
             return
         self._window = Window(self._start, machine_clock(context).now())
-        tracker.stop()
+        try:
+            tracker.stop()
+        finally:
+            _end_threads(tracker)
         # It swallows its own exceptions, and then has nothing to say.
         self._data = getattr(tracker, "final_emissions_data", None)
         self._hardware = list(map(str, getattr(tracker, "_conf", {}).get("hardware", [])))
@@ -168,3 +171,11 @@ class CodeCarbon(Profiler):
             yield f"CodeCarbon tracked {self._data.duration:.1f} s of a window of {self._window.duration:.1f} s"
         if not self._data.country_name:
             yield f"CodeCarbon does not know the country {self.country!r} and reckoned with the world's electricity mix"
+
+
+def _end_threads(tracker: Any) -> None:
+    """End what a tracker leaves behind whose `stop` failed: a new thread for each reading, while the process lives."""
+    for name in ("_scheduler", "_scheduler_monitor_power"):
+        scheduler = getattr(tracker, name, None)
+        if scheduler is not None:
+            scheduler.stop()

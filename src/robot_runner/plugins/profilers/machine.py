@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.errors import Finding
 from robot_runner.events.clock import SystemClock
-from robot_runner.links.connect import is_simulated
+from robot_runner.links.connect import is_simulated, lives_by_simulation
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,12 +23,12 @@ def machine_clock(context: RobotRunnerContext) -> Clock:
 
     A simulated mission of 95 s takes a few real ones, and a watt is a joule in a real second.
     """
-    return SystemClock() if is_simulated(context.robot) else context.clock
+    return SystemClock() if lives_by_simulation(context) else context.clock
 
 
 def clock_details(context: RobotRunnerContext) -> Mapping[str, str]:
     """Return, for `quality.json`, whose clock the times in the raw data are of."""
-    return {"clock": "machine" if is_simulated(context.robot) else "run"}
+    return {"clock": "machine" if lives_by_simulation(context) else "run"}
 
 
 def simulation_findings(name: str, circumstances: Circumstances) -> list[Finding]:

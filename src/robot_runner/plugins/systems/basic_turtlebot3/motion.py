@@ -14,8 +14,10 @@ if TYPE_CHECKING:
     from robot_runner.events.clock import Clock
     from robot_runner.links.robot import RobotLink
 
-__all__ = ["MAXIMUM_SPEED", "MAXIMUM_TURN_RATE", "TICK", "Pilot", "Ramp"]
+__all__ = ["COMMAND_TOPIC", "MAXIMUM_SPEED", "MAXIMUM_TURN_RATE", "TICK", "Pilot", "Ramp"]
 
+#: What the robot hears its velocities on.
+COMMAND_TOPIC = "cmd_vel"
 #: Burger, from ROBOTIS' e-manual (https://emanual.robotis.com/docs/en/platform/turtlebot3/features/): m/s and rad/s.
 MAXIMUM_SPEED = 0.22
 MAXIMUM_TURN_RATE = 2.84
@@ -139,7 +141,7 @@ class Pilot:
 
     def _command(self, speed: float, rate: float) -> None:
         twist = {"linear": {"x": speed, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": rate}}
-        self._link.publish("cmd_vel", "geometry_msgs/Twist", twist)
+        self._link.publish(COMMAND_TOPIC, "geometry_msgs/Twist", twist)
 
 
 def _beside(start: Pose, pose: Pose) -> tuple[float, float]:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 __all__ = ["Odometer", "Pose", "wrapped"]
 
 _POLL = 0.02
+#: A clock that is set, or a message that is overtaken, steps back now and then; two robots on one topic do always.
+_MOST_STEPS_BACK = 5
 
 
 def wrapped(angle: float) -> float:
@@ -77,6 +79,8 @@ class Odometer:
         self._pose: Pose | None = None
         self._heard_at = clock.now()
         self._travelled = 0.0
+        self._stamp = (0, 0)
+        self._steps_back = 0
 
     def hear(self, message: Message) -> None:
         """Take one message."""
@@ -84,6 +88,9 @@ class Odometer:
         if self._pose is not None:
             self._travelled += self._pose.distance_to(pose)
         self._pose, self._heard_at = pose, self._clock.now()
+        stamp = _stamp_in(message)
+        self._steps_back += stamp < self._stamp
+        self._stamp = stamp
         if self.on_pose is not None:
             self.on_pose(self._heard_at, pose)
 
@@ -96,8 +103,14 @@ class Odometer:
         """Return the robot's pose.
 
         Raises:
-            LinkError: the odometry has been silent for longer than it may.
+            LinkError: the odometry has been silent for longer than it may, or two robots tell theirs on one topic.
         """
+        if self._steps_back > _MOST_STEPS_BACK:
+            raise LinkError(
+                f"the time stamps of the odometry went back {self._steps_back} times",
+                where=self._where,
+                fix="See that one robot only publishes it: give each robot a namespace of its own.",
+            )
         silence = self._clock.now() - self._heard_at
         if self._pose is None or silence > self._timeout:
             raise LinkError(
@@ -117,6 +130,11 @@ class Odometer:
         while self._pose is None and self._clock.now() < deadline:
             self._clock.sleep(_POLL)
         return self.pose()
+
+
+def _stamp_in(message: Message) -> tuple[int, int]:
+    stamp = message["header"]["stamp"]
+    return stamp["sec"], stamp["nanosec"]
 
 
 def _pose_in(message: Message) -> Pose:

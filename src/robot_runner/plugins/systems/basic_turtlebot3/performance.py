@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from robot_runner.errors import LinkError
 from robot_runner.plugins.systems.basic_turtlebot3.mission import PhaseKind
 from robot_runner.plugins.systems.basic_turtlebot3.motion import TICK
 
@@ -68,9 +68,20 @@ class Performer:
         Raises:
             LinkError: the odometry fell silent or the robot cannot be reached.
         """
-        with ExitStack() as closing:
-            closing.callback(self._robot.make_safe)
-            return self._perform(announce)
+        try:
+            performance = self._perform(announce)
+        except BaseException as fault:
+            self._make_safe_after(fault)
+            raise
+        self._robot.make_safe()
+        return performance
+
+    def _make_safe_after(self, fault: BaseException) -> None:
+        """Make the robot safe; that it cannot be reached for that, either, does not hide what came first."""
+        try:
+            self._robot.make_safe()
+        except LinkError as error:
+            fault.add_note(f"The robot could not be made safe: {error}")
 
     def _perform(self, announce: Callable[[int, Phase], None]) -> Performance:
         odometer = self._robot.odometer

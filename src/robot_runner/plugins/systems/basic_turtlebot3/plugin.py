@@ -99,6 +99,7 @@ class BasicTurtlebot3(System):
                 "it operates a robot, and the experiment names none",
                 "Name it in the config: robot = 'simulated'. Or: --set robot=simulated.",
             )
+        yield from self._check_namespace(circumstances)
         yield from self._check_tasks(circumstances)
 
     def start_run(self, context: RobotRunnerContext) -> None:
@@ -106,8 +107,9 @@ class BasicTurtlebot3(System):
         self._robot = self._performance = None
         link = connect_robot(context, namespace=self.namespace)
         odometer = Odometer(context.clock, timeout=self.odometry_timeout_s, where=self.name)
-        self._robot = Robot(link, odometer, context.clock)
+        self._robot = Robot(link, odometer, context.clock, namespace=self.namespace)
         odometer.wait(self.connect_timeout_s)
+        self._robot.check_listens(where=self.name)
 
     def launch_mission(self, context: RobotRunnerContext) -> None:
         """Execute the mission.
@@ -156,7 +158,19 @@ class BasicTurtlebot3(System):
         """Stop wheels and tasks, also in a process that has not been connected to the robot before."""
         link = connect_robot(context, namespace=self.namespace)
         odometer = Odometer(context.clock, timeout=self.odometry_timeout_s, where=self.name)
-        Robot(link, odometer, context.clock).close()
+        Robot(link, odometer, context.clock, namespace=self.namespace).close()
+
+    def _check_namespace(self, circumstances: Circumstances) -> Iterator[Finding]:
+        own = self.namespace.strip("/")
+        for other in circumstances.plugins:
+            if other is self:
+                return  # the later of the two says it
+            if isinstance(other, BasicTurtlebot3) and other.namespace.strip("/") == own:
+                yield Finding.error(
+                    f"plugin {self.name}",
+                    f"it operates the robot of the namespace '/{own}', and so does {other.name!r}",
+                    f"Give each its robot's namespace, as in {type(self).__name__}(namespace='/alice').",
+                )
 
     def _check_tasks(self, circumstances: Circumstances) -> Iterator[Finding]:
         where = f"plugin {self.name}"

@@ -1,0 +1,1 @@
+"""The profiler that records topics into a bag."""

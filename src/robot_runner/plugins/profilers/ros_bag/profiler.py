@@ -1,0 +1,184 @@
+"""The profiler that records topics into a bag while the robot is measured."""
+
+from __future__ import annotations
+
+import shutil
+from enum import StrEnum
+from typing import TYPE_CHECKING, ClassVar
+
+from robot_runner.errors import Finding, PluginError, did_you_mean
+from robot_runner.events.measure import Measure, Origin
+from robot_runner.links.connect import connect_robot
+from robot_runner.links.host import LOCAL
+from robot_runner.links.simulation_mark import is_simulation
+from robot_runner.links.ssh_command import ssh_findings
+from robot_runner.plugins.api.plugin import Profiler
+from robot_runner.plugins.profilers.ros_bag.bag_file import messages_in
+from robot_runner.plugins.profilers.ros_bag.program import PROGRAMS, BagProgram
+from robot_runner.plugins.profilers.ros_bag.recorder import LinkRecorder
+from robot_runner.plugins.profilers.ros_listening import found_topics, robot_findings, topic_label
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from robot_runner.events.context import RobotRunnerContext
+    from robot_runner.plugins.api.plugin import Circumstances
+
+__all__ = ["RosBag"]
+
+_FIX = "Look at the bag before you use this run."
+
+
+class _By(StrEnum):
+    AUTO = "auto"
+    PROGRAM = "program"
+    LINK = "link"
+
+
+class RosBag(Profiler):
+    """Records topics of a robot into a bag in the plugin's folder.
+
+    `rosbag record` or `ros2 bag record` is used where it is there: on the robot's computer if a host is named, else on
+    this machine; it begins when the run starts, because it takes a while to. Where it is not there, and on the
+    simulated robot, the plugin records itself what this machine hears in the measured window: an MCAP file of ROS 2's
+    profile, or a bag of ROS 1.
+
+    Args:
+        topics: names, relative to the robot's namespace.
+        name: tells several instances apart; the class's name if left out.
+        namespace: which robot, where there are several.
+        by: `auto`, or `program` or `link` to have one of the two and no other.
+        host: the computer to record on, as for ssh; this machine if left out.
+        setup: a file to be sourced before, such as `/opt/ros/humble/setup.bash`.
+        ssh_config: a file to take the place of the user's ssh config.
+        patience: how long a topic may take to appear on the graph before a run starts, s.
+
+    Raises:
+        PluginError: there are no topics, a name cannot be one, or `by` is none of the three.
+
+    Example:
+        >>> [measure.name for measure in RosBag(["odom", "scan"]).measures]
+        ['BagMessages', 'BagSize']
+    """
+
+    measures: Sequence[Measure] = (
+        Measure("BagMessages", "1", "Messages in the bag, all topics together."),
+        Measure("BagSize", "B", "Size of the bag."),
+    )
+    needs: ClassVar[str] = "A robot whose topics can be heard; the extra `bag`, or rosbag or ros2."
+    bytes_per_run: int = 20_000_000  # 200 kB a second, as of odometry, laser and battery, for a mission of 95 s
+
+    def __init__(
+        self,
+        topics: Sequence[str] = ("odom",),
+        *,
+        name: str | None = None,
+        namespace: str = "",
+        by: str = "auto",
+        host: str = LOCAL,
+        setup: str | None = None,
+        ssh_config: Path | None = None,
+        patience: float = 5.0,
+    ) -> None:
+        super().__init__(name=name)
+        if isinstance(topics, str) or not topics:
+            fix = "Give a list of names, such as ['odom', 'scan']."
+            raise PluginError(f"topics is {topics!r}", where=self.name, fix=fix)
+        for topic in topics:
+            topic_label(topic, where=self.name)
+        if by not in set(_By):
+            raise PluginError(f"by is {by!r}", where=self.name, fix=did_you_mean(by, list(_By)))
+        self.topics = tuple(dict.fromkeys(topics))
+        self.namespace = namespace
+        self.by = _By(by)
+        self.host = host
+        self.setup = setup
+        self.ssh_config = ssh_config
+        self.patience = patience
+        self._recorder: LinkRecorder | BagProgram | None = None
+        self._is_simulated = False
+        self._has_measured = False
+        self._messages: int | None = None
+        self._size: int | None = None
+        self._problems: list[str] = []
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no robot, or a host that cannot be reached."""
+        findings = robot_findings(self.name, circumstances)
+        if self.host != LOCAL:
+            findings += ssh_findings(f"plugin {self.name}", self.host, config=self.ssh_config)
+        return findings
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Get ready to record, or begin to where ROS' own program does it.
+
+        Raises:
+            PluginError: none of the topics is there, or the recorder cannot be started.
+        """
+        self._recorder, self._messages, self._size = None, None, None
+        self._has_measured, self._problems = False, []
+        link = connect_robot(context, namespace=self.namespace)
+        self._is_simulated = is_simulation(link, self.namespace)
+        found = found_topics(link, self.topics, self.namespace, context.clock, patience=self.patience)
+        self._problems = [f"nobody publishes {topic}" for topic, typed in found.items() if typed is None]
+        topics = [typed for typed in found.values() if typed is not None]
+        if not topics:
+            fix = "Name topics that the robot publishes: " + ", ".join(sorted(link.topics())) + "."
+            raise PluginError(f"none of the topics {', '.join(self.topics)} is there", where=self.name, fix=fix)
+        folder = context.raw_data_folder
+        if self._is_by_program(PROGRAMS[link.encoding], is_embedded=link.is_simulated):
+            names = [topic.full_name for topic in topics]
+            self._recorder = BagProgram(
+                link.encoding, names, folder, host=self.host, setup=self.setup, ssh_config=self.ssh_config
+            )
+        else:
+            self._recorder = LinkRecorder(link, topics, folder)
+
+    def start_measurement(self, context: RobotRunnerContext) -> None:
+        """Begin to record."""
+        del context
+        self._has_measured = True
+        if isinstance(self._recorder, LinkRecorder):
+            self._recorder.begin()
+
+    def stop_measurement(self, context: RobotRunnerContext) -> None:
+        """Record no more."""
+        del context
+        if isinstance(self._recorder, LinkRecorder):
+            self._recorder.end()
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Finish the bag, and weigh it."""
+        recorder, self._recorder = self._recorder, None
+        if recorder is None:
+            return
+        problem = recorder.close()
+        if problem is not None:
+            self._problems.append(problem)
+        folder = context.raw_data_folder
+        self._messages = recorder.messages if isinstance(recorder, LinkRecorder) else messages_in(folder)
+        bags = [path for path in folder.rglob("*") if path.is_file() and path.suffix in {".bag", ".mcap", ".db3"}]
+        self._size = sum(path.stat().st_size for path in bags) if bags else None
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish the measures."""
+        if not self._has_measured:
+            self._problems.append("nothing was recorded: the measurement was never started")
+        elif self._messages == 0:
+            self._problems.append("no message came in the measured window")
+        for problem in self._problems:
+            context.warn(problem, fix=_FIX)
+        origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED
+        context.publish("BagMessages", self._messages, origin=origin)
+        context.publish("BagSize", self._size, origin=origin)
+
+    def _is_by_program(self, program: str, *, is_embedded: bool) -> bool:
+        if self.by is _By.LINK or is_embedded:
+            if self.by is _By.PROGRAM:
+                fix = "Leave `by` out: the simulated robot is on no graph."
+                raise PluginError(f"{program} cannot record a simulated robot", where=self.name, fix=fix)
+            return False
+        if self.host != LOCAL or self.setup is not None or self.by is _By.PROGRAM:
+            return True
+        return shutil.which(program) is not None

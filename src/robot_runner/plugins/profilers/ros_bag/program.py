@@ -1,0 +1,149 @@
+"""Records topics with `rosbag record` or `ros2 bag record`, on this machine or on the robot's computer."""
+
+from __future__ import annotations
+
+import shlex
+import signal
+import subprocess
+from typing import TYPE_CHECKING
+
+from robot_runner.errors import PluginError
+from robot_runner.events.clock import SystemClock
+from robot_runner.links.host import LOCAL
+from robot_runner.links.robot import Encoding
+from robot_runner.links.ssh_command import remedy, ssh_command
+from robot_runner.plugins.profilers.process import MeterProcess
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+__all__ = ["PROGRAMS", "BagProgram"]
+
+#: The program that records messages of each generation of ROS.
+PROGRAMS = {Encoding.ROS1: "rosbag", Encoding.CDR: "ros2"}
+
+_STARTUP = 15.0
+_GRACE = 30.0
+_FETCH = 600.0
+
+#: What each takes for "finish your bag, and end". `rosbag` passes SIGTERM on to the program behind it as SIGINT, and
+#: SIGINT not at all, which a terminal would send to both.
+_END = {Encoding.ROS1: signal.SIGTERM, Encoding.CDR: signal.SIGINT}
+
+#: Recording goes on until this script's input ends, as it does when ssh ends, whatever ended it; then the recorder gets
+#: its signal. The folder is named on the first line that is said. Without `set -m` the recorder would ignore SIGINT.
+_ON_HOST = """set -m
+trap : INT TERM
+folder=$(mktemp -d) && cd "$folder" || exit 1
+{setup}
+{command} >record.txt 2>&1 </dev/null &
+for i in $(seq 150); do ls bag* >/dev/null 2>&1 && break; kill -0 $! 2>/dev/null || break; sleep 0.1; done
+kill -0 $! 2>/dev/null || {{ tail -n 1 record.txt >&2; exit 1; }}
+echo "$folder"
+exec >/dev/null 2>&1
+cat
+kill -{signal} $!
+wait $!
+touch done
+"""
+
+
+class BagProgram:
+    """A recorder of ROS' own, from its start until it is closed.
+
+    Args:
+        encoding: of the messages, which tells the generation of ROS.
+        topics: full names.
+        folder: takes the bag.
+        host: as for ssh; `localhost` is this machine.
+        setup: a file to be sourced on the host first, such as `/opt/ros/humble/setup.bash`.
+        ssh_config: a file to take the place of the user's ssh config.
+
+    Raises:
+        PluginError: it cannot be started.
+    """
+
+    def __init__(
+        self,
+        encoding: Encoding,
+        topics: Sequence[str],
+        folder: Path,
+        *,
+        host: str = LOCAL,
+        setup: str | None = None,
+        ssh_config: Path | None = None,
+    ) -> None:
+        self._folder = folder
+        self._host = host
+        self._config = ssh_config
+        self._encoding = encoding
+        words = shlex.join(recording(encoding, topics))
+        if host == LOCAL:
+            sourced = f". {shlex.quote(setup)} && " if setup else ""
+            command = ["bash", "-c", f"cd {shlex.quote(str(folder))} && {sourced}exec {words}"]
+        else:
+            sourced = f". {shlex.quote(setup)}" if setup else ""
+            script = _ON_HOST.format(setup=sourced, command=words, signal=_END[encoding].name.removeprefix("SIG"))
+            command = ssh_command(host, f"bash -c {shlex.quote(script)}", config=ssh_config)
+        self._process = MeterProcess(command, output=None, folder=folder, clock=SystemClock())
+        self._process.wait(self._has_begun, seconds=_STARTUP)
+        if not self._process.is_running:
+            ending = self._process.stop(_END[encoding], grace=_GRACE)
+            raise PluginError(
+                f"{PROGRAMS[encoding]} ended at once: {ending.complaint}",
+                where=f"RosBag on {host}",
+                fix=remedy(host, ending.complaint) if host != LOCAL else "Source the setup file of ROS (`setup`).",
+            )
+
+    def close(self) -> str | None:
+        """End it, fetch the bag where it is on another computer, and say what went wrong, if anything did."""
+        if self._host == LOCAL:
+            ending = self._process.stop(_END[self._encoding], grace=_GRACE)
+        else:
+            ending = self._process.stop(signal.SIGTERM, grace=_GRACE)
+            problem = self._fetched()
+            if problem is not None:
+                return problem
+        return None if ending.was_asked else f"the recorder ended by itself: {ending.complaint}"
+
+    def _has_begun(self) -> bool:
+        if self._host != LOCAL:
+            return bool(self._process.records)
+        return any(path.name.startswith("bag") for path in self._folder.iterdir())
+
+    def _fetched(self) -> str | None:
+        """Copy the host's folder into ours and remove it there; return why that failed, if it did."""
+        if not self._process.records:
+            return "the recorder on the robot did not say where its bag is"
+        remote = shlex.quote(self._process.records[0].text)
+        # What finishes the bag outlives its ssh by a moment.
+        wait = f"for i in $(seq {round(10 * _GRACE)}); do [ -e {remote}/done ] && break; sleep 0.1; done"
+        command = ssh_command(self._host, f"{wait}; tar -C {remote} -cf - . && rm -rf {remote}", config=self._config)
+        return _unpacked(command, self._folder)
+
+
+def recording(encoding: Encoding, topics: Sequence[str]) -> list[str]:
+    """Return the command that records topics into `bag.bag`, or into the folder `bag`, until it gets SIGINT."""
+    if encoding is Encoding.ROS1:
+        return ["rosbag", "record", "--quiet", "-O", "bag.bag", *topics]
+    return ["ros2", "bag", "record", "-o", "bag", *topics]
+
+
+def _unpacked(command: Sequence[str], folder: Path) -> str | None:
+    try:
+        packed = subprocess.run(  # noqa: S603  # an argument list; the host's name was checked
+            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=_FETCH, check=True, start_new_session=True
+        )
+        subprocess.run(  # noqa: S603  # an argument list
+            ["tar", "-C", str(folder), "-xf", "-"],  # noqa: S607  # the system's
+            input=packed.stdout,
+            capture_output=True,
+            timeout=_FETCH,
+            check=True,
+        )
+    except subprocess.TimeoutExpired:
+        return f"the bag could not be fetched within {_FETCH:g} s"
+    except subprocess.CalledProcessError as error:
+        return f"the bag could not be fetched: {error.stderr.decode(errors='replace').strip()[-200:]}"
+    return None
