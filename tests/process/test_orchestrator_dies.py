@@ -198,11 +198,13 @@ def test_a_process_that_is_killed_while_it_waits_for_its_run_costs_no_run(start:
     experiment = start(
         """
         def launch_mission(self, context):
-            import os, signal
+            import os, signal, time
             for path in Path("/proc").glob("[0-9]*/stat"):
                 pid, _, rest = path.read_text().partition(" (")
                 if int(rest.rpartition(")")[2].split()[1]) == os.getppid() and int(pid) != os.getpid():
                     os.kill(int(pid), signal.SIGKILL)
+                    while path.exists():  # until the guardian has buried it
+                        time.sleep(0.01)
                     (Path(__file__).parent / f"killed in {context.run_id}").touch()
         """
     )

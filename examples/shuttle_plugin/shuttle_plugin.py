@@ -1,0 +1,49 @@
+from robot_runner.plugins import Circumstances, Finding, LinkError, Measure, RobotRunnerContext, System, connect_robot
+
+TWIST, ODOMETRY = "geometry_msgs/Twist", "nav_msgs/Odometry"
+
+
+class Shuttle(System):
+    """Drives a robot straight ahead and back again."""
+
+    measures = (Measure("Reach", "m", "How far the robot was away from where it began, by odometry."),)
+    needs = "A robot that hears velocity commands and publishes its odometry."
+    link = None
+
+    def __init__(
+        self, *, distance: float = 0.5, speed: float = 0.1, namespace: str = "", name: str | None = None
+    ) -> None:
+        super().__init__(name=name)
+        self.distance, self.speed, self.namespace = distance, speed, namespace
+
+    def check(self, circumstances: Circumstances) -> list[Finding]:
+        finding = Finding.error(f"plugin {self.name}", "the experiment names no robot", "Name one: robot = 'ros1'.")
+        return [] if circumstances.robot else [finding]
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        self.link = connect_robot(context, namespace=self.namespace)
+        self.x, self.is_heard = 0.0, False
+        self.link.subscribe("odom", ODOMETRY, self.hear)
+
+    def hear(self, message: dict) -> None:
+        self.x, self.is_heard = message["pose"]["pose"]["position"]["x"], True
+
+    def launch_mission(self, context: RobotRunnerContext) -> None:
+        context.clock.sleep(1.0)
+        if not self.is_heard:
+            raise LinkError("no odometry came within 1 s", where=self.name, fix="Start the robot's drivers.")
+        begin = self.x
+        self.drive(context, self.speed, begin + self.distance)
+        context.publish("Reach", abs(self.x - begin))
+        self.drive(context, -self.speed, begin)
+
+    def drive(self, context: RobotRunnerContext, speed: float, goal: float) -> None:
+        end = context.clock.now() + 3 * self.distance / abs(speed)
+        while (goal - self.x) * speed > 0 and context.clock.now() < end:
+            self.link.publish("cmd_vel", TWIST, {"linear": {"x": speed}})
+            context.clock.sleep(0.05)
+        self.make_safe(context)
+
+    def make_safe(self, context: RobotRunnerContext) -> None:
+        if self.link is not None:
+            self.link.publish("cmd_vel", TWIST, {})

@@ -1,0 +1,1 @@
+"""The nodes of the tasks and of the watchdog for ROS 2: thin shells around `robot_runner_onboard`."""

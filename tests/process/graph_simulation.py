@@ -1,0 +1,89 @@
+"""The simulated robot on a real graph, as a process of its own, and who looks at it from outside."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.events.clock import SystemClock
+from robot_runner.links.graph_links import open_graph_link
+from robot_runner.links.robot_name import RobotName
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+PATIENCE = 30.0
+STANDSTILL = 0.01  # m/s
+
+
+@contextmanager
+def simulated_robot(link: str, *options: str) -> Iterator[str]:
+    """Offer a robot until the context ends; yields the port of its power meter."""
+    command = [sys.executable, "-m", "robot_runner", "simulate", "turtlebot3", "--link", link, *options]
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
+    # Whatever keeps it from getting ready, its output ends at last.
+    overdue = threading.Timer(PATIENCE, process.kill)
+    overdue.start()
+    try:
+        assert process.stdout is not None
+        lines = dict.fromkeys(iter(lambda: process.stdout.readline().strip() or "ended", "ready"))
+        assert "ended" not in lines
+        yield next(line.partition(": ")[2] for line in lines if line.startswith("power meter: "))
+        process.terminate()
+        process.communicate(timeout=PATIENCE)
+        assert process.returncode == 0
+    finally:
+        overdue.cancel()
+        process.kill()
+        process.communicate(timeout=PATIENCE)
+
+
+@dataclass
+class Witness:
+    """Hears a robot's odometry.
+
+    Attributes:
+        speeds: when (s since the epoch) the robot drove or turned how fast (m/s and rad/s together).
+    """
+
+    speeds: list[tuple[float, float]] = field(default_factory=list)
+
+    def hear(self, message: Any) -> None:
+        twist = message["twist"]["twist"]
+        self.speeds.append((time.time(), abs(twist["linear"]["x"]) + abs(twist["angular"]["z"])))
+
+    def sees(self, speed: float, *, since: float = 0.0) -> float:
+        """Wait until the robot is at least so fast, and return when that was."""
+        return self._first(lambda seen: seen >= speed, since)
+
+    def sees_standstill(self, since: float) -> float:
+        """Wait until the robot stands still and goes on to do so for half a second; return when that began."""
+        moment = self._first(lambda seen: seen < STANDSTILL, since)
+        self._first(lambda _: True, moment + 0.5)
+        assert all(seen < 3 * STANDSTILL for at, seen in list(self.speeds) if at > moment)
+        return moment
+
+    def _first(self, holds: Any, since: float) -> float:
+        deadline = time.monotonic() + PATIENCE
+        while time.monotonic() < deadline:
+            for moment, speed in list(self.speeds):
+                if moment > since and holds(speed):
+                    return moment
+            time.sleep(0.01)
+        raise AssertionError(f"not within {PATIENCE} s; last seen: {self.speeds[-3:]}")
+
+
+@contextmanager
+def witness(link: str, namespace: str) -> Iterator[Witness]:
+    looking = Witness()
+    connected = open_graph_link(RobotName.parse(link), SystemClock(), namespace)
+    try:
+        connected.subscribe("odom", "nav_msgs/Odometry", looking.hear)
+        yield looking
+    finally:
+        connected.close()

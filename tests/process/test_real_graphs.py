@@ -1,0 +1,147 @@
+"""Listing 1's experiment on a real ROS 1 master and over DDS, and a robot that stops when its experiment dies."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import time
+from collections.abc import Callable
+from datetime import datetime
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.conftest import HEAD, TABLE
+from tests.links.dds_domain import LOOPBACK, claim_domain
+from tests.links.ros1_master import RUDE, needs_ros1
+from tests.process.graph_simulation import simulated_robot, witness
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+pytestmark = [*map(pytest.mark.filterwarnings, RUDE)]
+
+Start = Callable[..., Any]
+
+#: Three missions take 14 s.
+PATIENCE = 60.0
+#: As printed in the paper, but for the phases, which are shorter, the robot, and what is measured besides.
+LISTING_1 = """\
+from pathlib import Path
+from robot_runner import (EventSubscriptionController, Factor, OperationType, RobotRunnerContext,
+                          RobotRunnerEvents, RunTableModel)
+from robot_runner.plugins.systems import BasicTurtlebot3
+from robot_runner.plugins.profilers import Ina219, PsUtil, RosBag, RosGraph, RosTopics
+
+
+class RobotRunnerConfig:
+    experiment_name: str = "trial"
+    operation_type: OperationType = OperationType.AUTO
+    results_output_path: Path = Path("results")
+    time_between_runs_in_ms = 0
+    robot = {robot!r}
+    plugins = [
+        BasicTurtlebot3(namespace={namespace!r}, sleep_s=0.1, drive_s={drive_s}, task_s=0.1, rotate_s=1.8),
+        *{profilers},
+    ]
+
+    def __init__(self):
+        EventSubscriptionController.subscribe_to_multiple_events([
+            (RobotRunnerEvents.LAUNCH_MISSION, self.launch_mission),
+        ])
+
+    def launch_mission(self, context: RobotRunnerContext) -> None:
+        (Path(__file__).parent / "launched").touch()
+
+    def create_run_table(self) -> RunTableModel:
+        run_table = RunTableModel(
+            factors=[Factor("Task", {tasks}), Factor("Repetition", range(1, 2))],
+            data_columns=["CPU", "Memory", "Energy", "Distance", "OdomRate", "BagMessages", "Nodes"])
+        run_table.create_experiment_run_table()
+        run_table.randomize_runs_order()
+        return run_table
+"""
+
+
+PROFILERS = """[
+    Ina219(port={port!r}), PsUtil(host="localhost"), RosTopics(["odom"], namespace="/alice"),
+    RosBag(["odom", "cmd_vel"], namespace="/alice"), RosGraph()]"""
+
+
+@pytest.fixture(params=[pytest.param("ros1", marks=needs_ros1), "dds"])
+def graph(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """How a robot on a graph of this test run is reached."""
+    if request.param == "ros1":
+        request.getfixturevalue("master_uri")
+        return "ros1"
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    return f"dds:domain={claim_domain()}"
+
+
+def written(folder: Path, tasks: list[str], profilers: str = "[]", **values: object) -> Path:
+    path = folder / "config.py"
+    path.write_text(LISTING_1.format(tasks=tasks, profilers=profilers, **values), encoding="utf-8")
+    return path
+
+
+def test_the_experiment_of_the_paper_is_executed_on_a_real_graph(graph: str, start: Start, tmp_path: Path) -> None:
+    tasks = ["Computation", "Video", "Network"][: 3 if graph == "ros1" else 2]
+    with simulated_robot(graph, "--namespace", "/alice") as port:
+        config = written(tmp_path, tasks, PROFILERS.format(port=port), robot=graph, namespace="/alice", drive_s=0.8)
+        experiment = start(config=config)
+        experiment.output, _ = experiment.process.communicate(timeout=PATIENCE)
+        assert experiment.process.returncode == 0, experiment.output
+    rows = experiment.table
+    assert {row["Task"] for row in rows} == set(tasks)
+    assert {row["status"] for row in rows} == {"Done"}
+    for row in rows:
+        assert 25 < float(row["Energy"]) < 60  # 4.3 s at 7.6 to 10.5 W
+        assert 0 < float(row["CPU"]) <= 100
+        assert 25 < float(row["OdomRate"]) < 35
+        assert int(row["BagMessages"]) > 100
+        assert int(row["Nodes"]) >= 2
+        with (experiment.folder / "runs" / row["run_id"] / "BasicTurtlebot3" / "phases.csv").open() as file:
+            phases = list(csv.DictReader(file))
+        assert len(phases) == 12
+        assert abs(float(phases[1]["x_m"]) - float(phases[0]["x_m"])) > 0.05  # it drove, by its odometry
+    schema = json.loads((experiment.folder / "run_table.schema.json").read_text())
+    labels = {each["name"]: "simulated" in json.dumps(each) for each in schema["fields"]}
+    assert (labels["Energy"], labels["Distance"], labels["CPU"]) == (True, True, False)
+
+
+def test_an_experiment_lives_by_the_time_of_a_graph_that_goes_by_faster(
+    graph: str, start: Start, write_config: Callable[..., Path]
+) -> None:
+    robot = graph if graph == "ros1" else f"{graph},clock=graph"
+    mission = "task='Video', task_factor=None, sleep_s=1, drive_s=4, task_s=1, rotate_s=4"
+    body = f"""
+        robot = {robot!r}
+        plugins = [BasicTurtlebot3(namespace="/dave", {mission})]
+    """
+    head = HEAD.replace("import *\n", "import *\nfrom robot_runner.plugins.systems import BasicTurtlebot3\n", 1)
+    table = TABLE.replace('Factor("Task", ["Video", "Network"])', 'Factor("Load", [1])').replace("Energy", "Duration")
+    with simulated_robot(graph, "--namespace", "/dave", "--use-sim-time", "--real-time-factor", "10"):
+        experiment = start(config=write_config(body, table=table.replace("repetitions=2", "repetitions=1"), head=head))
+        assert experiment.end() == 0, experiment.output
+    row = experiment.table[0]
+    assert float(row["Duration"]) == pytest.approx(21.0, abs=0.5)
+    began, ended = (datetime.fromisoformat(row[f"{event}_at"]) for event in ("launch_mission", "stop_measurement"))
+    assert (ended - began).total_seconds() < 15.0
+
+
+def test_a_robot_whose_experiment_is_killed_stands_still_within_a_second(
+    graph: str, start: Start, tmp_path: Path
+) -> None:
+    with simulated_robot(graph, "--namespace", "/bob"), witness(graph, "/bob") as looking:
+        config = written(tmp_path, ["Video"], robot=graph, namespace="/bob", drive_s=60.0)
+        killed = 0.0
+        for kill in (lambda one: [one.process.pid], lambda one: one.processes()):  # the orchestrator; the whole laptop
+            experiment = start(config=config)
+            looking.sees(0.19, since=killed + 1.0)
+            doomed, killed = kill(experiment), time.time()
+            for pid in doomed:
+                os.kill(pid, signal.SIGKILL)
+            assert looking.sees_standstill(since=killed) - killed < 1.0
+            experiment.end()
+            assert experiment.nobody_is_left()
