@@ -8,7 +8,7 @@ unexport PYTHONPATH
 unexport PYTHONHOME
 
 BIN := .venv/bin
-CODE := src tests benchmarks scripts examples
+CODE := src tests benchmarks scripts examples robot
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test check bench soak docs cli-page format picture clean

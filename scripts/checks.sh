@@ -5,7 +5,7 @@
 set -u
 cd "$(dirname "$0")/.." || exit 1
 bin=.venv/bin
-code="src tests benchmarks scripts examples" # results of experiments may lie beside them
+code="src tests benchmarks scripts examples robot" # results of experiments may lie beside them
 failed=
 
 # Take one step; what it says is shown when it fails.

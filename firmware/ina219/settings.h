@@ -37,7 +37,7 @@
 #error "The timer, the line and the bus are set for a 16 MHz ATmega328P, such as an Arduino Nano."
 #endif
 #if 1000000UL % SAMPLE_RATE_HZ != 0 || SAMPLE_RATE_HZ < 40 || SAMPLE_RATE_HZ > 400
-#error "SAMPLE_RATE_HZ must divide 1000000, and lie between 40 (the timer) and 400 (the sensor needs 2.13 ms for a pair)."
+#error "SAMPLE_RATE_HZ must divide 1000000, and lie between 40 (the timer) and 400 (the sensor needs up to 2.34 ms for a pair)."
 #endif
 
 #endif

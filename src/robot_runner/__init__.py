@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from robot_runner.config.authors import Author
     from robot_runner.config.choices import FailurePolicy, OperationType, RunProcess
     from robot_runner.config.experiment_config import ExperimentConfig
     from robot_runner.design.analysis_plan import AnalysisPlan, Correction, Hypothesis
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AnalysisPlan",
+    "Author",
     "Correction",
     "EventSubscriptionController",
     "ExperimentConfig",
@@ -41,6 +43,7 @@ __all__ = [
 
 _HOMES = {
     "AnalysisPlan": "robot_runner.design.analysis_plan",
+    "Author": "robot_runner.config.authors",
     "Correction": "robot_runner.design.analysis_plan",
     "Hypothesis": "robot_runner.design.analysis_plan",
     "EventSubscriptionController": "robot_runner.events.subscription",

@@ -12,11 +12,11 @@ import yaml
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-# Spelt so that this file does not hold what it looks for.
-MACHINE_PATH = re.compile(r"(?<![A-Za-z0-9_.$~-])/(?:work|farm|root|home/[a-z]\w*)/")
+# Spelt so that this file does not hold what it looks for. Ada is nobody: she is who packing must not name.
+MACHINE_PATH = re.compile(r"(?<![A-Za-z0-9_.$~-])/(?:work|farm|root|home/(?!ada/)[a-z]\w*)/")
 
 
-FOLDERS = ("src", "tests", "docs", "examples", "benchmarks", "scripts", ".ci")
+FOLDERS = ("src", "tests", "docs", "examples", "benchmarks", "robot", "scripts", ".ci")
 
 
 def _tracked() -> list[Path]:

@@ -69,6 +69,14 @@ class Meter(Profiler):
     return head + textwrap.indent(textwrap.dedent(body), "    ")
 
 
+def test_a_count_has_no_unit(robot_runner: Callable, plugin: Callable) -> None:
+    counting = broken(
+        "def populate_run_data(self, context): context.publish('Packets', 3)",
+        measures="(Measure('Packets', '1', 'Packets received.'),)",
+    )
+    assert "Packets  3  (measured)" in robot_runner("try", plugin(counting), "--seconds", "0.01").out
+
+
 def test_an_author_sees_what_the_framework_sees(robot_runner: Callable, plugin: Callable) -> None:
     answer = robot_runner("try", plugin(GOOD), "--seconds", "0.2")
     assert answer.code == 0

@@ -137,7 +137,8 @@ def _measures(plugin: Plugin, trial: Trial) -> Iterator[tuple[str, str]]:
         elif found.value is None:
             yield measure.name, "no value"
         else:
-            yield measure.name, f"{shown_value(found.value)} {measure.unit}".rstrip() + f"  ({found.origin.value})"
+            unit = "" if measure.unit == "1" else f" {measure.unit}".rstrip()
+            yield measure.name, f"{shown_value(found.value)}{unit}  ({found.origin.value})"
     for value in trial.refused:
         yield one_line(str(value["name"])), f"refused: {one_line(str(value['value']))}"
 
