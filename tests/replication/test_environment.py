@@ -7,6 +7,7 @@ import sys
 import zipfile
 
 import pytest
+from tests.replication.small_index import tiny_wheel
 
 from robot_runner.errors import PackageError
 from robot_runner.links.ros_packages import describe_ros
@@ -112,7 +113,7 @@ def test_ros_packages_are_found_with_their_versions(tmp_path):
 
 def test_an_environment_is_made_of_the_packages_own_wheels(tmp_path):
     root = tmp_path / "package"
-    _tiny_wheel(root / "environment" / "wheels")
+    tiny_wheel(root / "environment" / "wheels")
     (root / "environment" / "requirements.txt").write_text("tiny==1.0\n", encoding="utf-8")
     environment = {"packages": {"tiny": {"name": "tiny", "version": "1.0", "is_needed": True}}}
     folder = tmp_path / "made"
@@ -128,7 +129,7 @@ def test_an_environment_is_made_of_the_packages_own_wheels(tmp_path):
 
 def test_what_pip_said_is_shown_where_an_environment_cannot_be_made(tmp_path):
     root = tmp_path / "package"
-    _tiny_wheel(root / "environment" / "wheels")
+    tiny_wheel(root / "environment" / "wheels")
     (root / "environment" / "requirements.txt").write_text("no-such-package==1.0\n", encoding="utf-8")
     with pytest.MonkeyPatch.context() as patched:
         patched.setenv("PIP_NO_INDEX", "1")
@@ -139,12 +140,3 @@ def test_what_pip_said_is_shown_where_an_environment_cannot_be_made(tmp_path):
 def test_an_uninstalled_package_is_a_difference():
     environment = {"packages": {"a": {"version": "1", "is_needed": True}, "b": {"version": "1", "is_needed": False}}}
     assert [each.what for each in differing_packages(environment, {})] == ["a"]
-
-
-def _tiny_wheel(folder):
-    folder.mkdir(parents=True)
-    with zipfile.ZipFile(folder / "tiny-1.0-py3-none-any.whl", "w") as archive:
-        archive.writestr("tiny.py", "")
-        archive.writestr("tiny-1.0.dist-info/METADATA", "Metadata-Version: 2.1\nName: tiny\nVersion: 1.0\n")
-        archive.writestr("tiny-1.0.dist-info/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
-        archive.writestr("tiny-1.0.dist-info/RECORD", "tiny.py,,\n")

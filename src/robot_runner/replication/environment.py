@@ -2,8 +2,8 @@
 
 What was installed when the experiment was executed is in its manifest: names and versions. Where the same versions
 are installed while it is packed, more is known: where each came from, a fingerprint of its files, and for what was
-installed from a local folder, its wheel. Nothing is looked up on a network, so the hash of a file that came from an
-index is not known: installers do not keep it.
+installed from a local folder, its wheel. Nothing is looked up on a network here, so the hash of a file that came from
+an index is not known, because installers do not keep it; `index_hashes` asks for it.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.errors import Finding
 from robot_runner.replication.distributions import canonical, closure, installed_distributions
+from robot_runner.replication.index_hashes import PLATFORMS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -57,12 +58,14 @@ class RecordedEnvironment:
         packages: what was installed, by canonical name.
         local: the distributions among those needed that only this machine has.
         findings: what cannot be told of it.
+        index_hashes: of the files that a package index has, by canonical name; empty where none was asked.
     """
 
     manifest: Mapping[str, Any]
     packages: Mapping[str, PackageRecord]
     local: tuple[InstalledDistribution, ...] = ()
     findings: tuple[Finding, ...] = field(default=())
+    index_hashes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def python(self) -> str:
@@ -80,10 +83,18 @@ class RecordedEnvironment:
         Args:
             wheels: the hash of each wheel that the package holds, by the canonical name of its distribution.
         """
-        hashes = {canonical(each.name): wheels.get(canonical(each.name)) or each.sha256 for each in self.needed}
         # One hash makes pip ask for all of them.
-        is_complete = bool(hashes) and all(hashes.values())
-        return "".join(f"{line}\n" for line in self._lines(hashes, wheels, is_complete=is_complete))
+        is_complete = bool(self.needed) and not self.without_hash(wheels)
+        return "".join(f"{line}\n" for line in self._lines(wheels, is_complete=is_complete))
+
+    def without_hash(self, wheels: Mapping[str, str]) -> tuple[PackageRecord, ...]:
+        """Return the packages of whose files no hash is known, by name."""
+        return tuple(each for each in self.needed if not self._hashes(each, wheels))
+
+    def _hashes(self, record: PackageRecord, wheels: Mapping[str, str]) -> tuple[str, ...]:
+        name = canonical(record.name)
+        known = wheels.get(name) or record.sha256
+        return (known,) if known else self.index_hashes.get(name, ())
 
     def as_mapping(self, wheels: Mapping[str, str]) -> dict[str, Any]:
         """Return everything as plain data."""
@@ -108,19 +119,19 @@ class RecordedEnvironment:
             "clocks": self.manifest.get("clocks"),
         }
 
-    def _lines(
-        self, hashes: Mapping[str, str | None], wheels: Mapping[str, str], *, is_complete: bool
-    ) -> Iterator[str]:
+    def _lines(self, wheels: Mapping[str, str], *, is_complete: bool) -> Iterator[str]:
         yield f"# The packages that the experiment needs, as they were installed (Python {self.python})."
         if not is_complete:
-            yield "# Installers do not keep the hash of what comes from an index: those that are known are comments."
+            yield "# The hash of not every file is known, so that none can be demanded: those known are comments."
+        if self.index_hashes:
+            platforms = ", ".join(PLATFORMS)
+            yield f"# The hashes are of the index's files for this Python, on: {platforms}."
         yield "# environment.json has a fingerprint of the installed files of each."
         if wheels:
             yield "# Some are in the folder wheels: pip install --find-links wheels -r requirements.txt"
         for each in self.needed:
-            digest = hashes[canonical(each.name)]
-            known = ("" if is_complete else "  #") + f" --hash=sha256:{digest}" if digest else ""
-            yield f"{each.requirement}{known}"
+            known = "".join(f" --hash=sha256:{digest}" for digest in self._hashes(each, wheels))
+            yield f"{each.requirement}{'  #' if known and not is_complete else ''}{known}"
 
 
 def record_environment(manifest: Mapping[str, Any], config: Path) -> RecordedEnvironment:

@@ -14,6 +14,7 @@ from robot_runner.replication.about import About
 from robot_runner.replication.contents import ALL, LeftOut, choose_contents
 from robot_runner.replication.crate import require_rocrate
 from robot_runner.replication.environment import record_environment
+from robot_runner.replication.index_hashes import findings_of_hashes, with_index_hashes
 from robot_runner.replication.names import DESCRIPTION
 from robot_runner.replication.plain_zip import written_beside
 from robot_runner.replication.redaction import Redactor, secrets_in_code
@@ -48,6 +49,7 @@ class Packing:
         keep: patterns of names of files to pack as they are, though something in them looks secret.
         authors, licence, citation: take the place of what the config said.
         with_wheels: whether packages that only this machine has go in as wheels.
+        with_hashes: whether the package index that pip is set up for is asked for the hashes of its files.
 
     Example:
         >>> Packing(raw=("Ina219",)).licence is None
@@ -60,6 +62,7 @@ class Packing:
     licence: str | None = None
     citation: str | None = None
     with_wheels: bool = True
+    with_hashes: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +75,8 @@ class Packed:
         left_out: what is not in it, and why.
         replaced: which secrets were replaced in which files.
         wheels: distributions that went in as wheels.
+        package_count: how many Python packages the experiment needs.
+        without_hash: those of whose files no hash is known; pip can demand hashes where there are none such.
         findings: what others will miss.
     """
 
@@ -82,6 +87,8 @@ class Packed:
     left_out: tuple[LeftOut, ...]
     replaced: tuple[Replaced, ...]
     wheels: tuple[str, ...]
+    package_count: int
+    without_hash: tuple[str, ...]
     findings: tuple[Finding, ...] = field(default=())
 
 
@@ -107,6 +114,9 @@ def pack(folder: Path, target: Path, packing: Packing | None = None, progress: P
     run_ids = [rows.run_id(place) for place in range(len(rows))]
     about = About.of_manifest(manifest, authors=asked.authors, licence=asked.licence, citation=asked.citation)
     environment = record_environment(manifest, files.config)
+    lacking: Mapping[str, str] = {}
+    if asked.with_hashes:
+        environment, lacking = with_index_hashes(environment)
     plan = PackingPlan(
         about=about,
         manifest=manifest,
@@ -122,6 +132,7 @@ def pack(folder: Path, target: Path, packing: Packing | None = None, progress: P
     with written_beside(target) as archive:
         sealing = Sealing(plan, archive, progress)
         sealing.write()
+    unknown = environment.without_hash(sealing.wheels)
     return Packed(
         target,
         target.stat().st_size,
@@ -130,7 +141,14 @@ def pack(folder: Path, target: Path, packing: Packing | None = None, progress: P
         tuple(sealing.left_out),
         tuple(sealing.replaced),
         tuple(sorted(sealing.wheels)),
-        (*about.findings(), *environment.findings, *_findings(files, rows)),
+        len(environment.needed),
+        tuple(each.name for each in unknown),
+        (
+            *about.findings(),
+            *environment.findings,
+            *(findings_of_hashes(unknown, lacking) if asked.with_hashes else ()),
+            *_findings(files, rows),
+        ),
     )
 
 

@@ -27,7 +27,8 @@ _SHOWN_LINES = 8
 def make_environment(root: Path, folder: Path, environment: Mapping[str, Any]) -> Path:
     """Make a virtual environment and install what a package needs; one that is complete is used as it is.
 
-    What the package brings as wheels is taken from it; pip gets the rest from wherever it is set up to.
+    What the package brings as wheels is taken from it; pip gets the rest from wherever it is set up to, and demands the
+    hashes where the package has them of all files.
 
     Args:
         root: the unpacked package.
@@ -100,5 +101,6 @@ def _call(words: Sequence[str], log: Path) -> None:
         raise PackageError(
             f"the environment cannot be made: {' / '.join(line.strip() for line in lines if line.strip())}",
             where=str(log),
-            fix="Mend what is said there, or take your own environment: --environment here",
+            fix="Mend what is said there, or take your own environment: --environment here. The first lines of "
+            "environment/requirements.txt say for which Python and platforms its hashes are.",
         )

@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from tests.replication.small_index import pip_settings
 
 
 @pytest.fixture
@@ -22,6 +23,8 @@ class TestPack:
         assert "Wheels   robot-runner" in answer.out
         assert "replaced: password, 1 time (config/small.py)" in answer.out
         assert "replaced: password, 4 times in 4 files (runs/…/log.txt)" in answer.out
+        assert "Hashes   of 1 of " in answer.out
+        assert "--hashes asks the package index for the others" in " ".join(answer.out.split())
         assert "there is no report" in answer.err
         assert (tmp_path / "small.zip").exists()
 
@@ -34,6 +37,16 @@ class TestPack:
         }
         assert facts["wheels"] == []
         assert len(facts["sha256"]) == 64
+
+    def test_hashes_that_cannot_be_had_are_a_warning(self, robot_runner, monkeypatch):
+        for name, text in pip_settings("http://127.0.0.1:9/").items():
+            monkeypatch.delenv(name, raising=False) if text is None else monkeypatch.setenv(name, text)
+        answer = robot_runner("pack", "small", "--hashes")
+        assert answer.code == 0, answer.err
+        assert "pip demands none" in answer.out
+        assert "--hashes asks" not in answer.out
+        assert "no package index answers, or it has none of them" in answer.err
+        assert "127.0.0.1" not in answer.out + answer.err
 
     def test_authors_and_licence_can_be_given(self, robot_runner):
         author = "Ada Lovelace; 0000-0002-1825-0097; Analytical Society; https://ror.org/008xxew50"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from rich.text import Text
 
 from robot_runner.cli.arguments import add_json, add_set, add_target
-from robot_runner.cli.console import UserConsole, output, print_json, shown_path
+from robot_runner.cli.console import UserConsole, complaints, output, print_json, shown_path
 from robot_runner.cli.facts import print_facts, print_folded
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.parser import UsageError
@@ -66,6 +66,12 @@ def add_arguments(parser: Parser) -> None:
         action="store_true",
         help="leave out the code of packages that were installed from a folder of this machine",
     )
+    parser.add_argument(
+        "--hashes",
+        action="store_true",
+        help="ask the package index that pip is set up for, for the hashes of the packages needed: others' pip then "
+        "demands them",
+    )
     add_json(parser)
 
 
@@ -82,14 +88,17 @@ def execute(arguments: Namespace) -> int:
         licence=licence,
         citation=arguments.citation,
         with_wheels=not arguments.no_wheels,
+        with_hashes=arguments.hashes,
     )
     target = Path(arguments.to).expanduser() if arguments.to else Path.cwd() / f"{folder.name}.zip"
+    if arguments.hashes:
+        complaints().print("Asking the package index for hashes: a minute or so, five at most.", style="dim")
     with byte_progress("packing") as progress:
         packed = pack(folder, target, packing, progress)
     if arguments.json:
         print_json(_as_json(packed))
     else:
-        _print(output(), packed)
+        _print(output(), packed, has_asked=arguments.hashes)
         if packed.findings:
             show_findings(packed.findings)
     return 0
@@ -114,7 +123,7 @@ def _licence(text: str | None) -> str | None:
     return text
 
 
-def _print(console: UserConsole, packed: Packed) -> None:
+def _print(console: UserConsole, packed: Packed, *, has_asked: bool) -> None:
     name = shown_path(packed.path.resolve())
     console.print(Text(name, style="bold"))
     print_facts(
@@ -123,6 +132,7 @@ def _print(console: UserConsole, packed: Packed) -> None:
             ("Holds", f"{counted(packed.file_count, 'file')}, {packed.size / _MEGABYTE:,.1f} MB"),
             ("SHA-256", packed.sha256),
             ("Wheels", ", ".join(packed.wheels)),
+            ("Hashes", _hashes(packed, has_asked=has_asked)),
             ("Next", f"look into it before you publish it, and check it: robot-runner verify {name}"),
         ],
     )
@@ -130,6 +140,16 @@ def _print(console: UserConsole, packed: Packed) -> None:
         print_folded(console, "  - ", line, style="")
     for each in packed.left_out:
         print_folded(console, "  - ", one_line(f"left out: {each.name} ({each.why})"), style="")
+
+
+def _hashes(packed: Packed, *, has_asked: bool) -> str:
+    """Return of how many packages pip can check the files; nothing where nobody knows what is needed."""
+    packages = counted(packed.package_count, "package")
+    if not packed.without_hash:
+        return f"of all {packages} needed: pip demands them" if packed.package_count else ""
+    known = packed.package_count - len(packed.without_hash)
+    advice = "" if has_asked else "; --hashes asks the package index for the others"
+    return f"of {known} of {packages} needed: pip demands none{advice}"
 
 
 def _replaced(packed: Packed) -> Iterator[str]:

@@ -1,0 +1,132 @@
+"""The package index that pip is set up for is asked for hashes; nothing fails where it has none."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import sysconfig
+import zipfile
+
+import pytest
+from tests.replication.small_experiment import home
+from tests.replication.small_index import SmallIndex, pip_settings, tiny_wheel
+
+from robot_runner.errors import PackageError
+from robot_runner.replication.environment import record_environment
+from robot_runner.replication.index_hashes import ask_index, findings_of_hashes
+from robot_runner.replication.packing import Packing, pack
+from robot_runner.replication.virtual_environment import make_environment
+
+PYTHON = "3.11.7"
+
+
+@pytest.fixture
+def set_up_pip(monkeypatch):
+    def set_up(address):
+        for name, text in pip_settings(address).items():
+            monkeypatch.delenv(name, raising=False) if text is None else monkeypatch.setenv(name, text)
+
+    return set_up
+
+
+@pytest.fixture
+def index(tmp_path, set_up_pip):
+    small = SmallIndex(tmp_path / "index")
+    with small.served() as address:
+        set_up_pip(address)
+        yield small
+
+
+def test_the_hash_is_that_of_exactly_the_recorded_version(index):
+    digest = index.add("tiny", "1.0")
+    index.add("tiny", "2.0")
+    answer = ask_index(["tiny==1.0"], PYTHON)
+    assert answer.hashes == {"tiny": (digest,)}
+    assert answer.lacking == {}
+
+
+def test_files_of_the_other_platforms_have_their_hashes_beside_it(index):
+    here = re.sub(r"[-.]", "_", sysconfig.get_platform())
+    platforms = (here, "manylinux2014_x86_64", "manylinux_2_28_aarch64", "macosx_11_0_arm64")
+    digests = {index.add("fast", platform=platform) for platform in platforms}
+    index.add("fast", platform="win_amd64")
+    assert set(ask_index(["fast==1.0"], PYTHON).hashes["fast"]) == digests
+
+
+def test_what_is_not_in_the_index_is_lacking_and_the_others_are_not(index):
+    digests = {name: (index.add(name),) for name in ("a", "b", "d", "e")}
+    answer = ask_index(["e==1.0", "d==1.0", "c==1.0", "b==1.0", "a==1.0"], PYTHON)
+    assert answer.hashes == digests
+    assert answer.lacking == {"c": "pip finds no wheel of that version"}
+
+
+def test_nobody_answers_where_there_is_no_index(set_up_pip):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        set_up_pip(f"http://127.0.0.1:{free.getsockname()[1]}/")
+        answer = ask_index([f"{name}==1.0" for name in "abcde"], PYTHON)
+    assert answer.hashes == {}
+    assert set(answer.lacking.values()) == {"no package index answers, or it has none of them"}
+
+
+def test_an_index_that_is_silent_is_not_waited_for(set_up_pip):
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        set_up_pip(f"http://127.0.0.1:{silent.getsockname()[1]}/")
+        answer = ask_index(["tiny==1.0"], PYTHON, deadline_s=2.0)
+    assert answer.lacking == {"tiny": "there was no answer within 2 s"}
+
+
+def test_files_of_a_folder_of_ones_own_do_not_count(index, tmp_path, monkeypatch):
+    digest = index.add("tiny")
+    assert tiny_wheel(tmp_path / "own", "tiny", code="changed = True\n") != digest
+    tiny_wheel(tmp_path / "own", "mine")
+    monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path / "own"))
+    answer = ask_index(["tiny==1.0", "mine==1.0"], PYTHON)
+    assert answer.hashes == {"tiny": (digest,)}
+    assert answer.lacking == {"mine": "pip takes it from a folder of this machine, which others have not"}
+
+
+def test_one_finding_for_each_reason_names_the_packages(tmp_path):
+    packages = {"robot_runner": "0.0.1", "rich": "1.0", "left_pad": "1.0"}
+    environment = record_environment({"software": {"packages": packages}}, tmp_path)
+    lacking = {"rich": "why", "left-pad": "why", "robot-runner": "why not"}
+    found = [each.problem for each in findings_of_hashes(environment.without_hash({}), lacking)]
+    assert found == ["no hash of left-pad, rich: why", "no hash of robot-runner: why not"]
+
+
+def test_the_lock_demands_the_hash_of_every_package_and_is_the_same_each_time(experiment, ada, index, tmp_path):
+    manifest = json.loads((experiment / "manifest.json").read_text("utf-8"))
+    for each in record_environment(manifest, experiment / "config").needed:
+        index.add(each.name, each.version)
+    asked = Packing(with_hashes=True)
+    with home(ada):
+        first, again = (pack(experiment, tmp_path / name, asked) for name in ("a.zip", "b.zip"))
+    pinned, pinned_again = _pinned(first), _pinned(again)
+    assert len(pinned) == first.package_count > 50
+    assert all(re.fullmatch(r"\S+==\S+( --hash=sha256:[0-9a-f]{64})+", line) for line in pinned), pinned
+    assert first.without_hash == ()
+    # Wheels of code that somebody edits meanwhile differ: that they are the same is a test of theirs.
+    of_index = {line for line in pinned if line.partition("==")[0] not in first.wheels}
+    assert of_index == {line for line in pinned_again if line.partition("==")[0] not in first.wheels}
+    with zipfile.ZipFile(first.path) as archive:
+        made = (name for name in archive.namelist() if name.startswith("environment/") and not name.endswith(".whl"))
+        assert not [name for name in made if b"127.0.0.1" in archive.read(name)]
+
+
+def test_a_file_of_another_hash_is_not_installed(tmp_path, index):
+    root = tmp_path / "package"
+    (root / "environment").mkdir(parents=True)
+    index.add("tiny")
+    line = f"tiny==1.0 --hash=sha256:{'ab' * 32}\n"
+    (root / "environment" / "requirements.txt").write_text(line, encoding="utf-8")
+    with pytest.raises(PackageError, match="the environment cannot be made") as refused:
+        make_environment(root, tmp_path / "made", {})
+    assert "sha256" in refused.value.findings[0].problem
+    assert not list(tmp_path.glob("made/lib/python*/site-packages/tiny.py"))
+
+
+def _pinned(packed):
+    with zipfile.ZipFile(packed.path) as archive:
+        lines = archive.read("environment/requirements.txt").decode().splitlines()
+    return [line for line in lines if not line.startswith("#")]
