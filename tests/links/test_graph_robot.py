@@ -8,6 +8,7 @@ import time
 import pytest
 
 from robot_runner.errors import LinkError
+from robot_runner.links import graph_robot
 from robot_runner.links.graph_robot import GraphRobot
 from robot_runner.links.graph_simulation import SimulatedPlace, check_pace, on_graph
 from robot_runner.links.robot import Qos
@@ -41,12 +42,38 @@ class GraphOfOne:
         self.offers[service] = answer
         return _End(self.offers, service)
 
+    def definition(self, message_type):
+        return f"# {message_type}"
+
     def messages(self, topic):
         return [message for name, _, message, _ in self.said if name == topic]
 
     @property
     def speed(self):
         return self.messages("odom")[-1]["twist"]["twist"]["linear"]["x"]
+
+
+class TimeByHand:
+    """The time of this machine, as its robot has it, which passes only where somebody waits."""
+
+    def __init__(self):
+        self.now = 50.0
+
+    def monotonic(self):
+        return self.now
+
+    def time_ns(self):
+        return int(self.now * 1e9)
+
+    def sleep(self, seconds):
+        self.now += seconds
+
+
+@pytest.fixture
+def by_hand(monkeypatch):
+    made = TimeByHand()
+    monkeypatch.setattr(graph_robot, "time", made)
+    return made
 
 
 @pytest.fixture
@@ -109,6 +136,7 @@ def test_its_tasks_are_services(link, make, simulation):
     assert simulation.turtlebot3().running_task is None
 
 
+@pytest.mark.usefixtures("by_hand")
 def test_it_stands_still_when_its_run_falls_silent_and_moves_on_when_it_is_heard_again(link, make):
     robot = make(real_time_factor=1.0)
     link.heard_by["robot_runner/heartbeat"]({"data": 1})
@@ -126,6 +154,7 @@ def test_it_stands_still_when_its_run_falls_silent_and_moves_on_when_it_is_heard
     assert link.speed > 0.1
 
 
+@pytest.mark.usefixtures("by_hand")
 def test_a_person_may_drive_a_robot_that_was_released(link, make):
     robot = make(real_time_factor=1.0)
     link.heard_by["robot_runner/heartbeat"]({"data": 1})
@@ -150,24 +179,26 @@ def test_where_a_clock_is_published_all_stamps_are_of_it(link, make):
     assert seconds(link.messages("odom")[-1]["header"]["stamp"]) == pytest.approx(0.5, abs=0.04)
 
 
-def test_it_keeps_the_pace_that_was_asked_for(make):
-    robot, began = make(real_time_factor=4.0), time.monotonic()
+def test_it_keeps_the_pace_that_was_asked_for(make, by_hand):
+    robot = make(real_time_factor=4.0)
     robot.live(seconds=2.0)
-    assert 0.45 < time.monotonic() - began < 2.0
+    assert by_hand.now == pytest.approx(50.5)
+    assert robot.lags == 0
 
 
-def test_a_pace_that_cannot_be_kept_is_counted_and_not_made_up_for(link, make, monkeypatch):
+def test_a_pace_that_cannot_be_kept_is_counted_and_not_made_up_for(link, make, monkeypatch, by_hand):
     robot = make(real_time_factor=1.0)
     publish = link.publish
 
     def slowly(topic, *rest, **options):
         if topic == "scan":
-            time.sleep(0.4)
+            by_hand.sleep(0.4)
         publish(topic, *rest, **options)
 
     monkeypatch.setattr(link, "publish", slowly)
     robot.live(seconds=0.45)
     assert robot.lags == 2
+    assert by_hand.now > 50.0 + 2 * 0.4
 
 
 def test_it_ends_when_it_is_told_so(make):
@@ -206,3 +237,14 @@ def test_another_pace_than_that_of_the_graph_must_be_told_to_the_graph():
 def test_a_link_that_is_no_graph_is_refused(link):
     with pytest.raises(LinkError, match=f"no robot can be put on '{link}'"), on_graph(SimulatedPlace(link=link)):
         pass
+
+
+def test_it_lives_without_its_transform_where_tf2_is_not_installed(link, make, monkeypatch, caplog):
+    def unknown(message_type):
+        raise LinkError(f"there is no type {message_type!r}", where="the graph", fix="Install it.")
+
+    monkeypatch.setattr(link, "definition", unknown)
+    make().live(seconds=0.2)
+    assert link.messages("odom")
+    assert not link.messages("tf")
+    assert "tf2_msgs/TFMessage" in caplog.text

@@ -8,6 +8,7 @@ import threading
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.events.clock import SystemClock
@@ -31,8 +32,8 @@ def simulated_robot(link: str, *options: str) -> Iterator[str]:
     overdue.start()
     try:
         assert process.stdout is not None
-        lines = dict.fromkeys(iter(lambda: process.stdout.readline().strip() or "ended", "ready"))
-        assert "ended" not in lines
+        lines = list(takewhile(lambda line: line != "ready", map(str.strip, process.stdout)))
+        assert process.poll() is None, "it ended before it was ready"
         yield next(line.partition(": ")[2] for line in lines if line.startswith("power meter: "))
         process.terminate()
         process.communicate(timeout=PATIENCE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import importlib.util
 import json
 import os
 import signal
@@ -69,14 +70,22 @@ PROFILERS = """[
     RosBag(["odom", "cmd_vel"], namespace="/alice"), RosGraph()]"""
 
 
-@pytest.fixture(params=[pytest.param("ros1", marks=needs_ros1), "dds"])
+needs_ros2 = pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="no ROS 2 is sourced")
+
+
+@pytest.fixture(params=[pytest.param("ros1", marks=needs_ros1), "dds", pytest.param("ros2", marks=needs_ros2)])
 def graph(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """How a robot on a graph of this test run is reached."""
     if request.param == "ros1":
         request.getfixturevalue("master_uri")
         return "ros1"
-    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
-    return f"dds:domain={claim_domain()}"
+    if request.param == "dds":
+        monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    else:
+        monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
+        monkeypatch.setenv("ROS_LOCALHOST_ONLY", "1")
+        monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    return f"{request.param}:domain={claim_domain()}"
 
 
 def written(folder: Path, tasks: list[str], profilers: str = "[]", **values: object) -> Path:

@@ -22,16 +22,13 @@ TASKS = [
 WATCHDOG = [
     ("heartbeat_timeout", 0.4, "s that a run may be silent before the robot is stopped"),
     ("command_timeout", 0.0, "s that cmd_vel may be silent while the robot moves; 0: for ever"),
-    ("cmd_vel_stamped", False, "whether the robot takes TwistStamped, as from Jazzy on"),
 ]
 
 
 def generate_launch_description():
     """Return the tasks' node and the watchdog, with an argument for each of their parameters."""
     arguments = [
-        DeclareLaunchArgument(
-            name, default_value=str(default).lower() if default is False else str(default), description=meaning
-        )
+        DeclareLaunchArgument(name, default_value=str(default), description=meaning)
         for name, default, meaning in [NAMESPACE, *TASKS, *WATCHDOG]
     ]
     tasks = {name.replace("_", ".", 1): _value(name, default) for name, default, _ in TASKS}

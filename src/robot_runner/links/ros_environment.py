@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from robot_runner.errors import LinkError
-from robot_runner.links.ssh_command import ssh_command
+from robot_runner.links.ssh_command import complaint, execute, ssh_command
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -92,19 +92,12 @@ def ros_of_host(host: str, *, config: Path | None = None) -> list[RosEnvironment
     """
     command = ssh_command(host, "for each in /opt/ros/*/setup.sh; do echo $each; done", config=config)
     try:
-        done = subprocess.run(  # noqa: S603 - an argument list; the host's name was checked
-            command,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=_HOST_SECONDS,
-            check=False,
-            start_new_session=True,
-        )
+        done = execute(command, timeout=_HOST_SECONDS)
     except (subprocess.TimeoutExpired, OSError) as error:
         raise _unreached(host, f"it does not answer within {_HOST_SECONDS:g} s") from error
-    if done.returncode != 0:
-        said = done.stderr.decode(errors="replace").strip().splitlines()
-        raise _unreached(host, said[-1] if said else f"ssh ended with code {done.returncode}")
+    problem = complaint(done)
+    if problem is not None:
+        raise _unreached(host, problem)
     names = (line.split("/")[3] for line in done.stdout.decode(errors="replace").split() if line.count("/") > 3)  # noqa: PLR2004 - /opt/ros/name/
     return [
         RosEnvironment(1 if name in _ROS1_NAMES else 2, name, f"/opt/ros of {host}") for name in names if name != "*"

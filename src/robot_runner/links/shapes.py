@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import Any
 
 from robot_runner.errors import LinkError, did_you_mean
+from robot_runner.links.velocity_commands import VELOCITY_COMMANDS
 
 __all__ = ["BYTE_KINDS", "PRIMITIVES", "UNBOUNDED", "Field", "Shape", "UpTo", "completed", "plain_type"]
 
@@ -28,8 +29,6 @@ _TEXTS = ("string", "wstring")
 #: The least and the greatest seconds: ROS 1 counts times as uint32 and durations as int32.
 _STAMPS: Mapping[str, tuple[int, int]] = MappingProxyType({"time": _INTEGERS["uint32"], "duration": _INTEGERS["int32"]})
 _NANOSECONDS = (0, 999_999_999)
-#: Commands: one that is not a number would be carried out as who knows what.
-_COMMANDS = frozenset({"geometry_msgs/Twist", "geometry_msgs/TwistStamped"})
 
 #: The kinds of field that are no message themselves.
 PRIMITIVES = ("bool", *_INTEGERS, *_FLOATS, *_TEXTS, *_STAMPS)
@@ -136,8 +135,10 @@ def completed(shape: Shape, message: Mapping[str, Any], *, where: str) -> dict[s
             ...
         robot_runner.errors.LinkError: goal (geometry_msgs/Vector3): the message has no field 'X' → Did you mean 'x'?
     """
+    # A command that is not a number would be carried out as who knows what.
+    only_finite = shape.type_name in VELOCITY_COMMANDS
     try:
-        return _message(shape, message, only_finite=shape.type_name in _COMMANDS)
+        return _message(shape, message, only_finite=only_finite)
     except _MisfitError as misfit:
         problem = misfit.problem(misfit.path)
         raise LinkError(problem, where=f"{where} ({shape.type_name})", fix=misfit.fix) from None

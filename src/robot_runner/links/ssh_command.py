@@ -11,7 +11,7 @@ from robot_runner.errors import Finding, LinkError
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["checked_destination", "remedy", "ssh_command", "ssh_findings"]
+__all__ = ["checked_destination", "complaint", "execute", "remedy", "ssh_command", "ssh_findings"]
 
 #: Never ask a person; notice within 15 s that the other end is gone; leave out what the user's config may forward.
 _OPTIONS = (
@@ -112,16 +112,30 @@ def ssh_findings(where: str, host: str, *, config: Path | None = None) -> list[F
 def _tried(command: list[str]) -> str | None:
     """Execute a command and return why it failed, or None if it did not."""
     try:
-        done = subprocess.run(  # noqa: S603 - an argument list; the host's name was checked
-            command,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=_CHECK_SECONDS,
-            check=False,
-            start_new_session=True,
-        )
+        return complaint(execute(command, timeout=_CHECK_SECONDS))
     except subprocess.TimeoutExpired:
         return f"it timed out after {_CHECK_SECONDS:g} s"
+
+
+def execute(command: list[str], *, timeout: float) -> subprocess.CompletedProcess[bytes]:
+    """Execute a command of `ssh_command` to its end, with nothing to read, for so many seconds at most.
+
+    Raises:
+        OSError: it cannot be started.
+        subprocess.TimeoutExpired: it takes longer.
+    """
+    return subprocess.run(  # noqa: S603 - an argument list; the host's name was checked
+        command,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        timeout=timeout,
+        check=False,
+        start_new_session=True,
+    )
+
+
+def complaint(done: subprocess.CompletedProcess[bytes]) -> str | None:
+    """Return why a command failed, or None if it did not."""
     if done.returncode == 0:
         return None
     said = done.stderr.decode(errors="replace").strip().splitlines()

@@ -32,9 +32,9 @@ class Watchdog:
         LinkError: a time-out is negative.
 
     Example:
-        >>> watchdog = Watchdog(heartbeat_timeout=0.5)
+        >>> watchdog = Watchdog(heartbeat_timeout=0.4)
         >>> watchdog.hear_heartbeat(1, now=10.0)
-        >>> watchdog.must_stop(10.4), watchdog.must_stop(10.6)
+        >>> watchdog.must_stop(10.3), watchdog.must_stop(10.5)
         (False, True)
     """
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 import threading
 import time
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.links.robot import Encoding, Qos, RawMessage
+from robot_runner.links.shapes import plain_type
+from robot_runner.links.velocity_commands import TWIST, TWIST_STAMPED, velocity_command, velocity_of
 from robot_runner.testing.link_contract import SLACK, RobotLinkContract, refusal
 from robot_runner.testing.plugin_contract import require
 
@@ -16,7 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["GraphLinkContract"]
 
-_TWIST = "geometry_msgs/Twist"
+#: What drives a robot, and one of them as ROS 2 spells it.
+_COMMAND_TYPES = (TWIST, TWIST_STAMPED, "geometry_msgs/msg/Twist")
 _TRIGGER = "std_srvs/Trigger"
 _STRING = "std_msgs/String"
 _IMAGE = "sensor_msgs/Image"
@@ -222,11 +226,21 @@ class GraphLinkContract(RobotLinkContract):
 
     def test_a_robot_that_was_driven_is_stopped_when_the_link_is_closed(self) -> None:
         """Hold that the last command that the robot hears is to stand still."""
-        with self.opened() as robot:
-            link = self.make_link()
-            try:
-                heard = self.heard_on(robot, "cmd_vel", _TWIST, link, {"linear": {"x": 0.2}})
-                require(heard[-1]["linear"]["x"] > 0, f"it heard {heard[-1]}")
-            finally:
-                link.close()
-            self.until(lambda: heard[-1]["linear"]["x"] == 0.0, f"the last command is {heard[-1]}")
+        for number, message_type in enumerate(_COMMAND_TYPES):
+            with self.opened() as robot:
+                link, topic = self.make_link(), f"cmd_vel_{number}"
+                try:
+                    heard = self.heard_on(robot, topic, message_type, link, velocity_command(message_type, 0.2, 0.0))
+                    require(_speed(message_type, heard[-1]) > 0, f"it heard {heard[-1]}")
+                finally:
+                    link.close()
+                self.until(partial(_has_been_stopped, message_type, heard), f"the last command is {heard[-1]}")
+
+
+def _speed(message_type: str, command: Message) -> float:
+    speed: float = velocity_of(plain_type(message_type), command)["linear"]["x"]
+    return speed
+
+
+def _has_been_stopped(message_type: str, heard: list[Message]) -> bool:
+    return _speed(message_type, heard[-1]) == 0.0

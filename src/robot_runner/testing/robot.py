@@ -11,6 +11,7 @@ from robot_runner.errors import LinkError, did_you_mean
 from robot_runner.links.graph_names import full_name
 from robot_runner.links.robot import Encoding, Qos, RawMessage
 from robot_runner.links.shapes import completed
+from robot_runner.links.velocity_commands import VELOCITY_COMMANDS, velocity_of
 
 if TYPE_CHECKING:
     from robot_runner.events.clock import Clock
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Answer", "FakeRobotLink", "Publication", "ServiceCall"]
 
-_TWIST = "geometry_msgs/Twist"
 _WHERE = "FakeRobotLink"
 _ANY_TYPE = "*"
 #: How far a wait moves the clock on between two looks, s.
@@ -117,7 +117,11 @@ class FakeRobotLink:
     @property
     def stands_still(self) -> bool:
         """Whether the last velocity command on each topic was one to stand still, or none was given."""
-        last = {each.topic: each.message for each in self.publications if each.message_type == _TWIST}
+        last = {
+            each.topic: velocity_of(each.message_type, each.message)
+            for each in self.publications
+            if each.message_type in VELOCITY_COMMANDS
+        }
         return not any(map(_moves, last.values()))
 
     @property

@@ -13,8 +13,8 @@ from robot_runner.links.rosbridge.connection import send_errors
 from robot_runner.links.rosbridge.conversion import to_protocol
 from robot_runner.links.rosbridge.frames import FrameReader
 from robot_runner.links.shapes import plain_type
-from robot_runner.testing.cbor_writing import as_cbor, with_typed_arrays
 from robot_runner.testing.rosbridge_graph import Refusal, ServedService, received
+from robot_runner.testing.typed_arrays import with_typed_arrays
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -188,7 +188,9 @@ class ServedClient:
             self._send_frame(json.dumps(fragment))
 
     def _send_bytes(self, operation: dict[str, Any]) -> None:
-        self._send_frame(as_cbor(operation))
+        from cbor2 import dumps  # noqa: PLC0415  # an extra
+
+        self._send_frame(dumps(operation))
 
     def _send_frame(self, frame: str | bytes) -> None:
         with suppress(*send_errors()):

@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from robot_runner.links.robot import Qos
+from robot_runner.links.velocity_commands import velocity_of
 from robot_runner.testing.robot import FakeRobotLink
 
 if TYPE_CHECKING:
@@ -56,8 +57,9 @@ class FakeTurtlebot3Link(FakeRobotLink):
         super().publish(topic, message_type, message, qos=qos)
         if topic == "cmd_vel":
             self._move()
-            self._speed = float(message.get("linear", {}).get("x", 0.0)) * (1.0 - self.slip)
-            self._rate = float(message.get("angular", {}).get("z", 0.0)) * (1.0 - self.slip)
+            twist = velocity_of(message_type, message)
+            self._speed = float(twist.get("linear", {}).get("x", 0.0)) * (1.0 - self.slip)
+            self._rate = float(twist.get("angular", {}).get("z", 0.0)) * (1.0 - self.slip)
 
     def _task_services(self) -> dict[str, Answer]:
         services: dict[str, Answer] = {"task/stop": self._working_on(None)}

@@ -56,6 +56,7 @@ def test_qos_that_is_not_offered_is_named(link):
     with pytest.raises(LinkError, match="reliability: it is published best effort, and heard reliable"):
         link.subscribe("scan", SCAN, print, qos=Qos.RELIABLE)
     link.publish("map_name", "std_msgs/String", {})
+    until(lambda: "/map_name" in link.topics())
     with pytest.raises(LinkError, match="durability"):
         link.subscribe("map_name", "std_msgs/String", print, qos=Qos.TRANSIENT_LOCAL)
 

@@ -37,6 +37,8 @@ class Node:
 
     def __init__(self, name):
         self.name, self.services, self.heard_by, self.timers, self.said, self.logged = name, {}, {}, [], [], []
+        self.listeners, self.closed = [], []
+        self._publishers = []  # rclpy's own
 
     def declare_parameter(self, name, value):
         return SimpleNamespace(value=self.overrides.get(name, value))
@@ -48,13 +50,27 @@ class Node:
         self.heard_by[name] = (kind, hear)
 
     def create_publisher(self, kind, name, qos):
-        return SimpleNamespace(publish=self.said.append)
+        self._publishers.append(SimpleNamespace(publish=self.said.append))
+        return self._publishers[-1]
+
+    def destroy_publisher(self, publisher):
+        self.closed.append(publisher)
+
+    def destroy_subscription(self, subscription):
+        self.closed.append(subscription)
 
     def create_timer(self, period, look, clock):
         self.timers.append((period, look, clock))
 
     def resolve_topic_name(self, name):
         return f"/alice/{name}"
+
+    def get_subscriptions_info_by_topic(self, name):
+        assert name == "/alice/cmd_vel"
+        return self.listeners
+
+    def get_name(self):
+        return self.name
 
     def get_namespace(self):
         return "/alice"
@@ -142,13 +158,26 @@ def test_parameters_have_dots_where_ros_1_has_slashes():
     assert "'ftp://server'" in message
 
 
-@pytest.mark.parametrize("is_stamped", [False, True])
-def test_the_watchdog_stops_a_robot_whose_run_falls_silent(is_stamped):
-    Node.overrides = {"heartbeat_timeout": 0.05, "cmd_vel_stamped": is_stamped}
+def robot_hears(node, kind):
+    """Have a robot, and no other, hear commands of this type."""
+    robot = ("turtlebot3_node", f"geometry_msgs/msg/{kind.__name__}")
+    own = [(node.name, f"geometry_msgs/msg/{served.__name__}") for served in node._served]
+    node.listeners = [
+        SimpleNamespace(node_name=name, node_namespace="/alice", topic_type=type_name)
+        for name, type_name in [robot, *own]
+    ]
+    node.timers[1][1]()
+
+
+@pytest.mark.parametrize("kind", [Twist, TwistStamped])
+def test_the_watchdog_stops_a_robot_whose_run_falls_silent(kind):
+    Node.overrides = {"heartbeat_timeout": 0.05}
     node = watchdog_node()
-    ((_, look, clock),) = node.timers
+    robot_hears(node, kind)
+    (_, look, clock), _ = node.timers
     assert clock.name == "STEADY_TIME"
-    kind, hear = node.heard_by["cmd_vel"]
+    heard, hear = node.heard_by["cmd_vel"]
+    assert heard is kind
     hear(kind())
     look()
     assert node.said == []
@@ -156,11 +185,37 @@ def test_the_watchdog_stops_a_robot_whose_run_falls_silent(is_stamped):
     time.sleep(0.06)
     look()
     look()
-    assert [type(command) for command in node.said] == [TwistStamped if is_stamped else Twist] * 2
-    assert len(node.logged) == 1
+    assert [type(command) for command in node.said] == [kind] * 2
+    assert len([line for line in node.logged if "fallen silent" in line]) == 1
     assert answer_of(node, "robot_runner/watchdog/release")[0]
     look()
     assert len(node.said) == 2
+
+
+def test_the_watchdog_stops_a_robot_that_came_back_and_hears_the_other_type():
+    Node.overrides = {"heartbeat_timeout": 0.05}
+    node = watchdog_node()
+    node.timers[1][1]()
+    assert "cmd_vel" not in node.heard_by  # its own type would keep others from using the robot's
+    for kind in (Twist, TwistStamped, TwistStamped):
+        robot_hears(node, kind)
+    node.heard_by["robot_runner/heartbeat"][1](SimpleNamespace(data=1))
+    time.sleep(0.06)
+    node.timers[0][1]()
+    assert [type(command) for command in node.said] == [TwistStamped]
+    assert len(node.closed) == 2  # what it published and heard in the former type
+
+
+def test_the_watchdog_sees_commands_that_stay_away_while_the_robot_moves():
+    Node.overrides = {"heartbeat_timeout": 0.0, "command_timeout": 0.05}
+    node = watchdog_node()
+    robot_hears(node, TwistStamped)
+    command = TwistStamped()
+    command.twist.angular.z = 0.5
+    node.heard_by["cmd_vel"][1](command)
+    time.sleep(0.06)
+    node.timers[0][1]()
+    assert [type(said) for said in node.said] == [TwistStamped]
 
 
 @pytest.mark.parametrize("name", ["task_node", "watchdog_node"])

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
 import queue
 from contextlib import closing
+from functools import partial
 from typing import TYPE_CHECKING
 
+from robot_runner_onboard.channel import serve
 from robot_runner_onboard.errors import TaskError
 from robot_runner_onboard.opencv import opencv
 from robot_runner_onboard.video_files import FrameFile, JpegFile
@@ -15,7 +18,7 @@ if TYPE_CHECKING:
 
     from robot_runner_onboard.channel import Channel
 
-__all__ = ["TopicVideo", "record_topic"]
+__all__ = ["TopicVideo", "record_topic", "serve_recorder"]
 
 #: Encodings of sensor_msgs/Image that are understood: channels, and OpenCV's name of the conversion, if one is needed.
 _ENCODINGS = {"bgr8": (3, None), "rgb8": (3, "COLOR_RGB2BGR"), "mono8": (1, "COLOR_GRAY2BGR")}
@@ -107,6 +110,20 @@ def record_topic(channel: Channel, video: TopicVideo, topic: str) -> str:
             if silence > _PATIENCE:
                 raise TaskError(f"no picture came on {topic} for {_PATIENCE:g} s")
     return video.summary()
+
+
+def serve_recorder(record: Callable[..., str]) -> int:
+    """Be the worker that records the topic on the command line; return the exit code.
+
+    Args:
+        record: takes the channel, and `topic`, `rate` and `file`; records until told to end.
+    """
+    parser = argparse.ArgumentParser(prog="topic_recorder")
+    parser.add_argument("--topic", required=True)
+    parser.add_argument("--rate", type=float, required=True)
+    parser.add_argument("--file", required=True)
+    given = parser.parse_args()
+    return serve(partial(record, topic=given.topic, rate=given.rate, file=given.file))
 
 
 def _frame(encoding: str, size: tuple[int, int], step: int, data: bytes) -> Any:

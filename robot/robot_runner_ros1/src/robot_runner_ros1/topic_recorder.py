@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
-from functools import partial
 from typing import TYPE_CHECKING
 
 import rospy
-from robot_runner_onboard.channel import serve
 from robot_runner_onboard.errors import TaskError
-from robot_runner_onboard.topic_video import TopicVideo, record_topic
+from robot_runner_onboard.topic_video import TopicVideo, record_topic, serve_recorder
 from sensor_msgs.msg import CompressedImage, Image
 
 if TYPE_CHECKING:
@@ -62,14 +59,5 @@ def _checked_type(topic: str) -> str:
     raise TaskError(f"nobody publishes {topic}: start the camera's node, or set video/topic")
 
 
-def _main() -> int:
-    parser = argparse.ArgumentParser(prog="topic_recorder")
-    parser.add_argument("--topic", required=True)
-    parser.add_argument("--rate", type=float, required=True)
-    parser.add_argument("--file", required=True)
-    given = parser.parse_args()
-    return serve(partial(record, topic=given.topic, rate=given.rate, file=given.file))
-
-
 if __name__ == "__main__":
-    sys.exit(_main())
+    sys.exit(serve_recorder(record))

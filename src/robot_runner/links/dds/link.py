@@ -14,6 +14,8 @@ from robot_runner.links.dds.topics import TopicSubscription, TopicWriter
 from robot_runner.links.graph_names import full_name
 from robot_runner.links.listening import first_message
 from robot_runner.links.robot import Encoding, Qos
+from robot_runner.links.shapes import plain_type
+from robot_runner.links.velocity_commands import VELOCITY_COMMANDS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -24,9 +26,6 @@ if TYPE_CHECKING:
     from robot_runner.links.robot import Message, RawMessage, Subscription
 
 __all__ = ["DdsRobotLink"]
-
-#: Commands that a robot goes on carrying out; where one was sent, zero is sent last.
-_COMMANDS = frozenset({"geometry_msgs/Twist", "geometry_msgs/TwistStamped"})
 
 #: How long what was published is waited for to arrive before the link leaves.
 _CLOSING_SECONDS = 0.5
@@ -83,7 +82,7 @@ class DdsRobotLink:
         with self._lock:
             writer = self._writer(name, message_type, qos)
         writer.publish(message)
-        if writer.message_type in _COMMANDS:
+        if writer.message_type in VELOCITY_COMMANDS:
             self._moved.add(name)
 
     def subscribe(
@@ -209,7 +208,7 @@ class DdsRobotLink:
 
     def _writer(self, topic: str, message_type: str, qos: Qos) -> TopicWriter:
         writer = self._writers.get(topic)
-        if writer is not None and (writer.message_type, writer.qos) == (message_type, qos):
+        if writer is not None and (writer.message_type, writer.qos) == (plain_type(message_type), qos):
             return writer
         fresh = TopicWriter(self._session, topic, message_type, qos)
         if writer is not None:

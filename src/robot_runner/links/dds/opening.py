@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 from typing import TYPE_CHECKING
 
 from robot_runner.errors import Finding, LinkError
 from robot_runner.links.dds.settings import DdsSettings
+from robot_runner.links.extra_packages import missing_of, not_installed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -19,13 +19,14 @@ if TYPE_CHECKING:
 __all__ = ["findings", "open_dds_link"]
 
 _PACKAGES = ("cyclonedds", "rosbags")
+_WAY = "over DDS"
 
 
 def findings(name: RobotName) -> list[Finding]:
     """Return what stands in the way of reaching a robot of this name over DDS; nothing is opened by asking."""
-    missing = [package for package in _PACKAGES if importlib.util.find_spec(package) is None]
+    missing = missing_of(_PACKAGES)
     if missing:
-        return [_not_installed(missing).as_finding()]
+        return [not_installed(missing, way=_WAY, extra="dds").as_finding()]
     try:
         settings = DdsSettings.of(name.options, os.environ)
         from robot_runner.links.type_catalogue import TypeCatalogue  # noqa: PLC0415  # an extra, only where asked for
@@ -51,13 +52,5 @@ def open_dds_link(options: Mapping[str, str], clock: Clock, namespace: str = "")
     try:
         from robot_runner.links.dds.link import DdsRobotLink  # noqa: PLC0415  # it loads Cyclone DDS
     except ModuleNotFoundError as error:
-        raise _not_installed([error.name or "cyclonedds"]) from error
+        raise not_installed([error.name or "cyclonedds"], way=_WAY, extra="dds") from error
     return DdsRobotLink(settings, clock, namespace=namespace)
-
-
-def _not_installed(missing: list[str]) -> LinkError:
-    return LinkError(
-        f"robot is reached over DDS, but {' and '.join(missing)} cannot be imported",
-        where="robot",
-        fix="Install it: pip install 'robot-runner[dds]'.",
-    )

@@ -14,7 +14,7 @@ from robot_runner.links.dds.profiles import adapted, incompatibility, reader_pro
 from robot_runner.links.dds.reception import delete
 from robot_runner.links.dds.wire_types import topic_wire_type
 from robot_runner.links.robot import Encoding, RawMessage
-from robot_runner.links.shapes import completed
+from robot_runner.links.shapes import completed, plain_type
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -39,7 +39,7 @@ class TopicWriter:
         session.check_open(topic)
         self._session = session
         self._topic = topic
-        self.message_type = message_type
+        self.message_type = plain_type(message_type)
         self.qos = qos
         self._shape = session.types.shape(message_type)
         self._wire_type = topic_wire_type(self._shape)

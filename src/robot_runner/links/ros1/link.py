@@ -17,6 +17,7 @@ from robot_runner.links.ros1.publisher import Publisher
 from robot_runner.links.ros1.service_client import call_service, service_type
 from robot_runner.links.ros1.subscriber import Subscriber
 from robot_runner.links.shapes import completed, plain_type
+from robot_runner.links.velocity_commands import VELOCITY_COMMANDS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -28,7 +29,6 @@ __all__ = ["Ros1Link"]
 
 _logger = logging.getLogger(__name__)
 
-_TWIST = "geometry_msgs/Twist"
 #: How long the last command, to stand still, may take to leave, s.
 _STOPPING_SECONDS = 2.0
 #: How long each service may take to say of which type it is, s.
@@ -225,7 +225,7 @@ class Ros1Link:
             closing.callback(self._closing.close)
             for publisher in self._publishers.values():
                 closing.callback(publisher.close)
-                if publisher.message_type == _TWIST:
+                if publisher.message_type in VELOCITY_COMMANDS:
                     closing.callback(publisher.flush, _STOPPING_SECONDS)
                     closing.callback(publisher.publish, {})
 

@@ -7,8 +7,8 @@ from functools import lru_cache, partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.errors import LinkError, did_you_mean
-from robot_runner.links.shapes import BYTE_KINDS, UNBOUNDED, Field, Shape, plain_type
+from robot_runner.links.generated_types import TypeKind, generated_class
+from robot_runner.links.shapes import BYTE_KINDS, UNBOUNDED, Field, Shape
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -27,7 +27,7 @@ def message_class(message_type: str) -> Any:
     Raises:
         LinkError: there is none, or its package is not on Python's path.
     """
-    return _class(plain_type(message_type), "msg")
+    return generated_class(message_type, TypeKind.MESSAGE, _is_type)
 
 
 def service_class(service_type: str) -> Any:
@@ -36,29 +36,11 @@ def service_class(service_type: str) -> Any:
     Raises:
         LinkError: as `message_class`.
     """
-    return _class(plain_type(service_type), "srv")
+    return generated_class(service_type, TypeKind.SERVICE, _is_type)
 
 
-@lru_cache
-def _class(name: str, kind: str) -> Any:
-    what = {"msg": "message", "srv": "service"}[kind]
-    package, slash, short = name.partition("/")
-    if not slash or not package or not short.isidentifier():
-        fix = "Write it as in geometry_msgs/Twist." if kind == "msg" else "Write it as in std_srvs/Trigger."
-        raise LinkError(f"{name!r} cannot be the name of a {what} type", where="robot", fix=fix)
-    try:
-        module = import_module(f"{package}.{kind}")
-    except ImportError as error:
-        raise LinkError(
-            f"the {what}s of {package!r} cannot be imported ({error})",
-            where=name,
-            fix="Correct the name, or install its package and source its setup file.",
-        ) from error
-    found = getattr(module, short, None)
-    if getattr(found, "_type", None) != name:
-        known = [each for each in vars(module) if getattr(getattr(module, each), "_type", None) == f"{package}/{each}"]
-        raise LinkError(f"{package!r} has no {what} type {short!r}", where=name, fix=did_you_mean(short, known))
-    return found
+def _is_type(found: Any, name: str) -> bool:
+    return getattr(found, "_type", None) == name
 
 
 @lru_cache

@@ -19,6 +19,7 @@ from robot_runner.links.ros2.node import join_graph
 from robot_runner.links.ros2.services import OfferedService, ServiceClient
 from robot_runner.links.ros2.topics import TopicPublisher, TopicSubscription
 from robot_runner.links.shapes import completed, plain_type
+from robot_runner.links.velocity_commands import VELOCITY_COMMANDS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Ros2RobotLink"]
 
-#: Commands that a robot goes on carrying out; where one was sent, zero is sent last.
-_COMMANDS = frozenset({"geometry_msgs/Twist", "geometry_msgs/TwistStamped"})
 #: How long the last command, to stand still, may take to be received, s.
 _STOPPING = 2.0
 
@@ -190,7 +189,7 @@ class Ros2RobotLink:
             closing.callback(self._closing.close)
             for publisher in self._publishers.values():
                 closing.callback(publisher.close)
-                if publisher.message_type in _COMMANDS:
+                if publisher.message_type in VELOCITY_COMMANDS:
                     closing.callback(publisher.flush, _STOPPING)
                     closing.callback(publisher.publish, {})
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
 from typing import TYPE_CHECKING
 
 from robot_runner.errors import Finding, LinkError
+from robot_runner.links.extra_packages import missing_of, not_installed
 from robot_runner.links.rosbridge.address import RosbridgeAddress
 
 if TYPE_CHECKING:
@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 __all__ = ["findings", "open_rosbridge_link"]
 
-_PACKAGES = ("rosbags", "websockets")
+_PACKAGES = ("cbor2", "rosbags", "websockets")
+_WAY = "through a rosbridge"
 
 
 def findings(name: RobotName) -> list[Finding]:
@@ -26,9 +27,9 @@ def findings(name: RobotName) -> list[Finding]:
         >>> [finding.problem for finding in findings(RobotName.parse("rosbridge://robot:port"))]
         ["'rosbridge://robot:port' cannot be the address of a rosbridge"]
     """
-    missing = [package for package in _PACKAGES if importlib.util.find_spec(package) is None]
+    missing = missing_of(_PACKAGES)
     if missing:
-        return [_not_installed(missing).as_finding()]
+        return [not_installed(missing, way=_WAY, extra="rosbridge").as_finding()]
     try:
         address = RosbridgeAddress.parse(name.address or name.link)
         from robot_runner.links.type_catalogue import TypeCatalogue  # noqa: PLC0415  # an extra, only where asked for
@@ -51,17 +52,9 @@ def open_rosbridge_link(url: str, clock: Clock, namespace: str = "") -> RobotLin
         LinkError: the address is none, a package is missing, or the rosbridge cannot be reached.
     """
     address = RosbridgeAddress.parse(url)
-    missing = [package for package in _PACKAGES if importlib.util.find_spec(package) is None]
+    missing = missing_of(_PACKAGES)
     if missing:
-        raise _not_installed(missing)
+        raise not_installed(missing, way=_WAY, extra="rosbridge")
     from robot_runner.links.rosbridge.link import RosbridgeRobotLink  # noqa: PLC0415  # only where it is asked for
 
     return RosbridgeRobotLink(address, clock, namespace=namespace)
-
-
-def _not_installed(missing: list[str]) -> LinkError:
-    return LinkError(
-        f"robot is reached through a rosbridge, but {' and '.join(missing)} cannot be imported",
-        where="robot",
-        fix="Install it: pip install 'robot-runner[rosbridge]'.",
-    )

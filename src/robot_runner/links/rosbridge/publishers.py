@@ -10,6 +10,7 @@ from robot_runner.links.robot import Qos
 from robot_runner.links.rosbridge.conversion import to_protocol
 from robot_runner.links.rosbridge.subscriptions import check_type
 from robot_runner.links.shapes import completed, plain_type
+from robot_runner.links.velocity_commands import VELOCITY_COMMANDS
 
 if TYPE_CHECKING:
     from robot_runner.links.robot import Message
@@ -19,9 +20,6 @@ if TYPE_CHECKING:
     from robot_runner.links.shapes import Shape
 
 __all__ = ["Publishers"]
-
-#: Commands that a robot goes on carrying out; where one was sent, zero is sent last.
-_COMMANDS = frozenset({"geometry_msgs/Twist", "geometry_msgs/TwistStamped"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +56,7 @@ class Publishers:
         self._session.check_open(name)
         with self._lock:
             publisher = self._publisher(name, message_type, message, is_latched=qos is Qos.TRANSIENT_LOCAL)
-            if publisher.message_type in _COMMANDS:
+            if publisher.message_type in VELOCITY_COMMANDS:
                 self._driven[name] = message_type
         complete = completed(publisher.shape, message, where=name)
         self._session.send({"op": "publish", "topic": name, "msg": to_protocol(publisher.shape, complete)})

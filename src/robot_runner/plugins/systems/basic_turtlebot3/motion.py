@@ -12,12 +12,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from robot_runner.events.clock import Clock
-    from robot_runner.links.robot import RobotLink
+    from robot_runner.plugins.systems.basic_turtlebot3.wheels import Wheels
 
-__all__ = ["COMMAND_TOPIC", "MAXIMUM_SPEED", "MAXIMUM_TURN_RATE", "TICK", "Pilot", "Ramp"]
+__all__ = ["MAXIMUM_SPEED", "MAXIMUM_TURN_RATE", "TICK", "Pilot", "Ramp"]
 
-#: What the robot hears its velocities on.
-COMMAND_TOPIC = "cmd_vel"
 #: Burger, from ROBOTIS' e-manual (https://emanual.robotis.com/docs/en/platform/turtlebot3/features/): m/s and rad/s.
 MAXIMUM_SPEED = 0.22
 MAXIMUM_TURN_RATE = 2.84
@@ -88,8 +86,8 @@ def _moving_time(seconds: float) -> float:
 class Pilot:
     """Moves one robot. Who uses it must call `stop` in the end, whatever happened."""
 
-    def __init__(self, link: RobotLink, odometer: Odometer, clock: Clock) -> None:
-        self._link = link
+    def __init__(self, wheels: Wheels, odometer: Odometer, clock: Clock) -> None:
+        self._wheels = wheels
         self._odometer = odometer
         self._clock = clock
 
@@ -130,18 +128,14 @@ class Pilot:
         Raises:
             LinkError: the robot cannot be reached.
         """
-        self._command(0.0, 0.0)
+        self._wheels.command(0.0, 0.0)
 
     def _follow(self, steer: Callable[[float], tuple[float, float]], begun: float, seconds: float) -> None:
         while (left := begun + seconds - self._clock.now()) > TICK:
             speed, rate = steer(seconds - left)
-            self._command(_limited(speed, MAXIMUM_SPEED), _limited(rate, MAXIMUM_TURN_RATE))
+            self._wheels.command(_limited(speed, MAXIMUM_SPEED), _limited(rate, MAXIMUM_TURN_RATE))
             self._clock.sleep(min(_CONTROL_PERIOD, left))
         self.stop()
-
-    def _command(self, speed: float, rate: float) -> None:
-        twist = {"linear": {"x": speed, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": rate}}
-        self._link.publish(COMMAND_TOPIC, "geometry_msgs/Twist", twist)
 
 
 def _beside(start: Pose, pose: Pose) -> tuple[float, float]:

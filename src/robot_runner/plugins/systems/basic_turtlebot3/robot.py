@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 from robot_runner.links.graph_names import full_name, missing
 from robot_runner.links.simulation_mark import is_simulation
 from robot_runner.plugins.systems.basic_turtlebot3.heartbeat import Heartbeat
-from robot_runner.plugins.systems.basic_turtlebot3.motion import COMMAND_TOPIC, Pilot
+from robot_runner.plugins.systems.basic_turtlebot3.motion import Pilot
 from robot_runner.plugins.systems.basic_turtlebot3.tasks import TaskServices
+from robot_runner.plugins.systems.basic_turtlebot3.wheels import COMMAND_TOPIC, Wheels
 
 if TYPE_CHECKING:
     from robot_runner.events.clock import Clock
@@ -38,7 +39,7 @@ class Robot:
         self._clock = clock
         self._command_topic = full_name(namespace, COMMAND_TOPIC)
         self.odometer = odometer
-        self.pilot = Pilot(link, odometer, clock)
+        self.pilot = Pilot(Wheels(link, namespace=namespace), odometer, clock)
         self.tasks = TaskServices(link)
         self.is_simulated = is_simulation(link, namespace)
         self._subscription = link.subscribe("odom", "nav_msgs/Odometry", odometer.hear)
