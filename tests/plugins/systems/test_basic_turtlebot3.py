@@ -379,3 +379,14 @@ def test_what_broke_the_mission_off_is_told_though_the_robot_cannot_be_made_safe
         played.plugin.launch_mission(played.context)
     assert "could not be made safe" in caught.value.__notes__[0]
     assert "the cable came off" in caught.value.__notes__[0]
+
+
+def test_a_robot_that_hears_stamped_commands_drives_the_same_mission(stage):
+    played = stage()
+    played.robot.known_topics["cmd_vel"] = "geometry_msgs/TwistStamped"
+    measures = played.execute()
+    assert measures["Distance"] == pytest.approx(2 * 0.2 * 1.3, rel=0.05)
+    assert {each.message_type for each in played.robot.publications if each.topic == "cmd_vel"} == {
+        "geometry_msgs/TwistStamped"
+    }
+    assert played.robot.stands_still
