@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from robot_runner.events.event import ORCHESTRATED_EVENTS, RobotRunnerEvents
 from robot_runner.storage.journal import read_journal
 
 if TYPE_CHECKING:
@@ -16,22 +17,13 @@ if TYPE_CHECKING:
 __all__ = ["EVENTS", "START", "History", "read_history"]
 
 #: The events of a run, in their order (paper, Fig. 2).
-EVENTS = (
-    "before_run",
-    "start_run",
-    "start_measurement",
-    "launch_mission",
-    "stop_measurement",
-    "stop_run",
-    "populate_run_data",
-    "continue",
-)
+EVENTS = tuple(event.value for event in RobotRunnerEvents if event.belongs_to_run)
 
 #: The event from which times of a run are counted.
-START = "start_measurement"
+START = RobotRunnerEvents.START_MEASUREMENT.value
 
 #: These are heard in the orchestrating process, whose clock is another than the run's.
-_OF_ANOTHER_CLOCK = frozenset({"before_run", "continue"})
+_OF_ANOTHER_CLOCK = frozenset(event.value for event in ORCHESTRATED_EVENTS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +77,8 @@ def _attempts(started: Sequence[Mapping[str, Any]], finished: Sequence[Mapping[s
             "run_id": run,
             "attempt": attempt,
             "status": end["status"] if (end := ends.get((run, attempt))) else "unfinished",
-            "started_at": at,
+            # Of runs that were imported without any times, only the record has one.
+            "started_at": at if end is None or end["seconds"] is not None else None,
             "seconds": end["seconds"] if end else None,
             "failure": end["failure"] if end else None,
         }

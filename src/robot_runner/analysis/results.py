@@ -233,11 +233,8 @@ class Results:
     def export(self, folder: Path | str | None = None) -> tuple[Path, ...]:
         """Write the run table and all raw samples as Parquet, and a data package that describes everything.
 
-        `datapackage.json` is written into the experiment's folder, beside the `run_table.csv` and its schema that it
-        describes.
-
         Args:
-            folder: where the Parquet files go; None is `export/` in the experiment's folder.
+            folder: where the files go, `datapackage.json` among them; None is `export/` in the experiment's folder.
 
         Returns:
             The files that were written.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.errors import AnalysisError, did_you_mean
@@ -11,7 +12,6 @@ from robot_runner.storage.safe_write import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
 
     from robot_runner.storage.layout import ExperimentFolder
 
@@ -70,7 +70,9 @@ def run_files(folder: ExperimentFolder, run_ids: Iterable[str]) -> dict[tuple[st
     for run_id in run_ids:
         try:
             run = folder.run(run_id)
-            for path in sorted(run.glob("*.csv")):  # written by a config, as those of the earlier tools do
+            for path in sorted(
+                filter(Path.is_file, run.glob("*.csv"))
+            ):  # written by a config, as those of the earlier tools do
                 found.setdefault((_CONFIG, path.name), {})[run_id] = path
             for path in sorted(run.glob("*/*.csv")):
                 found.setdefault((path.parent.name, path.name), {})[run_id] = path

@@ -85,6 +85,7 @@ def test_runs_within_one_experiment_are_pairs(make_folder):
     folder = make_folder(factors={"Task": ["a", "b"]}, rows=rows, measures={"Energy": "J", "Model": "J"})
     comparison = compare(folder.root, folder.root, measures=["Energy=Model"], bound="10%")
     assert comparison.is_paired
+    assert (comparison.first.name, comparison.second.name) == ("Energy", "Model")
     [measure] = comparison.measures
     assert measure.name == "Energy and Model"
     assert measure.agreement.are_natural

@@ -142,6 +142,29 @@ def test_letters_in_a_pdf_are_of_a_truetype_font():
     assert b"/Type3" not in data
 
 
+def test_crowds_of_points_and_bars_are_kept_as_pixels():
+    spans = [AttemptSpan(f"r_{n}", "Video", n, n + 0.9, (n + 0.1, n + 0.8), is_done=True) for n in range(1000)]
+    for few, many in (
+        (distribution(), distribution(3, 1000)),
+        (draw_timeline(spans[:20], order=["Video"]), draw_timeline(spans, order=["Video"])),
+    ):
+        assert b"<image" not in figure_bytes(few, FigureFormat.SVG)
+        svg = figure_bytes(many, FigureFormat.SVG)
+        assert b"data:image/png;base64" in svg
+        assert len(svg) < 150_000
+
+
+def test_names_of_outliers_do_not_hide_each_other():
+    values = (*np.linspace(0, 1, 20), 9.0, 9.01, 9.02, -8.0)
+    group = Group("T", values, tuple(f"r_{n}" for n in range(24)))
+    for count in (1, 12):
+        figure = draw_distribution(
+            [group] * count, value_label=LABEL, group_label="Task", outliers=frozenset(group.run_ids[20:])
+        )
+        named = {text.get_text() for text in figure.axes[0].texts}
+        assert named == {"r_23", "r_20"}
+
+
 def test_units_stand_on_the_axes():
     figure = single()
     texts = [figure.get_supylabel(), figure.axes[-1].get_xlabel()]

@@ -15,6 +15,8 @@ from robot_runner.analysis.importing.agreement import agreements
 from robot_runner.analysis.importing.description import ImportDescription, parse_recipe
 from robot_runner.analysis.importing.description_reading import read_description
 from robot_runner.analysis.importing.understanding import understand
+from robot_runner.analysis.report.document import report_document
+from robot_runner.analysis.report.material import Material
 from robot_runner.errors import StorageError
 from robot_runner.execution.status import read_status
 
@@ -192,3 +194,14 @@ def test_an_import_that_fails_leaves_nothing(root, tmp_path):
     with pytest.raises(Exception, match="times cannot be read"):
         adopted(root, tmp_path / "ours")
     assert [path.name for path in tmp_path.iterdir()] == ["earlier"]
+
+
+def test_when_and_how_long_is_not_made_up(tmp_path):
+    write(tmp_path / "r" / "run_table.csv", "__run_id,t,e\nrun_0,a,1\nrun_1,b,2\n")
+    adopted(tmp_path / "r", tmp_path / "ours")
+    results = load_results(tmp_path / "ours")
+    assert results.attempts[["started_at", "seconds"]].isna().all(axis=None)
+    document = report_document(Material(results, analyse(results)), made="now")
+    assert "timeline" not in [figure.name for figure in document.figures]
+    [runs] = [table for table in document.tables if table.name == "runs"]
+    assert "Took" not in [column.name for column in runs.columns]

@@ -5,9 +5,13 @@ from __future__ import annotations
 import pytest
 from tests.analysis.importing.foreign_folder import EARLIER_TABLE, make_earlier_folder, write
 
+from robot_runner.analysis.importing import foreign_table
+from robot_runner.analysis.importing.adoption import adopt
 from robot_runner.analysis.importing.description import ImportDescription, SamplesDescription, parse_recipe
 from robot_runner.analysis.importing.understanding import understand
+from robot_runner.analysis.results import load_results
 from robot_runner.errors import AnalysisError, StorageError
+from robot_runner.storage import cells
 from robot_runner.storage.run_status import RunStatus
 
 NOTHING = ImportDescription()
@@ -184,6 +188,89 @@ def test_a_description_of_samples_is_followed(tmp_path):
     )
 
 
+def test_measured_numbers_that_repeat_are_told_from_treatments_by_the_repetitions(tmp_path):
+    rows = [(run, again, 100 * run, (20, 21)[again]) for run in range(3) for again in range(2)]
+    by_id = "".join(f"run_{run}_repetition_{again},DONE,{level},{time}\n" for run, again, level, time in rows)
+    by_column = "".join(f"{run}{again},DONE,{level},{again},{time}\n" for run, again, level, time in rows)
+    for text in ("id,done,length,time\n" + by_id, "id,done,length,repetition,time\n" + by_column):
+        roles = table_only(tmp_path, text).roles
+        assert (roles.factors, roles.measures) == (("length",), ("time",))
+
+
+def test_a_treatment_that_only_the_repetition_tells_apart_stays_one(tmp_path):
+    rows = "".join(f"{speed}{again},{again},{speed},{speed}.{again}\n" for speed in (2, 3) for again in (1, 2))
+    assert table_only(tmp_path, f"id,repetition,speed,energy\n{rows}").roles.factors == ("speed",)
+
+
+def test_rows_that_are_there_twice_are_left_out_once(tmp_path):
+    found = table_only(tmp_path, "__run_id,t,e\nrun_0,a,1.5\nrun_1,b,2.5\nrun_0,a,1.5\n")
+    assert [run.run_id for run in found.runs] == ["run_0", "run_1"]
+    assert "1 row left out that is there twice, cell by cell" in found.notes
+
+
+def test_runs_that_share_an_id_are_told_apart_and_have_no_raw_files(tmp_path):
+    write(tmp_path / "results" / "run_0" / "power.csv", "time_s,power_W\n0,1\n1,1\n")
+    found = table_only(tmp_path, "__run_id,t,e\nrun_0,a,1.5\nRUN_0_2,a,1.5\nrun_0,b,2.5\n")
+    assert [run.run_id for run in found.runs] == ["run_0", "RUN_0_2", "run_0_3"]
+    assert [run.folder for run in found.runs] == [None] * 3
+    assert any("'run_0' in line 4 is called 'run_0_3' here" in note for note in found.notes)
+
+
+def test_files_that_are_named_by_numbers_go_together(tmp_path):
+    for number, process in enumerate((77, 1044)):
+        for name in (
+            f"power_{process}.csv",
+            f"power_{process}.csv-{process}.csv",
+            f"twice_{number}.csv",
+            "p.csv",
+            "p_.csv",
+        ):
+            write(tmp_path / "results" / f"run_{number}" / name, "time_s,power_W\n0,1\n1,1\n")
+    write(tmp_path / "results" / "run_1" / "twice_7.csv", "time_s,power_W\n0,1\n1,1\n")
+    found = table_only(tmp_path, "__run_id,t,e_J\nrun_0,a,1.5\nrun_1,b,2.5\n")
+    kinds = {each.file: (each.name, [*each.paths]) for each in found.samples}
+    both = ["run_0", "run_1"]
+    assert kinds == {
+        "p.csv": ("p", both),
+        "p_.csv": ("p_2", both),
+        "power_*.csv": ("power", both),
+        "power_*.csv-*.csv": ("power_csv", both),
+        "twice_0.csv": ("twice_0", ["run_0"]),
+        "twice_1.csv": ("twice_1", ["run_1"]),
+        "twice_7.csv": ("twice_7", ["run_1"]),
+    }
+    adopted = adopt(found, tmp_path / "adopted")
+    results = load_results(adopted.folder)
+    assert len(results.samples("power")) == len(results.samples("power_csv")) == 4
+    assert not list(adopted.folder.glob("runs/*/original"))
+
+
+def test_a_column_without_a_heading_is_kept_and_doubted(tmp_path):
+    found = table_only(tmp_path, "__run_id,t,e,,\nrun_0,a,1.5,,7\nrun_1,b,2.5,,8\n")
+    assert (found.roles.measures, found.roles.extras) == (("e",), ("column_5",))
+    assert "a column has no heading (column_5 here): values may stand under headings of others" in found.notes
+
+
+def test_the_numbers_of_a_data_frames_rows_are_left_out(tmp_path):
+    found = table_only(tmp_path, ",__run_id,__done,t,e\n0,run_0,DONE,a,1.5\n1,run_1,DONE,b,2.5\n")
+    assert (found.roles.run_id, found.roles.factors, found.roles.extras) == ("__run_id", ("t",), ())
+
+
+def test_repetitions_may_be_numbered_in_words(tmp_path):
+    found = table_only(tmp_path, "__run_id,t,repetition,e\nrun_0,a,r1,1.5\nrun_1,a,rep_2,2.5\n")
+    assert [run.repetition for run in found.runs] == [1, 2]
+
+
+def test_a_table_of_thousands_of_runs_is_looked_at_once(tmp_path, monkeypatch):
+    looked_at = []
+    monkeypatch.setattr(
+        foreign_table, "number_of", lambda text, **how: looked_at.append(text) or cells.number_of(text, **how)
+    )
+    rows = "".join(f"run_{place},DONE,{place % 4},{place % 3},{place}.5\n" for place in range(2000))
+    assert len(table_only(tmp_path, f"__run_id,__done,a,b,e\n{rows}").runs) == 2000
+    assert len(looked_at) < 3 * 2000
+
+
 REFUSED = {
     "no folder": (None, {}, "there is no such folder"),
     "no table": ({}, {}, "there is no CSV file in it"),
@@ -192,7 +279,6 @@ REFUSED = {
     "no rows": ({"run_table.csv": "__run_id,__done,a,b\n"}, {}, "there are no runs in it"),
     "heading twice": ({"run_table.csv": "__run_id,a,a\nrun_0,1,2\n"}, {}, "heading 'a' is there twice"),
     "a row too long": ({"run_table.csv": "__run_id,a\nrun_0,1,2\n"}, {}, "the row has 3 cells, the heading has 2"),
-    "run twice": ({"run_table.csv": "__run_id,t,e\nrun_0,a,1\nrun_0,a,2\n"}, {}, "run id 'run_0' is in line 2 already"),
     "no id": ({"run_table.csv": "__run_id,t,e\nrun_0,a,1\n,a,2\n"}, {}, "the run has no id"),
     "status": ({"run_table.csv": "__run_id,__done,t,e\nrun_0,MAYBE,a,1\n"}, {}, "'MAYBE' is no status"),
     "repetition": ({"run_table.csv": "__run_id,repetition,e\nrun_0,first,1\n"}, {}, "it is no number of a repetition"),

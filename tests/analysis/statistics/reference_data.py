@@ -57,6 +57,32 @@ SLEEP = {
     "2": [1.9, 0.8, 1.1, 0.1, -0.1, 4.4, 5.5, 1.6, 4.6, 3.4],
 }
 
+# R, ?wilcox.test (Hollander and Wolfe 1973): depression factor of nine patients, and permeability of amnion
+DEPRESSION = {
+    "first": [1.83, 0.50, 1.62, 2.48, 1.68, 1.88, 1.55, 3.06, 1.30],
+    "second": [0.878, 0.647, 0.598, 2.05, 1.06, 1.29, 1.06, 3.14, 1.29],
+}
+PERMEABILITY = {
+    "at term": [0.80, 0.83, 1.89, 1.04, 1.45, 1.38, 1.91, 1.64, 0.73, 1.46],
+    "early": [1.15, 0.88, 0.90, 0.74, 1.21],
+}
+
+# R, ?cor.test (Hollander and Wolfe 1973): colour and quality of canned tuna
+TUNA = {
+    "colour": [44.4, 45.9, 41.9, 53.3, 44.7, 44.1, 50.7, 45.2, 60.1],
+    "quality": [2.6, 3.1, 2.5, 5.0, 3.6, 4.0, 5.2, 2.8, 3.8],
+}
+
+# R: npk (Venables and Ripley 2002); for each block the plots, as N, P, K and yield
+NPK = (
+    ("011 49.5", "110 62.8", "000 46.8", "101 57.0"),
+    ("100 59.8", "111 58.5", "001 55.5", "010 56.0"),
+    ("010 62.8", "111 55.8", "100 69.5", "001 55.0"),
+    ("100 62.0", "111 48.8", "001 45.5", "010 44.2"),
+    ("110 52.0", "000 51.5", "101 49.8", "011 48.8"),
+    ("101 57.2", "110 59.0", "011 53.2", "000 56.0"),
+)
+
 # R: mtcars, mpg by transmission (automatic, manual)
 MILES_PER_GALLON = {
     "automatic": [
@@ -198,6 +224,16 @@ def split_plot(rows: list[tuple[str, str, str, float]]) -> MeasureData:
     listed = [{" block": block, "A": a, "B": b, VALUE: value} for block, a, b, value in rows]
     levels = {"A": sorted({row["A"] for row in listed}), "B": sorted({row["B"] for row in listed})}
     return _data(listed, levels, in_blocks=True)
+
+
+def npk() -> MeasureData:
+    """Return the yields of peas under three fertilisers, in blocks of which each holds half of the combinations."""
+    rows = [
+        {" block": f"b{block}", **dict(zip("NPK", plot, strict=False)), VALUE: float(plot[4:])}
+        for block, plots in enumerate(NPK, start=1)
+        for plot in plots
+    ]
+    return _data(rows, {name: ["0", "1"] for name in "NPK"}, in_blocks=True)
 
 
 def _data(rows: list[dict], levels: dict[str, list[str]], *, in_blocks: bool) -> MeasureData:

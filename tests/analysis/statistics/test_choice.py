@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from tests.analysis.statistics.reference_data import one_factor, split_plot, two_factors
 
+from robot_runner.analysis.statistics.carrying_out import carry_out
 from robot_runner.analysis.statistics.choice import Choice, choose_test
 from robot_runner.analysis.statistics.described import NotComputed
+from robot_runner.analysis.statistics.post_hoc import compare_pairs
 from robot_runner.analysis.statistics.tested import TestMethod
+from robot_runner.design.analysis_plan import Correction
 
 NORMAL = np.random.default_rng(5).normal(0, 1, 200)
 SKEWED = np.exp(2 * NORMAL)
@@ -52,6 +55,60 @@ def test_a_block_that_lacks_a_treatment_asks_for_a_mixed_model():
     lacking = groups(3, NORMAL)
     lacking["t2"] = lacking["t2"][:-1]
     assert choose_test(one_factor(lacking, in_blocks=True), 0.05).method is TestMethod.MIXED_MODEL
+
+
+def test_incomplete_blocks_of_values_that_are_not_normal_are_ranked():
+    lacking = groups(3, SKEWED)
+    lacking["t2"] = lacking["t2"][:-1]
+    assert choose_test(one_factor(lacking, in_blocks=True), 0.05).method is TestMethod.MIXED_ALIGNED_RANKS
+
+
+def test_combinations_of_different_variances_are_compared_by_errors_that_allow_it():
+    spread = {
+        name: [5 + (value - 5) * factor for value in values]
+        for (name, values), factor in zip(cells(NORMAL, 30).items(), (1, 1, 1, 6), strict=True)
+    }
+    choice = choose_test(two_factors(spread), 0.05)
+    assert choice.method is TestMethod.ROBUST_ANOVA
+    assert "in standard deviations of their groups" in choice.reason
+
+
+def test_many_small_groups_of_different_variances_are_doubted():
+    spread = {f"t{k}": list(10 + (1 + 9 * (k > 2)) * NORMAL[5 * k : 5 * k + 5]) for k in range(6)}
+    measure = one_factor(spread)
+    choice = choose_test(measure, 0.05)
+    assert choice.method is TestMethod.WELCH_ANOVA
+    assert any("Welch's test errs more often" in note for note in carry_out(measure, choice, 0.05).notes)
+
+
+def test_ranks_of_different_variances_are_doubted():
+    spread = {
+        name: [value * factor for value in values]
+        for (name, values), factor in zip(cells(SKEWED, 30).items(), (1, 1, 1, 60), strict=True)
+    }
+    measure = two_factors(spread)
+    choice = choose_test(measure, 0.05)
+    assert choice.method is TestMethod.ALIGNED_RANKS
+    assert any("read p near alpha with care" in note for note in carry_out(measure, choice, 0.05).notes)
+
+
+def test_names_of_treatments_and_blocks_may_hold_what_formulas_are_made_of():
+    def compared(names, blocks):
+        rows = [
+            (blocks[block], a, b, 5 + NORMAL[place] + 3 * block + (a == names[1]))
+            for place, (block, a, b) in enumerate((block, a, b) for block in range(4) for a in names for b in "pq")
+        ]
+        measure = split_plot(rows[:-1])
+        choice = choose_test(measure, 0.05)
+        test = carry_out(measure, choice, 0.05)
+        found, _ = compare_pairs(measure, choice, test, 0.05, Correction.HOLM)
+        return [effect.p_value for effect in test.effects], [
+            (each.difference, each.p_value) for each in found[0].comparisons
+        ]
+
+    plain = compared(("x", "y"), ("b0", "b1", "b2", "b3"))
+    odd = compared(("C(b)[T.0]:", "]:y ~ x"), ("08:00", "09:00", "10:00", "C(b)"))
+    assert odd == plain
 
 
 def test_a_factor_that_blocks_do_not_vary_asks_for_a_mixed_model():
@@ -99,7 +156,15 @@ def test_ranks_that_cannot_be_aligned_yield_no_test():
 
 def test_too_few_values_for_normality_are_compared_by_rank():
     choice = choose_test(one_factor({"a": [1.0, 2.0], "b": [5.0]}), 0.05)
-    assert choice.method in {TestMethod.STUDENT_T, TestMethod.WELCH_T, TestMethod.MANN_WHITNEY}
+    assert choice.method is TestMethod.MANN_WHITNEY
+
+
+def test_two_runs_a_treatment_tell_nothing_of_variances():
+    # Two values are equally far from their median, but for rounding, of which Levene's test would make F = 1e31.
+    data = one_factor({"a": [3.873, 7.133], "b": [4.63, 7.034], "c": [5.647, 5.663]})
+    choice = choose_test(data, 0.05)
+    assert choice.method is TestMethod.KRUSKAL_WALLIS
+    assert "equally far from the median" in choice.checks[1].why
 
 
 @pytest.mark.parametrize(

@@ -276,6 +276,7 @@ def test_an_effect_beyond_measure_needs_two_runs():
     assert power.needed[-1].repetitions == 2
 
 
+@settings(max_examples=15, deadline=None)  # each call of statsmodels collects the interpreter's garbage
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=20), st.sampled_from(Correction))
 def test_adjusted_p_values_agree_with_statsmodels(p_values, correction):
     from statsmodels.stats.multitest import multipletests

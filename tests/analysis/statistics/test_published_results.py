@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.analysis.statistics import reference_data as data
@@ -10,6 +12,7 @@ from robot_runner.analysis.statistics.aligned_ranks import aligned, fit_aligned
 from robot_runner.analysis.statistics.assumptions import equal_variances, normality
 from robot_runner.analysis.statistics.carrying_out import carry_out, mixed_model
 from robot_runner.analysis.statistics.choice import Choice, choose_test
+from robot_runner.analysis.statistics.correlations import correlations_of
 from robot_runner.analysis.statistics.effect_sizes import cliffs_delta, cohens_d, paired_d, vargha_delaney
 from robot_runner.analysis.statistics.linear_model import fit_linear, terms_of
 from robot_runner.analysis.statistics.outcome import Magnitude, TestMethod
@@ -253,15 +256,99 @@ def test_anova_with_blocks_of_ergo_stool():
 
 
 def test_mixed_model_of_ergo_stool():
-    # nlme: lme(effort ~ Type, random = ~ 1 | Subject): standard deviations 1.332465 (subjects) and 1.100295 (residual)
+    # nlme: lme(effort ~ Type, random = ~ 1 | Subject): standard deviations 1.332465 (subjects) and 1.100295 (residual);
+    # its anova: F = 22.3556 on 3 and 24, p < .0001; its summary: standard error 0.5186838 of each difference
     measure = data.one_factor(data.ERGO_STOOL, in_blocks=True)
     test, choice = forced(measure, TestMethod.MIXED_MODEL)
     fitted = mixed_model(measure, choice)
     assert np.sqrt(fitted.scale) == pytest.approx(1.100295, abs=5e-6)
     assert np.sqrt(float(fitted.cov_re.iloc[0, 0])) == pytest.approx(1.332465, abs=5e-5)
-    assert test.effects[0].statistic == pytest.approx(3 * 22.3556, rel=1e-4)
-    compared = {(pair.first, pair.second): pair.difference for pair in pairs(measure, TestMethod.MIXED_MODEL)}
-    assert [compared["T1", other] for other in ("T2", "T3", "T4")] == pytest.approx([-3.888889, -2.222222, -0.666667])
+    assert test.effects[0].statistic == pytest.approx(22.3556, abs=5e-4)
+    assert test.effects[0].degrees_of_freedom == (3.0, 24.0)
+    compared = {(pair.first, pair.second): pair for pair in pairs(measure, TestMethod.MIXED_MODEL)}
+    first = [compared["T1", other] for other in ("T2", "T3", "T4")]
+    assert [pair.difference for pair in first] == pytest.approx([-3.888889, -2.222222, -0.666667])
+    assert [pair.statistic for pair in first] == pytest.approx([-7.49761, -4.28435, -1.28530], abs=5e-4)
+    assert [pair.p_value for pair in first[1:]] == pytest.approx([0.0003, 0.2110], abs=5e-5)
+
+
+def test_mixed_model_of_two_treatments_is_the_paired_t_test():
+    # nlme: anova(lme(extra ~ group, random = ~ 1 | ID, data = sleep)); t of the paired test is -4.0621, p = 0.002833
+    (effect,) = forced(data.one_factor(data.SLEEP, in_blocks=True), TestMethod.MIXED_MODEL)[0].effects
+    assert effect.statistic == pytest.approx(4.0621**2, rel=5e-5)
+    assert effect.degrees_of_freedom == (1.0, 9.0)
+    assert effect.p_value == pytest.approx(0.002833, abs=5e-6)
+
+
+def test_mixed_model_of_a_factor_that_blocks_do_not_vary():
+    # ARTool: anova(art(DryMatter ~ Moisture*Fertilizer + (1|Tray), data = Higgins1990Table5)), by Kenward and Roger:
+    # 23.833 on 3 and 8, p = 0.00024199; 122.402 on 3 and 24, 1.1124e-14; 5.118 on 9 and 24, 0.00064665
+    effects = forced(data.split_plot(data.HIGGINS_TABLE_5), TestMethod.MIXED_ALIGNED_RANKS)[0].effects
+    assert [effect.degrees_of_freedom for effect in effects] == [(3.0, 8.0), (3.0, 24.0), (9.0, 24.0)]
+    assert [effect.statistic for effect in effects] == pytest.approx([23.833, 122.402, 5.118], abs=1e-3)
+    assert [effect.p_value for effect in effects] == pytest.approx([0.00024199, 1.1124e-14, 0.00064665], rel=1e-3)
+
+
+def test_an_interaction_that_only_blocks_tell():
+    # summary(aov(yield ~ N*P*K + Error(block), npk)): N:P:K 0.483 on 1 and 4, p = 0.525; N 12.259, P 0.544, K 6.166,
+    # N:P 1.378, N:K 2.146, P:K 0.031 on 1 and 12, p = 0.00437, 0.47490, 0.02880, 0.26317, 0.16865, 0.86275
+    effects = {each.label: each for each in forced(data.npk(), TestMethod.MIXED_MODEL)[0].effects}
+    found = {label: (round(each.statistic, 3), each.degrees_of_freedom[1]) for label, each in effects.items()}
+    assert found == {
+        "N": (12.259, 12),
+        "P": (0.544, 12),
+        "K": (6.166, 12),
+        "N x P": (1.378, 12),
+        "N x K": (2.146, 12),
+        "P x K": (0.031, 12),
+        "N x P x K": (0.483, 4),
+    }
+    assert effects["N"].p_value == pytest.approx(0.00437, abs=5e-6)
+    assert effects["K"].p_value == pytest.approx(0.02880, abs=5e-6)
+    assert effects["N x P x K"].p_value == pytest.approx(0.525, abs=5e-4)
+
+
+def test_a_covariance_that_holds_where_variances_differ():
+    # The last effect of all is tested by Wald's F with HC3 = (X'X)^-1 X' diag(e^2 / (1 - h)^2) X (X'X)^-1
+    measure = data.two_factors(data.WARP_BREAKS)
+    effect = forced(measure, TestMethod.ROBUST_ANOVA)[0].effects[-1]
+    wool = np.where(measure.frame["A"] == "A", 1.0, -1.0)
+    tension = np.column_stack([(measure.frame["B"] == each) - 1.0 * (measure.frame["B"] == "H") for each in "LM"])
+    design = np.column_stack([np.ones(len(wool)), wool, tension, tension * wool[:, None]])
+    inverse = np.linalg.inv(design.T @ design)
+    beta = inverse @ design.T @ measure.values
+    leverage = np.einsum("ij,jk,ik->i", design, inverse, design)
+    weights = ((measure.values - design @ beta) / (1 - leverage)) ** 2
+    covariance = inverse @ (design.T * weights) @ design @ inverse
+    expected = beta[4:] @ np.linalg.inv(covariance[4:, 4:]) @ beta[4:] / 2
+    assert effect.statistic == pytest.approx(expected)
+    assert effect.degrees_of_freedom == (2.0, 48.0)
+
+
+def test_wilcoxon_signed_rank_of_hollander_and_wolfe():
+    # wilcox.test(x, y, paired = TRUE, alternative = "greater"): V = 40, p-value = 0.01953
+    (effect,) = forced(data.one_factor(data.DEPRESSION, in_blocks=True), TestMethod.WILCOXON)[0].effects
+    assert effect.statistic == 45 - 40  # the smaller sum of ranks
+    assert effect.p_value == pytest.approx(2 * 0.01953, abs=1e-5)
+    assert effect.effect_sizes[0].value == pytest.approx((40 - 5) / 45)
+
+
+def test_wilcoxon_rank_sum_of_hollander_and_wolfe():
+    # wilcox.test(x, y, alternative = "g"): W = 35, p-value = 0.1272
+    (effect,) = forced(data.one_factor(data.PERMEABILITY), TestMethod.MANN_WHITNEY)[0].effects
+    assert effect.statistic == 35
+    assert effect.p_value == pytest.approx(2 * 0.1272, abs=1e-4)
+
+
+def test_correlation_of_hollander_and_wolfe():
+    # cor.test(x, y): 0.5711816, interval -0.1497426 to 0.8955795; method = "spearman": rho = 0.6
+    colour, quality = (data.one_factor({"tuna": values}) for values in data.TUNA.values())
+    quality = replace(quality, name="quality")
+    ((found,), _) = correlations_of([colour, quality], Correction.HOLM)
+    assert found.pearson == pytest.approx(0.5711816, abs=5e-8)
+    ends = (found.pearson_interval.low, found.pearson_interval.high)
+    assert ends == pytest.approx((-0.1497426, 0.8955795), abs=5e-8)
+    assert found.spearman == pytest.approx(0.6)
 
 
 def test_power_of_a_t_test():

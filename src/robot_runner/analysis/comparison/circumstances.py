@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from robot_runner.analysis.results import Results
 
@@ -24,8 +24,10 @@ _ASPECTS = (
 )
 
 
-def names_of(first: Results, second: Results) -> tuple[str, str]:
-    """Return names that tell two experiments apart."""
+def names_of(first: Results, second: Results, measures: Sequence[tuple[str, str]] = ()) -> tuple[str, str]:
+    """Return names that tell two experiments apart, or two measures of one."""
+    if first.folder == second.folder and len(measures) == 1 and len(set(measures[0])) > 1:
+        return measures[0]
     if first.name != second.name:
         return first.name, second.name
     folders = (first.folder, second.folder)

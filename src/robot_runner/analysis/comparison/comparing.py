@@ -60,7 +60,7 @@ def compare(
     compared = tuple(
         MeasureComparing(ours, theirs, names, bounds.of(names[0]), alpha, paired).compare(matching) for names in chosen
     )
-    labels = names_of(ours, theirs)
+    labels = names_of(ours, theirs, chosen)
     return Comparison(
         Side(labels[0], ours.name, ours.folder, len(ours.done)),
         Side(labels[1], theirs.name, theirs.folder, len(theirs.done)),

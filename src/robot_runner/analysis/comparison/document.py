@@ -30,7 +30,6 @@ from robot_runner.analysis.report.blocks import (
 from robot_runner.analysis.report.material import origin_badges
 from robot_runner.analysis.report.numbers import (
     ALPHA,
-    counted,
     interval_cells,
     interval_columns,
     listed,
@@ -39,6 +38,7 @@ from robot_runner.analysis.report.numbers import (
     shown_number,
     with_unit,
 )
+from robot_runner.analysis.wording import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.comparison.outcome import Verdict
-from robot_runner.analysis.report.numbers import counted, listed, shown_number, with_unit
+from robot_runner.analysis.report.numbers import listed, shown_number, with_unit
+from robot_runner.analysis.wording import counted
 
 if TYPE_CHECKING:
     from robot_runner.analysis.comparison.outcome import Difference, MeasureComparison

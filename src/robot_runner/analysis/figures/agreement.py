@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_runner.analysis.figures.style import COLUMN, GREY, INK, figure_style, looks, new_figure, verbatim
+from robot_runner.analysis.figures.style import COLUMN, GREY, INK, figure_style, looks, new_figure, verbatim, wrapped
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -69,7 +69,7 @@ def draw_agreement(
                 fontsize=5.8,
             )
     axes.margins(y=0.14)
-    axes.set_xlabel(f"Mean of both: {verbatim(value_label)}")
+    axes.set_xlabel(wrapped(f"Mean of both: {value_label}"))
     tail = f" ({verbatim(unit)})" if unit else ""
     axes.set_ylabel(f"{verbatim(_short(names[1]))} less\n{verbatim(_short(names[0]))}{tail}")
     axes.grid(visible=True, axis="y")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from robot_runner.analysis.figures.style import COLUMN, INK, Look, figure_style, looks, new_figure, verbatim
+from robot_runner.analysis.figures.style import COLUMN, INK, Look, figure_style, looks, new_figure, verbatim, wrapped
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,6 +24,8 @@ __all__ = ["draw_distribution"]
 _ENOUGH_FOR_A_VIOLIN = 20
 _MOST_UPRIGHT = 8  # groups beside each other; more lie beneath each other
 _MOST_NAMED_OUTLIERS = 6
+#: How far apart names must be so that none hides another, as a share of the range of all values.
+_APART_UPRIGHT, _APART_ALONG = 0.05, 0.3
 _ROW = 0.17
 _HIGHEST = 8.5  # what a page holds, inches
 _LONGEST_NAME = 28
@@ -58,14 +61,14 @@ def draw_distribution(
         is_crowded = sum(map(len, names)) > _LETTERS_BESIDE
         axes.set_xticks(ticks, names, rotation=30 if is_crowded else 0, ha="right" if is_crowded else "center")
         axes.set_xlim(-0.6, len(groups) - 0.4)
-        axes.set_ylabel(verbatim(value_label))
-        axes.set_xlabel(verbatim(group_label))
+        axes.set_ylabel(wrapped(value_label))
+        axes.set_xlabel(wrapped(group_label))
         axes.grid(visible=True, axis="y")
     else:
         axes.set_yticks(ticks, names[::step])
         axes.set_ylim(len(groups) - 0.4, -0.6)
-        axes.set_xlabel(verbatim(value_label))
-        axes.set_ylabel(verbatim(group_label))
+        axes.set_xlabel(wrapped(value_label))
+        axes.set_ylabel(wrapped(group_label))
         axes.grid(visible=True, axis="x")
     return figure
 
@@ -134,11 +137,16 @@ def _spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _name_outliers(axes: Axes, groups: Sequence[Group], outliers: frozenset[str], *, is_upright: bool) -> None:
+    if not outliers:
+        return
+    everything = [value for group in groups for value in group.values]
+    apart = (_APART_UPRIGHT if is_upright else _APART_ALONG) * (max(everything) - min(everything))
     named = 0
     for place, group in enumerate(groups):
-        for value, run_id in zip(group.values, group.run_ids, strict=True):
-            if run_id in outliers and named < _MOST_NAMED_OUTLIERS:
-                named += 1
+        last = -math.inf
+        for value, run_id in sorted(zip(group.values, group.run_ids, strict=True)):
+            if run_id in outliers and named < _MOST_NAMED_OUTLIERS and value - last >= apart:
+                named, last = named + 1, value
                 point = (place, value) if is_upright else (value, place)
                 axes.annotate(
                     verbatim(run_id),

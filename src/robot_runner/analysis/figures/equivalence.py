@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.figures.style import COLUMN, GREY, INK, figure_style, looks, new_figure, verbatim
+from robot_runner.analysis.figures.style import COLUMN, GREY, INK, figure_style, looks, new_figure, verbatim, wrapped
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -55,6 +55,6 @@ def draw_differences(estimates: Sequence[Estimate], *, value_label: str) -> Figu
     names = [each.label if len(each.label) <= _LONGEST_NAME else f"{each.label[:27]}…" for each in estimates]
     axes.set_yticks(range(len(estimates)), [verbatim(name) for name in names])
     axes.set_ylim(len(estimates) - 0.4, -0.6)
-    axes.set_xlabel(verbatim(value_label))
+    axes.set_xlabel(wrapped(value_label))
     axes.grid(visible=True, axis="x")
     return figure

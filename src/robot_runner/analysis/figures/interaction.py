@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.figures.style import COLUMN, figure_style, looks, new_figure, verbatim
+from robot_runner.analysis.figures.style import COLUMN, figure_style, looks, new_figure, verbatim, wrapped
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -68,8 +68,8 @@ def draw_interaction(
                 axes.plot([x, x], [point.low, point.high], color=look.colour, linewidth=0.8)
     axes.set_xticks(range(len(treatments)), [verbatim(name) for name in treatments])
     axes.set_xlim(-0.4, len(treatments) - 0.6)
-    axes.set_xlabel(verbatim(along))
-    axes.set_ylabel(verbatim(value_label))
+    axes.set_xlabel(wrapped(along))
+    axes.set_ylabel(wrapped(value_label))
     axes.grid(visible=True, axis="y")
     figure.legend(loc="outside lower center", ncols=min(len(means), 3), title=verbatim(across), title_fontsize=6.5)
     return figure

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robot_runner.analysis.figures.phases import draw_events, draw_phase_names, shade_phases, strip_height
-from robot_runner.analysis.figures.style import COLUMN, Look, figure_style, looks, new_figure, verbatim
+from robot_runner.analysis.figures.style import COLUMN, Look, figure_style, looks, new_figure, verbatim, wrapped
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -63,11 +63,11 @@ def draw_single_courses(
         _draw_run(axes, course, by_name[treatment])
         axes.set_ylim(low, high)
         axes.text(
-            0.99,
+            0.5,  # where no name of an event stands: they begin and end the measurement
             0.96,
             _title(treatment, course),
             transform=axes.transAxes,
-            ha="right",
+            ha="center",
             va="top",
             fontsize=6.5,
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0},
@@ -77,9 +77,9 @@ def draw_single_courses(
     panels[-1].set_xlabel(_TIME)
     panels[-1].set_xlim(0, seconds)
     if len(panels) == 1:
-        panels[0].set_ylabel(verbatim(value_label))
+        panels[0].set_ylabel(wrapped(value_label))
     else:
-        figure.supylabel(verbatim(value_label), fontsize=7.5)
+        figure.supylabel(wrapped(value_label), fontsize=7.5)
     return figure
 
 
@@ -122,7 +122,7 @@ def draw_mean_courses(
     draw_events(axes, events or {}, seconds)
     axes.set_xlim(0, seconds)
     axes.set_xlabel(_TIME)
-    axes.set_ylabel(verbatim(value_label))
+    axes.set_ylabel(wrapped(value_label))
     axes.grid(visible=True, axis="y")
     if len(courses) > 1:
         figure.legend(loc="outside lower center", ncols=min(len(courses), 3))

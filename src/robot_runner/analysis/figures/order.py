@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from robot_runner.analysis.figures.style import COLUMN, GREY, INK, figure_style, looks, new_figure, verbatim
+from robot_runner.analysis.figures.style import COLUMN, GREY, INK, figure_style, looks, new_figure, verbatim, wrapped
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,7 +62,7 @@ def draw_run_order(
         ends = np.array([x.min(), x.max()])
         axes.plot(ends, middle + slope * ends, color=INK, linestyle=(0, (5, 2)), linewidth=1.0)
     axes.set_xlabel("Place in the order of execution")
-    axes.set_ylabel(f"{verbatim(value_label)}\nless the mean of its group")
+    axes.set_ylabel(f"{wrapped(value_label)}\nless the mean of its group")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(visible=True, axis="y")
     if 1 < len(order) <= _MOST_IN_LEGEND:

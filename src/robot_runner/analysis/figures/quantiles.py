@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.figures.style import COLUMN, GREY, figure_style, looks, new_figure, verbatim
+from robot_runner.analysis.figures.style import COLUMN, GREY, figure_style, looks, new_figure, wrapped
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -49,6 +49,6 @@ def draw_quantiles(
         markeredgewidth=0.3,
     )
     axes.set_xlabel("Quantile of the normal distribution")
-    axes.set_ylabel(f"Residual of {verbatim(value_label)}")
+    axes.set_ylabel(wrapped(f"Residual of {value_label}"))
     axes.grid(visible=True)
     return figure

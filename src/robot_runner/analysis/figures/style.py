@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 import warnings
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,11 +16,14 @@ from matplotlib.figure import Figure
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["COLUMN", "GREY", "INK", "PAGE", "Look", "figure_style", "looks", "new_figure", "verbatim"]
+__all__ = ["COLUMN", "GREY", "INK", "PAGE", "Look", "figure_style", "looks", "new_figure", "verbatim", "wrapped"]
 
 #: Widths of a column and of a page of IEEE's transactions and conferences, inches.
 COLUMN = 3.5
 PAGE = 7.16
+
+#: Letters of an axis's label that fit beside a figure as high as most are.
+_LINE = 42
 
 INK = "#1f2933"
 GREY = "#8a94a0"
@@ -148,6 +152,16 @@ def figure_style() -> Iterator[None]:
 def new_figure(width: float, height: float) -> Figure:
     """Return an empty figure of a size in inches; it belongs to no window and no global list."""
     return Figure(figsize=(width, height), layout="constrained")
+
+
+def wrapped(text: str) -> str:
+    r"""Return a text for an axis, on as many lines as it takes.
+
+    Example:
+        >>> wrapped("Difference of Ina219.Energy and PowerModel.Energy (J)")
+        'Difference of Ina219.Energy and\nPowerModel.Energy (J)'
+    """
+    return textwrap.fill(verbatim(text), _LINE)
 
 
 def verbatim(text: str) -> str:

@@ -53,38 +53,39 @@ def draw_timeline(spans: Sequence[AttemptSpan], *, order: Sequence[str], width: 
     rows = {run_id: place for place, run_id in enumerate(run_ids)}
     figure = new_figure(width, min(7.0, 0.75 + 0.13 * len(rows)))
     axes = figure.subplots()
-    by_name = dict(zip(order, looks(len(order)), strict=True))
     scale, unit = _scale(max((span.end for span in spans), default=1.0))
-    places = {verbatim(name): place for place, name in enumerate(order)}
-    named: set[str] = set()
-    for span in spans:
-        look = by_name[span.label]
-        label = verbatim(span.label) if span.label and span.label not in named else None
-        named.add(span.label)
-        _draw_span(axes, rows[span.run_id], span, look.colour, scale, label)
+    for name, look in zip(order, looks(len(order)), strict=True):
+        done = [span for span in spans if span.label == name and span.is_done]
+        if done:
+            _draw_done(axes, [rows[span.run_id] for span in done], done, look.colour, scale)
+    failed = [span for span in spans if not span.is_done]
+    _draw_failed(axes, [rows[span.run_id] for span in failed], failed, scale)
     step = max(1, -(-len(rows) // _MOST_NAMED))
     axes.set_yticks(range(0, len(rows), step), [verbatim(run_id) for run_id in run_ids[::step]], fontsize=6)
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.set_xlabel(f"Time since the experiment began ({unit})")
     axes.grid(visible=True, axis="x")
-    if 1 < len(order) <= 6:  # noqa: PLR2004 - more say nothing
-        handles, shown = axes.get_legend_handles_labels()
-        handles = [handle for _, handle in sorted(zip(shown, handles, strict=True), key=lambda each: places[each[0]])]
-        figure.legend(handles=handles, loc="outside lower center", ncols=6, handlelength=1.2)
+    if 1 < len(order) <= 6 and axes.get_legend_handles_labels()[0]:  # noqa: PLR2004 - more say nothing
+        figure.legend(loc="outside lower center", ncols=6, handlelength=1.2)
     return figure
 
 
-def _draw_span(axes: Axes, row: int, span: AttemptSpan, colour: str, scale: float, label: str | None) -> None:
-    start, end = span.start / scale, span.end / scale
-    if not span.is_done:
-        axes.barh(
-            row, end - start, left=start, height=0.7, facecolor="white", edgecolor=_FAILED, hatch="/////", linewidth=0.8
-        )
-        axes.plot(end, row, marker="x", markersize=4, color=INK)
-        return
-    axes.barh(row, end - start, left=start, height=0.7, facecolor=colour, alpha=0.3)
-    first, last = (span.start, span.end) if span.measured is None else span.measured
-    axes.barh(row, (last - first) / scale, left=first / scale, height=0.7, facecolor=colour, label=label)
+def _draw_done(axes: Axes, rows: list[int], spans: Sequence[AttemptSpan], colour: str, scale: float) -> None:
+    whole = [(span.start / scale, span.end / scale) for span in spans]
+    known = [span.measured or (span.start, span.end) for span in spans]
+    measured = [(start / scale, end / scale) for start, end in known]
+    for edges, alpha, label in ((whole, 0.3, None), (measured, 1.0, verbatim(spans[0].label))):
+        starts = [start for start, _ in edges]
+        widths = [end - start for start, end in edges]
+        axes.barh(rows, widths, left=starts, height=0.7, facecolor=colour, alpha=alpha, label=label)
+
+
+def _draw_failed(axes: Axes, rows: list[int], spans: Sequence[AttemptSpan], scale: float) -> None:
+    ends = [span.end / scale for span in spans]
+    widths = [(span.end - span.start) / scale for span in spans]
+    starts = [span.start / scale for span in spans]
+    axes.barh(rows, widths, left=starts, height=0.7, facecolor="white", edgecolor=_FAILED, hatch="/////", linewidth=0.8)
+    axes.plot(ends, rows, linestyle="none", marker="x", markersize=4, color=INK)
 
 
 def _scale(seconds: float) -> tuple[float, str]:

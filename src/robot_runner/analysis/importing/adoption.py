@@ -111,15 +111,16 @@ def _write(understanding: Understanding, folder: ExperimentFolder, progress: Cal
 def _adopted(understanding: Understanding, folder: ExperimentFolder, run: ForeignRun) -> AdoptedRun:
     if run.folder is None:
         return AdoptedRun(run.run_id)
-    known = {each.file: each for each in understanding.samples}
-    files = sorted(path for path in run.folder.iterdir() if path.is_file())
-    read = {path.name: read_run_samples(known[path.name], path) for path in files if path.name in known}
-    filled = {name: samples for name, samples in read.items() if len(samples.nanoseconds)}
+    samples = {path: each for each in understanding.samples if (path := each.paths.get(run.source_id)) is not None}
+    read = {each.file: read_run_samples(each, path) for path, each in samples.items()}
+    known = {each.file: each for each in samples.values()}
+    filled = {name: values for name, values in read.items() if len(values.nanoseconds)}
     zeros = _zeros(known, filled)
-    for name, samples in filled.items():
-        _write_samples(known[name], samples, zeros[name], folder.run(run.run_id) / known[name].name)
+    for name, values in filled.items():
+        _write_samples(known[name], values, zeros[name], folder.run(run.run_id) / known[name].name)
+    files = sorted(path for path in run.folder.iterdir() if path.is_file())
     for path in files:
-        if path.name not in known:
+        if path not in samples:
             _copy(path, folder.run(run.run_id) / "original" / path.name)
     moments = [int(each.nanoseconds[0]) for name, each in filled.items() if _is_moment(known[name])]
     ends = [float(each.nanoseconds[-1] - zeros[name]) / 1e9 for name, each in filled.items()]

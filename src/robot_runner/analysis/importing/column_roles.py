@@ -71,9 +71,13 @@ def roles_of(table: ForeignTable, said: ImportDescription) -> ColumnRoles:
     status = said.status or _named([name for name in free if name != run_id], _STATUS)
     repetition = said.repetition or _named([name for name in free if name not in {run_id, status}], _REPETITION)
     rest = [name for name in left if name not in {run_id, status, repetition}]
-    ids = table.column(run_id) if run_id else []
+    ids = table.column(run_id) if run_id else ()
     numbered = repetition is None and bool(ids) and all(_NUMBERED.match(each) for each in ids)
-    factors = list(said.factors) if said.factors is not None else _guessed_factors(table, rest, said.measures)
+    found = [_NUMBERED.match(each) for each in ids] if numbered else []
+    repeated = [(each[1], each[2]) for each in found if each] or (
+        [(None, cell) for cell in table.column(repetition)] if repetition else []
+    )
+    factors = list(said.factors) if said.factors is not None else _guessed_factors(table, rest, said.measures, repeated)
     measures, extras = _split_rest(table, [name for name in rest if name not in factors], said.measures)
     notes = (
         [] if said.factors is not None or not factors else ["factors were told from measures by their repeating values"]
@@ -97,11 +101,24 @@ def _named(headings: Sequence[str], known: Sequence[str]) -> str | None:
     return next((folded[name] for name in known if name in folded), None)
 
 
-def _guessed_factors(table: ForeignTable, rest: Sequence[str], measures: tuple[str, ...] | None) -> list[str]:
+def _guessed_factors(
+    table: ForeignTable,
+    rest: Sequence[str],
+    measures: tuple[str, ...] | None,
+    repeated: Sequence[tuple[str | None, str]],
+) -> list[str]:
+    """Return the columns that hold treatments.
+
+    Args:
+        table: the run table.
+        rest: its columns, less the run's id and the like.
+        measures: those that the user named, or None.
+        repeated: for each run the name of its combination (None where it is not known), and which repetition it is.
+    """
     count = len(table.rows)
     factors: list[str] = []
     for name in rest:
-        if measures is not None and name in measures:
+        if name in table.unnamed or (measures is not None and name in measures):
             continue
         cells = table.column(name)
         distinct = len(set(cells))
@@ -110,8 +127,23 @@ def _guessed_factors(table: ForeignTable, rest: Sequence[str], measures: tuple[s
             break
         if distinct * 2 > count and (is_number or factors):
             break
+        if is_number and repeated and _differs_between_repetitions(table, name, factors, repeated):
+            break
         factors.append(name)
     return factors
+
+
+def _differs_between_repetitions(
+    table: ForeignTable, name: str, factors: Sequence[str], repeated: Sequence[tuple[str | None, str]]
+) -> bool:
+    """Return whether a column differs between repetitions of a combination that is known without it: so it is measured.
+
+    Measured numbers repeat, too, where they are few or round.
+    """
+    treatments = zip(*(table.column(factor) for factor in factors), strict=True) if factors else [()] * len(repeated)
+    combinations = [(named,) if named else cells for cells, (named, _) in zip(treatments, repeated, strict=True)]
+    is_known = len({*zip(combinations, (which for _, which in repeated), strict=True)}) == len(repeated)
+    return is_known and len({*zip(combinations, table.column(name), strict=True)}) > len({*combinations})
 
 
 def _split_rest(
@@ -120,16 +152,14 @@ def _split_rest(
     """Return the measures and the extras: text that is not a measure by the user's word is kept as it is."""
     if measures is not None:
         return [name for name in rest if name in measures], [name for name in rest if name not in measures]
-    is_measure = {
-        name: not any(table.column(name)) or table.is_numeric(name) or table.is_boolean(name) for name in rest
-    }
-    mixed = [name for name in rest if not is_measure[name] and _has_numbers(table, name)]
-    chosen = [name for name in rest if is_measure[name] or name in mixed]
+    chosen = [name for name in rest if name not in table.unnamed and _is_measure(table, name)]
     return chosen, [name for name in rest if name not in chosen]
 
 
-def _has_numbers(table: ForeignTable, name: str) -> bool:
-    """Return whether at least half of the filled cells are numbers: a measure with slips in it."""
+def _is_measure(table: ForeignTable, name: str) -> bool:
+    """Return whether a column is empty still, or has numbers in half of its cells at least: the others are slips."""
     cells = [cell for cell in table.column(name) if cell]
+    if not cells or table.is_numeric(name) or table.is_boolean(name):
+        return True
     numbers = [cell for cell in cells if re.fullmatch(r"[+-]?[0-9.,eE+-]+", cell)]
-    return 2 * len(numbers) >= len(cells) > 0
+    return 2 * len(numbers) >= len(cells)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.importing.foreign_samples import find_run_folders
-from robot_runner.analysis.statistics.wording import counted
+from robot_runner.analysis.wording import counted
 from robot_runner.errors import AnalysisError
 from robot_runner.storage.cells import CellValue, number_of
 from robot_runner.storage.run_status import RunStatus
@@ -24,13 +25,31 @@ __all__ = ["ForeignRun", "read_runs"]
 
 _WORDS = {
     RunStatus.DONE: ("done", "true", "yes", "1", "finished", "completed", "complete", "ok", "success", "x"),
-    RunStatus.TODO: ("", "-", "–", "—", "todo", "to do", "to_do", "false", "no", "0", "pending", "running", "planned"),  # noqa: RUF001
+    RunStatus.TODO: (
+        "",
+        "-",
+        "–",  # noqa: RUF001 - spreadsheets write it
+        "—",
+        "todo",
+        "to do",
+        "to_do",
+        "not done",
+        "false",
+        "no",
+        "0",
+        "pending",
+        "running",
+        "planned",
+    ),
     RunStatus.FAILED: ("failed", "error", "aborted", "crashed", "fail"),
 }
 _STATUSES = {word: status for status, words in _WORDS.items() for word in words}
 _MISSING = frozenset({"", "na", "n/a", "nan", "none", "null"})
 _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
 _LONGEST_ID = 60
+
+#: Repetitions that are numbered in words, as in `r3` or `rep_3`.
+_LAST_NUMBER = re.compile(r"[A-Za-z]+[ _-]?(\d+)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,11 +85,13 @@ def read_runs(
     Raises:
         AnalysisError: a run has no id, or one that another has; a status or a repetition cannot be read.
     """
+    table = _without_copies(table, roles, notes)
     source_ids = (
         table.column(roles.run_id) if roles.run_id else [f"r_{place}" for place in range(1, len(table.rows) + 1)]
     )
     run_ids = _run_ids(source_ids, table, notes)
-    folders = find_run_folders(root, source_ids, said.run_folder)
+    shared = {source for source, times in Counter(source_ids).items() if times > 1}
+    folders = find_run_folders(root, [source for source in source_ids if source not in shared], said.run_folder)
     repetitions = _repetitions(table, roles, source_ids, notes)
     runs = []
     for place, row in enumerate(table.rows):
@@ -92,22 +113,44 @@ def read_runs(
     return runs
 
 
+def _without_copies(table: ForeignTable, roles: ColumnRoles, notes: list[str]) -> ForeignTable:
+    """Return the table without rows that are there already, cell by cell: tables are put together by hand."""
+    if roles.run_id is None:
+        return table
+    first = {row: place for place, row in reversed([*enumerate(table.rows)])}
+    kept = sorted(first.values())
+    copies = len(table.rows) - len(kept)
+    if not copies:
+        return table
+    notes.append(f"{counted(copies, 'row')} left out that {'is' if copies == 1 else 'are'} there twice, cell by cell")
+    rows, lines = tuple(table.rows[place] for place in kept), tuple(table.lines[place] for place in kept)
+    return replace(table, rows=rows, lines=lines)
+
+
 def _run_ids(source_ids: Sequence[str], table: ForeignTable, notes: list[str]) -> list[str]:
-    run_ids = [_UNFIT.sub("_", source).strip(".-")[:_LONGEST_ID] for source in source_ids]
-    seen: dict[str, int] = {}
-    for place, run_id in enumerate(run_ids):
-        where = f"{table.path}:{table.lines[place]}"
-        if not run_id:
-            raise AnalysisError("the run has no id", where=where, fix="Give it one.")
-        if run_id.casefold() in seen:
-            first = table.lines[seen[run_id.casefold()]]
-            raise AnalysisError(
-                f"run id {source_ids[place]!r} is in line {first} already", where=where, fix="Rename one."
-            )
-        seen[run_id.casefold()] = place
-    changed = sum(one != other for one, other in zip(run_ids, source_ids, strict=True))
+    """Return an id for each run that can name a folder, and that no other run has."""
+    plain = [_UNFIT.sub("_", source).strip(".-")[:_LONGEST_ID] for source in source_ids]
+    if "" in plain:
+        where = f"{table.path}:{table.lines[plain.index('')]}"
+        raise AnalysisError("the run has no id", where=where, fix="Give it one.")
+    changed = sum(one != other for one, other in zip(plain, source_ids, strict=True))
     if changed:
-        notes.append(f"{changed} run ids had characters that cannot name a folder, replaced by '_'")
+        notes.append(f"{counted(changed, 'run id')} had characters that cannot name a folder, replaced by '_'")
+    taken = {each.casefold() for each in plain}
+    seen: set[str] = set()
+    run_ids = []
+    for run_id in plain:
+        free, number = run_id, 2
+        while free.casefold() in seen or (free != run_id and free.casefold() in taken):
+            free, number = f"{run_id}_{number}", number + 1
+        seen.add(free.casefold())
+        run_ids.append(free)
+    again = [place for place, (one, other) in enumerate(zip(run_ids, plain, strict=True)) if one != other]
+    if again:
+        example = f"{source_ids[again[0]]!r} in line {table.lines[again[0]]} is called {run_ids[again[0]]!r} here"
+        notes.append(
+            f"{counted(len(again), 'run')} had an id that another has, so that none of either has raw files: {example}"
+        )
     return run_ids
 
 
@@ -117,7 +160,7 @@ def _repetitions(
     if roles.repetition is None:
         numbers = [roles.repetition_of(run_id) for run_id in source_ids]
     else:
-        numbers = [_whole(cell) for cell in table.column(roles.repetition)]
+        numbers = [_number_of_repetition(cell) for cell in table.column(roles.repetition)]
         if None in numbers:
             place = numbers.index(None)
             where = f"{table.path}:{table.lines[place]}, column {roles.repetition!r}"
@@ -130,8 +173,9 @@ def _repetitions(
     return numbers
 
 
-def _whole(cell: str) -> int | None:
-    number = number_of(cell)
+def _number_of_repetition(cell: str) -> int | None:
+    worded = _LAST_NUMBER.fullmatch(cell)
+    number = number_of(worded[1] if worded else cell)
     return int(number) if number is not None and number >= 0 and number == int(number) else None
 
 

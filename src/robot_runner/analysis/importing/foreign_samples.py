@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,13 +35,15 @@ if TYPE_CHECKING:
 
 __all__ = ["ForeignSamples", "RunSamples", "find_run_folders", "read_run_samples", "understand_samples"]
 
+_NUMBER = re.compile(r"\d+")
+
 
 @dataclass(frozen=True, slots=True)
 class ForeignSamples:
     """One kind of raw file, understood.
 
     Attributes:
-        file: its name in each run's folder.
+        file: its name in each run's folder; `*` stands for numbers that differ from run to run.
         name: names the samples in the experiment folder.
         time: the heading of its times.
         time_unit: what they are counted in, or `iso`, `clock`, or a format.
@@ -118,10 +120,7 @@ def understand_samples(
     Raises:
         AnalysisError: what the user said is not so.
     """
-    by_file: dict[str, dict[str, Path]] = {}
-    for run_id, folder in folders.items():
-        for path in sorted(folder.glob("*.csv")):
-            by_file.setdefault(path.name, {})[run_id] = path
+    by_file = _by_file(folders)
     told = {each.file: each for each in described}
     for file in told:
         if file not in by_file:
@@ -133,7 +132,29 @@ def understand_samples(
         if file in told or guess:
             understood = _understand(file, paths, told.get(file))
             (found if isinstance(understood, ForeignSamples) else notes).append(understood)  # type: ignore[arg-type]
-    return found, notes
+    return _with_names_of_their_own(found), notes
+
+
+def _by_file(folders: Mapping[str, Path]) -> dict[str, dict[str, Path]]:
+    """Return the CSV files in the runs' folders by their names.
+
+    Names that each occur in one run and differ by numbers only, as tools make them of process ids and times, go
+    together under one with `*` for the numbers, where no run has two of them.
+    """
+    by_name: dict[str, dict[str, Path]] = {}
+    for run_id, folder in folders.items():
+        for path in sorted(folder.glob("*.csv")):
+            by_name.setdefault(path.name, {})[run_id] = path
+    alike: dict[str, list[tuple[str, Path]]] = {}
+    for name, paths in by_name.items():
+        if len(paths) == 1:
+            alike.setdefault(_NUMBER.sub("*", name), []).extend(paths.items())
+    for pattern, found in alike.items():
+        if pattern not in by_name and 1 < len(found) == len(dict(found)):
+            for _, path in found:
+                del by_name[path.name]
+            by_name[pattern] = dict(found)
+    return by_name
 
 
 def read_run_samples(samples: ForeignSamples, path: Path) -> RunSamples:
@@ -240,7 +261,19 @@ def _types(samples: ForeignSamples) -> dict[str, pa.DataType]:
 
 
 def _plugin_name(file: str) -> str:
-    return re.sub(r"[^A-Za-z0-9_.-]+", "_", file.removesuffix(".csv")).strip("._-") or "samples"
+    return re.sub(r"[^A-Za-z0-9-]+", "_", file.removesuffix(".csv")).strip("_-") or "samples"
+
+
+def _with_names_of_their_own(samples: Sequence[ForeignSamples]) -> list[ForeignSamples]:
+    taken: set[str] = set()
+    named = []
+    for each in samples:
+        name, number = each.name, 2
+        while name.casefold() in taken:
+            name, number = f"{each.name}_{number}", number + 1
+        taken.add(name.casefold())
+        named.append(replace(each, name=name))
+    return named
 
 
 def _check_units(said: SamplesDescription | None, columns: Sequence[str], file: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from robot_runner.errors import AnalysisError
@@ -52,7 +53,7 @@ class CsvDialect:
         return ", ".join(parts)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ForeignTable:
     """A table of texts.
 
@@ -60,6 +61,8 @@ class ForeignTable:
         headings: the names of the columns, trimmed.
         rows: the cells of each row, trimmed; as many as there are headings.
         lines: the line of the file on which each row begins.
+        unnamed: the columns that had no heading, by the names that they have here.
+        notes: what was done about those.
     """
 
     path: Path
@@ -67,22 +70,42 @@ class ForeignTable:
     headings: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     lines: tuple[int, ...]
+    unnamed: frozenset[str] = frozenset()
+    notes: tuple[str, ...] = ()
 
-    def column(self, heading: str) -> list[str]:
+    def column(self, heading: str) -> tuple[str, ...]:
         """Return the cells of a column."""
-        place = self.headings.index(heading)
-        return [row[place] for row in self.rows]
+        return self._columns[heading]
 
     def is_numeric(self, heading: str) -> bool:
         """Return whether the column has numbers, and nothing else beside empty cells."""
-        cells = [cell for cell in self.column(heading) if cell]
-        comma = self.dialect.decimal_comma
-        return bool(cells) and all(number_of(cell, decimal_comma=comma) is not None for cell in cells)
+        return heading in self._numeric
 
     def is_boolean(self, heading: str) -> bool:
         """Return whether the column has `true` and `false` in any case of letters, and nothing else."""
-        cells = {cell.casefold() for cell in self.column(heading) if cell}
-        return bool(cells) and cells <= _TRUE
+        return heading in self._boolean
+
+    @cached_property
+    def _columns(self) -> dict[str, tuple[str, ...]]:
+        return dict(zip(self.headings, zip(*self.rows, strict=True), strict=True)) if self.rows else {}
+
+    @cached_property
+    def _distinct(self) -> dict[str, set[str]]:
+        """The filled cells of each column that has any."""
+        return {name: filled for name, cells in self._columns.items() if (filled := set(cells) - {""})}
+
+    @cached_property
+    def _numeric(self) -> frozenset[str]:
+        comma = self.dialect.decimal_comma
+        return frozenset(
+            name
+            for name, cells in self._distinct.items()
+            if all(number_of(cell, decimal_comma=comma) is not None for cell in cells)
+        )
+
+    @cached_property
+    def _boolean(self) -> frozenset[str]:
+        return frozenset(name for name, cells in self._distinct.items() if {cell.casefold() for cell in cells} <= _TRUE)
 
 
 def read_foreign_table(path: Path) -> ForeignTable:
@@ -145,11 +168,9 @@ def _encoding(head: bytes) -> str:
 
 def _table(path: Path, dialect: CsvDialect, filled: Sequence[tuple[int, list[str]]]) -> ForeignTable:
     line, headings = filled[0]
-    while headings and not headings[-1]:
-        headings.pop()  # what a spreadsheet leaves behind a deleted column
-    for name in headings:
-        if not name or headings.count(name) > 1:
-            problem = f"heading {name!r} is there twice" if name else "a heading is empty"
+    for name in filter(None, headings):
+        if headings.count(name) > 1:
+            problem = f"heading {name!r} is there twice"
             raise AnalysisError(problem, where=f"{path}:{line}", fix="Name each column, each differently.")
     width = len(headings)
     rows, lines = [], []
@@ -159,4 +180,29 @@ def _table(path: Path, dialect: CsvDialect, filled: Sequence[tuple[int, list[str
             raise AnalysisError(problem, where=f"{path}:{number}", fix="Give it a cell under each heading.")
         rows.append((*row[:width], *[""] * (width - len(row))))
         lines.append(number)
-    return ForeignTable(path, dialect, tuple(headings), tuple(rows), tuple(lines))
+    # A spreadsheet leaves an empty column behind a deleted one.
+    kept = [place for place, name in enumerate(headings) if name or any(row[place] for row in rows)]
+    notes = []
+    if kept and not headings[kept[0]] and [row[kept[0]] for row in rows] == [*map(str, range(len(rows)))]:
+        notes.append("the first column has no heading and numbers the rows: left out")
+        kept = kept[1:]
+    named = {place: headings[place] or _free(f"column_{place + 1}", headings) for place in kept}
+    unnamed = [name for place, name in named.items() if not headings[place]]
+    if unnamed:
+        many = f"{len(unnamed)} columns have" if len(unnamed) > 1 else "a column has"
+        notes.append(f"{many} no heading ({', '.join(unnamed)} here): values may stand under headings of others")
+    return ForeignTable(
+        path,
+        dialect,
+        tuple(named.values()),
+        tuple(tuple(row[place] for place in kept) for row in rows),
+        tuple(lines),
+        frozenset(unnamed),
+        tuple(notes),
+    )
+
+
+def _free(name: str, taken: Sequence[str]) -> str:
+    while name in taken:
+        name += "_"
+    return name

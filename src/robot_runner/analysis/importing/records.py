@@ -202,7 +202,7 @@ def _write_attempt(journal: Journal, understanding: Understanding, run: ForeignR
         **which,
         is_last=True,
         status="done" if run.status is RunStatus.DONE else "failed",
-        seconds=adopted.duration or 0.0,
+        seconds=adopted.duration,
         stamps={name.removesuffix("_at"): stamp for name, stamp in _stamps(adopted).items() if stamp},
         measures=_published(understanding, run, adopted),
         failure=None if run.status is RunStatus.DONE else "as in the table that was imported",

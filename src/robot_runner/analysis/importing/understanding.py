@@ -89,7 +89,7 @@ def understand(root: Path, said: ImportDescription) -> Understanding:
         raise AnalysisError("no column is told to be a factor or a measure", where=str(table.path), fix=fix)
     notes = [*_table_notes(table), *roles.notes]
     runs = read_runs(root, table, roles, said, notes)
-    folders = {run.run_id: run.folder for run in runs if run.folder is not None}
+    folders = {run.source_id: run.folder for run in runs if run.folder is not None}
     samples, sample_notes = understand_samples(folders, said.samples, guess=said.guess)
     units = {name: unit_of(said.units[name]) if name in said.units else _unit(table, name) for name in roles.measures}
     check_recipes(said.recipes, samples)
@@ -133,7 +133,8 @@ def _folder_name(root: Path) -> str:
 
 
 def _table_notes(table: ForeignTable) -> list[str]:
-    return [f"{table.path.name} is written with {table.dialect.words}"] if table.dialect.words else []
+    words = table.dialect.words
+    return [*([f"{table.path.name} is written with {words}"] if words else []), *table.notes]
 
 
 def _unit(table: ForeignTable, measure: str) -> Unit | None:

@@ -117,6 +117,16 @@ _SPELLINGS = {
     "joules": "J",
     "watts": "W",
     "bytes": "B",
+    # As the headings of Python's programmers have them: without capital letters, but not to be mistaken.
+    "j": "J",
+    "kj": "kJ",
+    "wh": "Wh",
+    "kwh": "kWh",
+    "hz": "Hz",
+    "MHZ": "MHz",
+    "kb": "kB",
+    "mb": "MB",
+    "gb": "GB",
 }
 
 #: What a time may be counted in.
@@ -136,7 +146,7 @@ def known_units() -> tuple[str, ...]:
 def unit_of(text: str) -> Unit | None:
     """Return the unit that is written so, or None."""
     trimmed = text.strip()
-    return _UNITS.get(_SPELLINGS.get(trimmed, _SPELLINGS.get(trimmed.casefold(), trimmed)))
+    return _UNITS.get(trimmed) or _UNITS.get(_SPELLINGS.get(trimmed, _SPELLINGS.get(trimmed.casefold(), "")))
 
 
 def split_heading(heading: str) -> tuple[str, Unit | None]:
@@ -148,9 +158,13 @@ def split_heading(heading: str) -> tuple[str, Unit | None]:
     """
     for pattern in (_BRACKETED, _SUFFIXED):
         found = pattern.match(heading.strip())
-        unit = unit_of(found[2]) if found else None
-        if found and unit is not None and found[1].strip():
-            return found[1].strip(), unit
+        if found is None:
+            continue
+        base, symbol = found[1].strip(), found[2]
+        # An orientation has a component w.
+        unit = _UNITS["W"] if symbol == "w" and "power" in base.casefold() else unit_of(symbol)
+        if base and unit is not None:
+            return base, unit
     return heading.strip(), None
 
 

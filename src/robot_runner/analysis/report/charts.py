@@ -9,7 +9,7 @@ import pandas as pd
 
 from robot_runner.analysis.figures.style import Look, looks
 from robot_runner.analysis.report.blocks import Chart
-from robot_runner.analysis.report.numbers import counted
+from robot_runner.analysis.wording import counted
 from robot_runner.design.columns import RUN_ID
 
 if TYPE_CHECKING:

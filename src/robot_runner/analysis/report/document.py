@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.report.blocks import Badge, Document, Tone
-from robot_runner.analysis.report.numbers import counted, listed
+from robot_runner.analysis.report.numbers import listed
 from robot_runner.analysis.report.sections.description import description_section
 from robot_runner.analysis.report.sections.design import design_section, shown_stamp
 from robot_runner.analysis.report.sections.figures import figures_section
@@ -14,6 +14,7 @@ from robot_runner.analysis.report.sections.replication import replication_sectio
 from robot_runner.analysis.report.sections.summary import summary_section
 from robot_runner.analysis.report.sections.tests import tests_section
 from robot_runner.analysis.report.sections.threats import threats_of, threats_section
+from robot_runner.analysis.wording import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -74,7 +74,8 @@ def csv_of(table: Table) -> str:
     """Return a table as CSV, with numbers in full and missing values empty."""
     table = table.without(Place.PAGE)
     into = io.StringIO()
-    rows = csv.writer(into, lineterminator="\n")
+    # With \r\n (RFC 4180) cells that hold either of the two are quoted.
+    rows = csv.writer(into, lineterminator="\r\n")
     rows.writerow(column.name for column in table.columns)
     rows.writerows([_plain(cell.value) for cell in row] for row in table.rows)
     return into.getvalue()

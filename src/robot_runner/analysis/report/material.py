@@ -23,6 +23,9 @@ __all__ = ["ALL_RUNS", "JOINT", "Material", "origin_badges", "origin_in_words"]
 
 #: Stands where there are no factors, or only one combination.
 ALL_RUNS = "all runs"
+#: Figures of more measures take minutes to make, and nobody looks at hundreds.
+_MOST_DRAWN = 16
+_ENERGY = frozenset({"J", "Wh", "kWh", "kJ", "mJ", "W", "mW"})
 #: Between the treatments of a combination.
 JOINT = " / "
 
@@ -78,6 +81,12 @@ class Material:
         rows = self.runs[list(factors)].drop_duplicates().sort_values(list(factors))
         texts = zip(*(rows[name].astype("str") for name in factors), strict=True)
         return tuple(map(JOINT.join, texts))
+
+    @cached_property
+    def drawn(self) -> frozenset[str]:
+        """The measures that have figures, where there are many: planned ones first, then energy and power."""
+        measures = sorted(self.statistics.measures, key=lambda each: (not each.is_planned, each.unit not in _ENERGY))
+        return frozenset(measure.name for measure in measures[:_MOST_DRAWN])
 
     @cached_property
     def qualities(self) -> tuple[RunQuality, ...]:

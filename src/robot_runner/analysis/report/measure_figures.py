@@ -14,7 +14,7 @@ from robot_runner.analysis.figures.interaction import Mean, draw_interaction
 from robot_runner.analysis.figures.quantiles import draw_quantiles
 from robot_runner.analysis.report.blocks import FigureBlock
 from robot_runner.analysis.report.material import JOINT, origin_in_words
-from robot_runner.analysis.report.numbers import counted
+from robot_runner.analysis.wording import counted
 from robot_runner.design.columns import RUN_ID
 
 if TYPE_CHECKING:

@@ -14,8 +14,9 @@ from robot_runner.analysis.figures.phases import PhaseSpan
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Tone
 from robot_runner.analysis.report.charts import course_chart
 from robot_runner.analysis.report.material import origin_badges, origin_in_words
-from robot_runner.analysis.report.numbers import counted, listed
+from robot_runner.analysis.report.numbers import listed
 from robot_runner.analysis.report.sample_columns import SampledMeasure, sampled_measures
+from robot_runner.analysis.wording import counted
 from robot_runner.design.columns import RUN_ID
 
 if TYPE_CHECKING:

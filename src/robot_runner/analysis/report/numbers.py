@@ -18,12 +18,12 @@ __all__ = [
     "MISSING",
     "RHO",
     "TIMES",
-    "counted",
     "interval_cells",
     "interval_columns",
     "listed",
     "number_cell",
     "p_cell",
+    "sentence",
     "shown_duration",
     "shown_interval",
     "shown_number",
@@ -59,6 +59,7 @@ def shown_number(value: float | None, digits: int = _DIGITS) -> str:
         text = f"{value:.{digits - 1}e}"
     else:
         text = f"{value:#.{digits}g}".rstrip(".")
+        text = f"{value:,.0f}" if "e" in text and abs(value) > 1 else text  # it was rounded up to where exponents begin
     return text.replace("-", MINUS, 1) if text.startswith("-") else text
 
 
@@ -109,14 +110,15 @@ def p_cell(p_value: float | None, *, is_significant: bool | None) -> Cell:
     return Cell(p_value, shown_p(p_value), Tone.GOOD if is_significant else Tone.PLAIN)
 
 
-def counted(number: int, noun: str) -> str:
-    """Return a number with its noun.
+def sentence(text: str) -> str:
+    """Return a text that begins with a capital letter and ends with a full stop.
 
     Example:
-        >>> counted(1, "run"), counted(1500, "run")
-        ('1 run', '1,500 runs')
+        >>> sentence("it is not a number")
+        'It is not a number.'
     """
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+    text = text.strip()
+    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith(('.', '!', '?')) else '.'}" if text else ""
 
 
 def listed(names: Iterable[Any], shown: int = 6) -> str:

@@ -40,6 +40,9 @@ __all__ = [
     "shown_statistic",
 ]
 
+#: With fewer values a bootstrap's intervals hold somewhat less often than they say.
+_ENOUGH_FOR_BOOTSTRAP = 10
+
 
 def description_table(name: str, caption: str, heading: str, groups: Sequence[Description]) -> Table:
     """Return the descriptive statistics of several groups."""
@@ -48,9 +51,17 @@ def description_table(name: str, caption: str, heading: str, groups: Sequence[De
     columns = (Column(heading), *numbers, *interval_columns("CI of the mean"), Column("Outliers"))
     rows = tuple(_description_row(group) for group in groups)
     intervals = [group.mean_interval for group in groups if group.mean_interval is not None]
-    note = f"CI: {intervals[0].level:.0%} confidence interval, {intervals[0].method}. " if intervals else ""
+    note = f"CI: {intervals[0].level:.0%} confidence interval, {_methods(groups)}. " if intervals else ""
     note = f"{note}SD: standard deviation (n {MINUS} 1). IQR: interquartile range."
     return Table(name, caption, columns, rows, note).without_blank("Missing", "Outliers")
+
+
+def _methods(groups: Sequence[Description]) -> str:
+    """Return how the intervals of the means were computed, and how far they can be trusted."""
+    intervals = [(group.mean_interval.method, group.n) for group in groups if group.mean_interval is not None]
+    words = " or ".join(dict.fromkeys(method for method, _ in intervals))
+    is_narrow = any(method.startswith("bootstrap") and n < _ENOUGH_FOR_BOOTSTRAP for method, n in intervals)
+    return f"{words} (rather narrow for fewer than {_ENOUGH_FOR_BOOTSTRAP} runs)" if is_narrow else words
 
 
 def _description_row(group: Description) -> tuple[Cell, ...]:

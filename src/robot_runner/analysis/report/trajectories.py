@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from robot_runner.analysis.figures.trajectory import Way, draw_trajectories
 from robot_runner.analysis.report.blocks import FigureBlock, Gallery, Part
-from robot_runner.analysis.report.numbers import counted
 from robot_runner.analysis.report.sample_columns import is_way
+from robot_runner.analysis.wording import counted
 from robot_runner.design.columns import RUN_ID
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.design import MeasureData
     from robot_runner.analysis.statistics.linear_model import LinearFit, Terms
 
-__all__ = ["aligned", "fit_aligned"]
+__all__ = ["aligned", "aligned_ranks", "fit_aligned"]
 
 #: Aligned values that differ by less than this, beside the largest, are ties that rounding has torn apart.
 _TIE = 1e-9
@@ -52,8 +52,13 @@ def aligned(data: MeasureData, effect: Sequence[str]) -> NDArray[np.float64]:
     return np.asarray(values - mean_over(data.factors) + estimate, dtype=np.float64)
 
 
-def fit_aligned(data: MeasureData, terms: Terms, effect: Sequence[str]) -> LinearFit:
-    """Fit the full model to the ranks of the values aligned for one effect."""
+def aligned_ranks(data: MeasureData, effect: Sequence[str]) -> NDArray[np.float64]:
+    """Return the ranks of the values aligned for one effect; values that differ by rounding only are ties."""
     values = aligned(data, effect)
     step = _TIE * max(float(np.max(np.abs(values))), 1e-300)
-    return fit_linear(data, terms, stats.rankdata(np.round(values / step)))
+    return np.asarray(stats.rankdata(np.round(values / step)), dtype=np.float64)
+
+
+def fit_aligned(data: MeasureData, terms: Terms, effect: Sequence[str]) -> LinearFit:
+    """Fit the full model to the ranks of the values aligned for one effect."""
+    return fit_linear(data, terms, aligned_ranks(data, effect))

@@ -10,7 +10,7 @@ from scipy import stats
 from robot_runner.analysis.statistics.described import NotComputed
 from robot_runner.analysis.statistics.quiet import quiet
 from robot_runner.analysis.statistics.tested import AssumptionCheck, QuantilePairs
-from robot_runner.analysis.statistics.wording import p_in_words
+from robot_runner.analysis.wording import p_in_words
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -29,6 +29,9 @@ _LEAST = 3
 _MOST = 5000
 
 _LEAST_FOR_VARIANCE = 2
+
+#: Distances that differ by less, beside the values, are the same but for rounding.
+_SAME = 1e-12
 
 
 def normality(
@@ -77,7 +80,8 @@ def equal_variances(groups: Sequence[Group], alpha: float) -> AssumptionCheck | 
         return NotComputed(what, "there is only one group.")
     if min(map(len, samples)) < _LEAST_FOR_VARIANCE:
         return NotComputed(what, "a group has a single value, which has no variance.")
-    if all(np.ptp(np.abs(sample - np.median(sample))) == 0 for sample in samples):
+    # So are any two values, but for rounding.
+    if all(np.ptp(np.abs(each - np.median(each))) <= _SAME * np.max(np.abs(each)) for each in samples):
         return NotComputed(what, "within each group all values are equally far from the median.")
     with quiet():
         result = stats.levene(*samples, center="median")

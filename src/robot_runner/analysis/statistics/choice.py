@@ -11,7 +11,7 @@ from robot_runner.analysis.statistics.assumptions import equal_variances, normal
 from robot_runner.analysis.statistics.described import NotComputed
 from robot_runner.analysis.statistics.linear_model import LinearFit, fit_linear, terms_of
 from robot_runner.analysis.statistics.tested import AssumptionCheck, TestMethod
-from robot_runner.analysis.statistics.wording import counted
+from robot_runner.analysis.wording import counted
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -63,13 +63,15 @@ def choose_test(data: MeasureData, alpha: float) -> Choice | NotComputed:
     variances = equal_variances(data.groups(data.factors), alpha)
     residuals, subject = _residuals(data, fit, variances, is_complete=is_complete)
     normal = normality(residuals, alpha, subject=subject)
-    if data.is_blocked:
-        method, reason = _blocked(data, _holds(normal, residuals), is_complete=is_complete)
+    if is_complete:
+        method, reason = _blocked(data, _holds(normal, residuals))
+    elif data.is_blocked:
+        method, reason = _incomplete(_holds(normal, residuals))
     elif len(data.factors) > 1:
-        method, reason = _factorial(data, _holds(normal, residuals))
+        method, reason = _factorial(data, _holds(normal, residuals), variances)
     else:
         method, reason = _independent(data, _holds(normal, residuals), variances)
-    if method is TestMethod.ALIGNED_RANKS and not terms.is_full:
+    if method in {TestMethod.ALIGNED_RANKS, TestMethod.MIXED_ALIGNED_RANKS} and not terms.is_full:
         why = f"{_normal_words(normal)}, and ranks cannot be aligned: {terms.note[0].lower()}{terms.note[1:]}"
         return NotComputed("the test", why)
     return Choice(method, f"{reason}; {_normal_words(normal)}.", (normal, variances), fit)
@@ -102,7 +104,7 @@ def _residuals(
     if is_complete and _is_pair(data):
         return paired_differences(data), "the differences within pairs"
     may_differ = isinstance(variances, AssumptionCheck) and not variances.holds
-    if may_differ and len(data.factors) == 1 and not data.is_blocked:
+    if may_differ and not data.is_blocked:
         # Values of several spreads thrown together are not normal, even where those of each group are.
         groups = [group.values for group in data.groups(data.factors) if np.ptp(group.values) > 0]
         scaled = [(values - values.mean()) / values.std(ddof=1) for values in groups]
@@ -147,23 +149,33 @@ def _independent(
     if isinstance(variances, AssumptionCheck) and variances.holds:
         method = TestMethod.STUDENT_T if is_pair else TestMethod.ANOVA
         return method, f"{design}; means are compared, with one variance for all groups, which Levene's test allows"
-    if any(np.ptp(group.values) == 0 for group in data.groups(data.factors)):
+    if isinstance(variances, NotComputed) or any(np.ptp(group.values) == 0 for group in data.groups(data.factors)):
         method = TestMethod.MANN_WHITNEY if is_pair else TestMethod.KRUSKAL_WALLIS
-        return method, f"{design}; ranks are compared, as variances may differ and one of them cannot be estimated"
+        return method, f"{design}; ranks are compared, as variances may differ and cannot be told"
     method = TestMethod.WELCH_T if is_pair else TestMethod.WELCH_ANOVA
     return method, f"{design}; means are compared, with a variance for each group, as they may differ"
 
 
-def _factorial(data: MeasureData, is_normal: bool) -> tuple[TestMethod, str]:
+def _factorial(data: MeasureData, is_normal: bool, variances: AssumptionCheck | NotComputed) -> tuple[TestMethod, str]:
     design = f"{len(data.factors)} factors and their interactions"
+    if not is_normal:
+        return TestMethod.ALIGNED_RANKS, f"{design}; aligned ranks are compared, as normality is not given"
+    if isinstance(variances, AssumptionCheck) and not variances.holds:
+        return (
+            TestMethod.ROBUST_ANOVA,
+            f"{design}; means are compared, with standard errors that hold where variances differ",
+        )
+    return TestMethod.FACTORIAL_ANOVA, f"{design}; means are compared"
+
+
+def _incomplete(is_normal: bool) -> tuple[TestMethod, str]:
+    design = "Runs belong to blocks, and not each block holds each combination equally often"
     if is_normal:
-        return TestMethod.FACTORIAL_ANOVA, f"{design}; means are compared"
-    return TestMethod.ALIGNED_RANKS, f"{design}; aligned ranks are compared, as normality is not given"
+        return TestMethod.MIXED_MODEL, f"{design}; means are compared"
+    return TestMethod.MIXED_ALIGNED_RANKS, f"{design}; aligned ranks are compared, as normality is not given"
 
 
-def _blocked(data: MeasureData, is_normal: bool, *, is_complete: bool) -> tuple[TestMethod, str]:
-    if not is_complete:
-        return TestMethod.MIXED_MODEL, "Runs belong to blocks, and not each block holds each combination equally often"
+def _blocked(data: MeasureData, is_normal: bool) -> tuple[TestMethod, str]:
     if _is_pair(data):
         method = TestMethod.PAIRED_T if is_normal else TestMethod.WILCOXON
         return method, "Two treatments, compared within each block"

@@ -17,10 +17,16 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.statistics.design import Group
 
-__all__ = ["RESAMPLES", "bootstrap_interval", "describe"]
+__all__ = ["bootstrap_interval", "describe"]
+
+#: A bootstrap draws from so few values hardly more than their ends: its intervals would be far too narrow.
+_LEAST_FOR_BOOTSTRAP = 5
 
 #: How often a bootstrap draws; the error of an interval's end is then well below its width.
-RESAMPLES = 5000
+_RESAMPLES = 5000
+#: Of many values each draw takes longer, and draws differ less.
+_MANY = 200
+_RESAMPLES_OF_MANY = 2000
 
 #: Intervals are the same each time they are computed.
 _SEED = 20210525
@@ -66,9 +72,16 @@ def describe(group: Group, *, level: float = 0.95) -> Description:
         third_quartile=third,
         minimum=float(np.min(values)),
         maximum=float(np.max(values)),
-        mean_interval=bootstrap_interval((values,), np.mean, level=level),
+        mean_interval=_mean_interval(values, level),
         outliers=_outliers(group, first, third),
     )
+
+
+def _mean_interval(values: NDArray[np.float64], level: float) -> Interval | None:
+    if len(values) >= _LEAST_FOR_BOOTSTRAP or len(values) < _LEAST_FOR_SPREAD or np.ptp(values) == 0:
+        return bootstrap_interval((values,), np.mean, level=level)
+    low, high = stats.t.interval(level, len(values) - 1, loc=np.mean(values), scale=stats.sem(values))
+    return Interval(float(low), float(high), level, "t distribution")
 
 
 def bootstrap_interval(
@@ -89,16 +102,16 @@ def bootstrap_interval(
         paired: whether the arrays belong together element by element.
 
     Returns:
-        None for fewer than two values in a group, or where no draw differs from another.
+        None for fewer than five values in a group, or where no draw differs from another.
     """
-    if min(map(len, samples)) < _LEAST_FOR_SPREAD or all(np.ptp(sample) == 0 for sample in samples):
+    if min(map(len, samples)) < _LEAST_FOR_BOOTSTRAP or all(np.ptp(sample) == 0 for sample in samples):
         return None
     for method in ("BCa", "percentile"):
         with quiet():  # a degenerate distribution: percentiles are tried next
             found = stats.bootstrap(
                 samples,
                 statistic,
-                n_resamples=RESAMPLES,
+                n_resamples=_RESAMPLES if sum(map(len, samples)) <= _MANY else _RESAMPLES_OF_MANY,
                 confidence_level=level,
                 method=method,
                 paired=paired,

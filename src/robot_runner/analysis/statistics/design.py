@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,11 +10,11 @@ import pandas as pd
 
 from robot_runner.analysis.run_frame import treatment_texts
 from robot_runner.analysis.statistics.outcome import DesignSummary
-from robot_runner.analysis.statistics.wording import counted, listed
+from robot_runner.analysis.wording import counted, listed
 from robot_runner.design.columns import RUN_ID
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -89,9 +88,25 @@ class MeasureData:
 
     def described_groups(self, factors: Sequence[str]) -> list[Group]:
         """Return the runs of each combination of treatments of these factors that has a run that is done."""
+        values = np.asarray(self.every[VALUE], dtype=np.float64)
+        run_ids = np.asarray(self.every[RUN_ID], dtype=object)
         if not factors:
-            return [self._group({}, self.every)]
-        return list(self._groups(factors))
+            return [_group({}, values, run_ids)]
+        # By the codes of the treatments, so that groups come in the order of the treatments.
+        codes = [np.asarray(self.every[factor].cat.codes) for factor in factors]
+        categories = [self.every[factor].cat.categories for factor in factors]
+        order = np.lexsort(codes[::-1])
+        keys = np.column_stack(codes)[order]
+        starts = np.flatnonzero(np.any(np.diff(keys, axis=0), axis=1)) + 1
+        return [
+            _group(
+                {name: str(names[code]) for name, names, code in zip(factors, categories, keys[first], strict=True)},
+                values[rows],
+                run_ids[rows],
+            )
+            for first, rows in zip((0, *starts), np.split(order, starts), strict=True)
+            if len(rows)
+        ]
 
     def by_block(self) -> pd.DataFrame:
         """Return the values of one factor's treatments (columns) in each block (rows)."""
@@ -104,17 +119,10 @@ class MeasureData:
         grouped = self.frame.groupby(list(self.factors), observed=True)[VALUE]
         return np.asarray(self.frame[VALUE] - grouped.transform("mean"), dtype=np.float64)
 
-    def _groups(self, factors: Sequence[str]) -> Iterator[Group]:
-        by_key = dict(iter(self.every.groupby(list(factors), observed=True)))
-        for treatments in product(*(self.every[factor].cat.categories for factor in factors)):
-            rows = by_key.get(treatments)
-            if rows is not None:
-                yield self._group(dict(zip(factors, treatments, strict=True)), rows)
 
-    def _group(self, treatments: dict[str, str], rows: pd.DataFrame) -> Group:
-        valued = rows[rows[VALUE].notna()]
-        values = np.asarray(valued[VALUE], dtype=np.float64)
-        return Group(treatments, values, tuple(valued[RUN_ID]), len(rows) - len(valued))
+def _group(treatments: dict[str, str], values: NDArray[np.float64], run_ids: NDArray[np.object_]) -> Group:
+    present = ~np.isnan(values)
+    return Group(treatments, values[present], tuple(run_ids[present]), int((~present).sum()))
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from robot_runner.analysis.statistics.described import Interval, NotComputed
 from robot_runner.analysis.statistics.design import PLACE
 from robot_runner.analysis.statistics.quiet import quiet
 from robot_runner.analysis.statistics.tested import Drift
-from robot_runner.analysis.statistics.wording import in_figures, p_in_words
+from robot_runner.analysis.wording import in_figures, p_in_words
 from robot_runner.design.columns import RUN_ID
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.statistics.tested import Effect
-from robot_runner.analysis.statistics.wording import listed, p_in_words
+from robot_runner.analysis.wording import listed, p_in_words
 
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.tested import EffectSize

@@ -10,7 +10,7 @@ from robot_runner.analysis.statistics.design import design_of
 from robot_runner.analysis.statistics.hypotheses import judge
 from robot_runner.analysis.statistics.measure import measure_statistics
 from robot_runner.analysis.statistics.outcome import ExperimentStatistics
-from robot_runner.analysis.statistics.wording import counted
+from robot_runner.analysis.wording import counted
 from robot_runner.design.analysis_plan import Correction
 from robot_runner.errors import AnalysisError, did_you_mean
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.analysis.statistics.outcome import HypothesisOutcome
 from robot_runner.analysis.statistics.post_hoc import adjusted
-from robot_runner.analysis.statistics.wording import p_in_words
+from robot_runner.analysis.wording import p_in_words
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -96,10 +96,22 @@ class LinearFit:
     @cached_property
     def tests(self) -> Mapping[tuple[str, ...], TermTest]:
         """The test of each effect, with sums of squares of type II."""
+        return self._tests(None)
+
+    @cached_property
+    def robust_tests(self) -> Mapping[tuple[str, ...], TermTest]:
+        """The same, where variances differ: with the covariance HC3 (MacKinnon and White 1985)."""
+        return self._tests("hc3")
+
+    def with_robust_covariance(self) -> LinearFit:
+        """Return the fit with standard errors that hold where variances differ (HC3)."""
+        return replace(self, results=self.results.get_robustcov_results("HC3"))
+
+    def _tests(self, robust: str | None) -> Mapping[tuple[str, ...], TermTest]:
         from statsmodels.stats.anova import anova_lm  # noqa: PLC0415 - takes a second to import
 
         with quiet():
-            table = anova_lm(self.results, typ=2)
+            table = anova_lm(self.results, typ=2, robust=robust)
         return {
             effect: TermTest(
                 float(table.loc[label, "F"]),
@@ -109,6 +121,27 @@ class LinearFit:
             for effect in self.terms.effects
             for label in [_term(effect, self.data.factors)]
         }
+
+    def freedom_within(self, effect: Sequence[str]) -> float:
+        """Return the degrees of freedom that an effect is tested with in a mixed model with a random mean per block.
+
+        Those between blocks where differences within blocks do not tell all of the effect, else those within
+        (containment, as R's nlme: Pinheiro and Bates, Mixed-Effects Models in S and S-PLUS, 2000, section 2.4.2).
+        """
+        if not self._is_between_blocks(effect):
+            return float(self.freedom)
+        between = sum(self._size(each) for each in self.terms.effects if self._is_between_blocks(each))
+        return float(len(set(self.data.blocks)) - 1 - between)
+
+    def _is_between_blocks(self, effect: Sequence[str]) -> bool:
+        mine = {f"C(f{self.data.factors.index(factor)}, Sum)" for factor in effect}
+        names = self.results.model.exog_names
+        others = self._exog[:, [{part.partition("[")[0] for part in name.split(":")} != mine for name in names]]
+        told = np.linalg.matrix_rank(self._exog) - np.linalg.matrix_rank(others)
+        return bool(told < self._size(effect))
+
+    def _size(self, effect: Sequence[str]) -> int:
+        return int(np.prod([len(self.data.levels(factor)) - 1 for factor in effect]))
 
     def treatment_rows(self, factor: str) -> dict[str, NDArray[np.float64]]:
         """Return, for each treatment of a factor, the row of the design whose fit is its marginal mean."""
@@ -177,10 +210,12 @@ def fit_linear(data: MeasureData, terms: Terms, response: NDArray[np.float64] | 
     """
     from statsmodels.formula.api import ols  # noqa: PLC0415 - takes a second to import
 
-    values = data.values if response is None else response  # noqa: PD011 - not a data frame's
+    frame = coded_frame(data, response)
+    # Where each combination has runs the matrix is of full rank: a decomposition will do that takes less time.
+    method = "qr" if terms.is_full and not data.is_blocked else "pinv"
     with quiet():  # a matrix without full rank: blocks that a factor is constant in
-        results = ols(formula_of(data, terms.effects), _coded(data, values)).fit()
-    return LinearFit(data, terms, values, results)
+        results = ols(formula_of(data, terms.effects), frame).fit(method=method)
+    return LinearFit(data, terms, frame["y"].to_numpy(), results)
 
 
 def formula_of(data: MeasureData, effects: Sequence[Sequence[str]], *, with_blocks: bool = True) -> str:
@@ -189,17 +224,24 @@ def formula_of(data: MeasureData, effects: Sequence[Sequence[str]], *, with_bloc
     return "y ~ " + " + ".join([*parts, *(["C(b)"] if data.is_blocked and with_blocks else [])])
 
 
-def coded_frame(data: MeasureData) -> pd.DataFrame:
-    """Return the data under the names that formulas have for them: `y`, `f0`, `f1`, ..., `b`."""
-    return _coded(data, data.values)
+def coded_frame(data: MeasureData, response: NDArray[np.float64] | None = None) -> pd.DataFrame:
+    """Return the data under the names that formulas have for them: `y`, `f0`, `f1`, ..., `b`.
 
+    Treatments and blocks go by their numbers, as their names may hold what formulas are made of.
 
-def _coded(data: MeasureData, values: NDArray[np.float64]) -> pd.DataFrame:
-    columns: dict[str, Any] = {"y": values}
+    Args:
+        data: the measure.
+        response: takes the place of the values, as their ranks.
+    """
+    columns: dict[str, Any] = {"y": data.values if response is None else response}  # noqa: PD011 - no data frame
     for place, factor in enumerate(data.factors):
-        columns[f"f{place}"] = pd.Categorical(data.frame[factor].astype(str), data.levels(factor))
+        levels = data.levels(factor)
+        numbers = data.frame[factor].astype(str).map({level: number for number, level in enumerate(levels)})
+        columns[f"f{place}"] = pd.Categorical.from_codes(
+            numbers.to_numpy(), [f"l{number}" for number in range(len(levels))]
+        )
     if data.is_blocked:
-        columns["b"] = data.blocks
+        columns["b"] = [f"b{number}" for number in pd.factorize(data.blocks, sort=True)[0]]
     return pd.DataFrame(columns)
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.choice import Choice
     from robot_runner.analysis.statistics.described import Description
     from robot_runner.analysis.statistics.design import Design, MeasureData
-    from robot_runner.analysis.statistics.tested import AssumptionCheck, MeasureTest, PostHoc
+    from robot_runner.analysis.statistics.tested import AssumptionCheck, MeasureTest, PostHoc, Power
     from robot_runner.design.analysis_plan import Correction
 
 __all__ = ["measure_statistics"]
@@ -79,7 +79,7 @@ def measure_statistics(
         test=test,
         post_hoc=post_hoc,
         drift=gathered.take(drift_of(data, alpha, column.unit)),
-        power=gathered.take(power_of(data.groups(data.factors[:1]), alpha)) if len(data.factors) == 1 else None,
+        power=_power(gathered, data, alpha),
         not_computed=tuple(dict.fromkeys(gathered.missing)),
     )
 
@@ -91,6 +91,15 @@ def _described(gathered: _Gathered, data: MeasureData, factors: tuple[str, ...])
         gathered.missing.append(NotComputed(f"descriptions by {' x '.join(factors)}", why))
         return ()
     return tuple(map(describe, groups))
+
+
+def _power(gathered: _Gathered, data: MeasureData, alpha: float) -> Power | None:
+    if len(data.factors) > 1:
+        why = f"it is for one factor, and {len(data.factors)} are varied: power depends on the effects of all of them."
+        gathered.take(NotComputed("power", why))
+    if len(data.factors) != 1:
+        return None
+    return gathered.take(power_of(data.groups(data.factors), alpha, is_blocked=data.is_blocked))
 
 
 def _compared(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import stats
 
-from robot_runner.analysis.statistics.aligned_ranks import fit_aligned
+from robot_runner.analysis.statistics.aligned_ranks import aligned_ranks
 from robot_runner.analysis.statistics.carrying_out import mixed_model
 from robot_runner.analysis.statistics.described import Interval, NotComputed
 from robot_runner.analysis.statistics.descriptive import bootstrap_interval
@@ -43,8 +43,16 @@ _LEVEL = 0.95
 _BY_RANKS = frozenset({TestMethod.MANN_WHITNEY, TestMethod.KRUSKAL_WALLIS, TestMethod.WILCOXON, TestMethod.FRIEDMAN})
 _IN_BLOCKS = frozenset({TestMethod.PAIRED_T, TestMethod.WILCOXON, TestMethod.FRIEDMAN})
 _BY_MODEL = frozenset(
-    {TestMethod.FACTORIAL_ANOVA, TestMethod.BLOCKED_ANOVA, TestMethod.ALIGNED_RANKS, TestMethod.ANOVA}
+    {
+        TestMethod.FACTORIAL_ANOVA,
+        TestMethod.ROBUST_ANOVA,
+        TestMethod.BLOCKED_ANOVA,
+        TestMethod.ALIGNED_RANKS,
+        TestMethod.ANOVA,
+    }
 )
+_MIXED = frozenset({TestMethod.MIXED_MODEL, TestMethod.MIXED_ALIGNED_RANKS})
+_BY_ALIGNED_RANKS = frozenset({TestMethod.ALIGNED_RANKS, TestMethod.MIXED_ALIGNED_RANKS})
 _WORDS = {
     TestMethod.STUDENT_T: "Student's t-test",
     TestMethod.WELCH_T: "Welch's t-test",
@@ -55,10 +63,12 @@ _WORDS = {
     TestMethod.WELCH_ANOVA: "Welch's t-tests",
     TestMethod.KRUSKAL_WALLIS: "Dunn's test",
     TestMethod.FACTORIAL_ANOVA: "t-tests of marginal means",
+    TestMethod.ROBUST_ANOVA: "t-tests of marginal means, with standard errors that hold where variances differ (HC3)",
     TestMethod.BLOCKED_ANOVA: "t-tests of means within blocks",
     TestMethod.ALIGNED_RANKS: "t-tests of aligned ranks",
     TestMethod.FRIEDMAN: "Wilcoxon signed-rank tests within blocks",
-    TestMethod.MIXED_MODEL: "Wald tests of the mixed model's means",
+    TestMethod.MIXED_MODEL: "t-tests of the mixed model's means",
+    TestMethod.MIXED_ALIGNED_RANKS: "t-tests of the mixed model's aligned ranks",
 }
 
 
@@ -127,7 +137,7 @@ def _pairs(data: MeasureData, choice: Choice, factors: tuple[str, ...], groups: 
     method = choice.method
     if method in _BY_MODEL:
         yield from _by_contrasts(data, choice, factors, groups)
-    elif method is TestMethod.MIXED_MODEL:
+    elif method in _MIXED:
         yield from _by_mixed_model(data, choice, factors, groups)
     elif method is TestMethod.KRUSKAL_WALLIS:
         yield from _by_dunn(groups)
@@ -146,7 +156,7 @@ def _post_hoc(
     correction: Correction,
 ) -> PostHoc:
     by_label = {group.label: group for group in groups}
-    is_of_means = choice.method not in _BY_RANKS | {TestMethod.ALIGNED_RANKS}
+    is_of_means = choice.method not in _BY_RANKS | _BY_ALIGNED_RANKS
     computed = [pair.p_value for pair in pairs if math.isfinite(pair.p_value)]
     after = iter(adjusted(computed, correction))
     comparisons = []
@@ -235,24 +245,28 @@ def _in_blocks(data: MeasureData, method: TestMethod, groups: Sequence[Group]) -
 def _by_contrasts(
     data: MeasureData, choice: Choice, factors: tuple[str, ...], groups: Sequence[Group]
 ) -> Iterator[_Pair]:
-    is_ranked = choice.method is TestMethod.ALIGNED_RANKS
-    fit = _ranked_fit(data, choice, factors) if is_ranked else choice.fit
+    is_ranked = choice.method in _BY_ALIGNED_RANKS
+    fit = fit_linear(data, choice.fit.terms, _ranks(data, factors)) if is_ranked else choice.fit
+    if choice.method is TestMethod.ROBUST_ANOVA:
+        fit = fit.with_robust_covariance()
     rows = _rows(fit, data, factors)
     for one, other in combinations(groups, 2):
         contrast = fit.contrast(rows[one.label] - rows[other.label])
         pair = _Pair(one.label, other.label, "t", float(contrast.tvalue.item()), float(contrast.pvalue.item()))
-        yield pair if is_ranked else _with_estimate(pair, contrast)
+        difference = float(contrast.effect.item())
+        reach = float(contrast.conf_int(1 - _LEVEL)[0, 1]) - difference
+        yield pair if is_ranked else _with_estimate(pair, difference, reach)
 
 
-def _ranked_fit(data: MeasureData, choice: Choice, factors: tuple[str, ...]) -> LinearFit:
-    """Return the fit for contrasts of ranks.
+def _ranks(data: MeasureData, factors: tuple[str, ...]) -> NDArray[np.float64]:
+    """Return the ranks that contrasts are made of.
 
     Those of one factor are of the ranks aligned for it. Those of all factors together are of the ranks of the values
     themselves, which need no aligning (ART-C: Elkin, Kay, Higgins and Wobbrock, UIST 2021).
     """
     if factors == data.factors:
-        return fit_linear(data, choice.fit.terms, stats.rankdata(data.values))
-    return fit_aligned(data, choice.fit.terms, factors)
+        return np.asarray(stats.rankdata(data.values), dtype=np.float64)
+    return aligned_ranks(data, factors)
 
 
 def _rows(fit: LinearFit, data: MeasureData, factors: tuple[str, ...]) -> dict[str, NDArray[np.float64]]:
@@ -268,17 +282,21 @@ def _rows(fit: LinearFit, data: MeasureData, factors: tuple[str, ...]) -> dict[s
 def _by_mixed_model(
     data: MeasureData, choice: Choice, factors: tuple[str, ...], groups: Sequence[Group]
 ) -> Iterator[_Pair]:
-    results = mixed_model(data, choice)
+    is_ranked = choice.method in _BY_ALIGNED_RANKS
+    results = mixed_model(data, choice, _ranks(data, factors) if is_ranked else None)
+    freedom = min(choice.fit.freedom_within(each) for each in choice.fit.terms.effects if set(each) <= set(factors))
     with_blocks = _rows(choice.fit, data, factors)
     shared = np.isin(choice.fit.results.model.exog_names, results.model.exog_names)
     for one, other in combinations(groups, 2):
         difference = (with_blocks[one.label] - with_blocks[other.label])[shared]
         contrast = results.t_test(difference[np.newaxis, :])
-        pair = _Pair(one.label, other.label, "z", float(contrast.tvalue.item()), float(contrast.pvalue.item()))
-        yield _with_estimate(pair, contrast)
+        t_value, error = float(contrast.tvalue.item()), float(contrast.sd.item())
+        pair = _Pair(one.label, other.label, "t", t_value, 2 * float(stats.t.sf(abs(t_value), freedom)))
+        reach = float(stats.t.ppf((1 + _LEVEL) / 2, freedom)) * error
+        yield pair if is_ranked else _with_estimate(pair, float(contrast.effect.item()), reach)
 
 
-def _with_estimate(pair: _Pair, contrast: Any) -> _Pair:
-    low, high = (float(end) for end in np.ravel(contrast.conf_int(1 - _LEVEL)))
+def _with_estimate(pair: _Pair, difference: float, reach: float) -> _Pair:
+    low, high = difference - reach, difference + reach
     interval = Interval(low, high, _LEVEL, "model") if math.isfinite(low) and math.isfinite(high) else None
-    return replace(pair, interval=interval, difference=float(contrast.effect.item()))
+    return replace(pair, interval=interval, difference=difference)

@@ -33,10 +33,17 @@ _NOTE = (
     "(harmonic mean). The power for the observed effect says no more than the p-value does; plan with the effect that "
     "matters to you."
 )
+_NOTE_ON_BLOCKS = "Blocks are left out of account: where they differ from each other, the power is higher than this."
 
 
-def power_of(groups: Sequence[Group], alpha: float) -> Power | NotComputed:
-    """Return the power for the groups of one factor: of a t-test for two, of an analysis of variance for more."""
+def power_of(groups: Sequence[Group], alpha: float, *, is_blocked: bool = False) -> Power | NotComputed:
+    """Return the power for the groups of one factor: of a t-test for two, of an analysis of variance for more.
+
+    Args:
+        groups: the runs of each treatment.
+        alpha: the level of significance.
+        is_blocked: whether runs belong to blocks, which are left out of account.
+    """
     sizes = [len(group.values) for group in groups]
     if len(groups) < 2 or min(sizes) < 2:  # noqa: PLR2004 - a single run has no spread
         return NotComputed("power", "it takes two groups of two runs each.")
@@ -60,7 +67,7 @@ def power_of(groups: Sequence[Group], alpha: float) -> Power | NotComputed:
             for name, size in {**named, "observed": effect}.items()
             if (runs := repetitions_needed(size, count, alpha=alpha)) is not None
         ),
-        note=_NOTE,
+        note=f"{_NOTE} {_NOTE_ON_BLOCKS}" if is_blocked else _NOTE,
     )
 
 

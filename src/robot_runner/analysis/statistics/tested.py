@@ -52,10 +52,12 @@ class TestMethod(Enum):
     WELCH_ANOVA = "Welch's ANOVA"
     KRUSKAL_WALLIS = "Kruskal-Wallis test"
     FACTORIAL_ANOVA = "factorial ANOVA"
+    ROBUST_ANOVA = "factorial ANOVA with heteroscedasticity-consistent covariance (HC3)"
     ALIGNED_RANKS = "aligned-rank-transform ANOVA"
     BLOCKED_ANOVA = "ANOVA with blocks"
     FRIEDMAN = "Friedman test"
     MIXED_MODEL = "linear mixed model"
+    MIXED_ALIGNED_RANKS = "aligned-rank-transform mixed model"
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 from robot_runner.analysis.report.blocks import Block, Paragraph, Part, Section, Tone
 from robot_runner.analysis.report.charts import points_chart
 from robot_runner.analysis.report.material import origin_badges
-from robot_runner.analysis.report.numbers import counted, with_unit
+from robot_runner.analysis.report.numbers import sentence, with_unit
 from robot_runner.analysis.report.tables import description_table
+from robot_runner.analysis.wording import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -63,4 +64,4 @@ def _notes(measure: MeasureStatistics) -> Iterator[str]:
         more = f" and {len(outliers) - 12} more" if len(outliers) > 12 else ""  # noqa: PLR2004 - as many as fit a line
         yield f"{counted(len(outliers), 'outlier')} by Tukey's fences: {named}{more}. None was left out."
     for missed in measure.not_computed:
-        yield f"Not computed: {missed.what}. {missed.why}"
+        yield f"Not computed: {missed.what}. {sentence(missed.why)}"

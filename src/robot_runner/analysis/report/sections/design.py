@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.report.blocks import Block, Cell, Column, Facts, Part, Section, Table, Tone
-from robot_runner.analysis.report.numbers import ALPHA, counted, listed, shown_duration
+from robot_runner.analysis.report.numbers import ALPHA, listed, shown_duration
 from robot_runner.analysis.report.tables import correction_in_words
+from robot_runner.analysis.wording import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -113,7 +114,8 @@ def _measure_table(material: Material) -> Table:
                 Cell.of_text(column.origin or "not recorded", Tone.PLAIN if is_real else Tone.WARNING),
             )
         )
-    return Table("measures", "Measures, what yields them, and where their values come from.", columns, tuple(rows))
+    table = Table("measures", "Measures, what yields them, and where their values come from.", columns, tuple(rows))
+    return table.without_blank("Meaning", "Unit", "Instrument")
 
 
 def _instrument(material: Material, owner: str) -> str:
@@ -132,7 +134,8 @@ def _machine(material: Material) -> Iterator[tuple[str, str]]:
         parts = [str(host.get("processor") or "")]
         parts += [counted(cores, "core")] if cores else []
         parts += [f"{memory / _GIBI:.0f} GiB of memory"] if memory else []
-        yield "Processor", ", ".join(part for part in parts if part)
+        if any(parts):
+            yield "Processor", ", ".join(part for part in parts if part)
     if software.get("robot_runner"):
         yield "Robot Runner", str(software["robot_runner"])
     if software.get("python"):

@@ -20,7 +20,8 @@ from robot_runner.analysis.report.blocks import (
     Table,
     Tone,
 )
-from robot_runner.analysis.report.numbers import MISSING, counted, listed, number_cell, shown_duration, shown_number
+from robot_runner.analysis.report.numbers import MISSING, listed, number_cell, shown_duration, shown_number
+from robot_runner.analysis.wording import counted
 from robot_runner.design.columns import RUN_ID, STATUS
 from robot_runner.storage.run_status import RunStatus
 
@@ -106,7 +107,7 @@ def _run_table(material: Material) -> Table:
             )
         )
     table = Table("runs", "All runs, in the order of the run table.", columns, tuple(rows))
-    return table.without_blank("What looked odd", "Attempts")
+    return table.without_blank("What looked odd", "Attempts", "Took")
 
 
 def _by_run(material: Material) -> tuple[dict[str, float], dict[str, int], dict[str, str]]:

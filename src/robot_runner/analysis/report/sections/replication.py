@@ -32,7 +32,8 @@ def replication_section(material: Material) -> Section:
 def _intro(material: Material) -> str:
     return (
         f"Everything that the experiment consists of is in its folder, {material.results.folder.name}. This executes "
-        "its config again and compares the results with these; state as the bound what difference would not matter."
+        "its config again, the same runs in the same order, with what was set by hand then, and compares the results "
+        "with these; state as the bound what difference would not matter."
     )
 
 
@@ -42,27 +43,21 @@ def _commands(material: Material, name: str) -> Iterator[str]:
     robot = str(material.manifest("robot", default=""))
     extras = "analysis,sim" if robot.startswith("simulated") else "analysis"
     yield f"pip install {shlex.quote(f'robot-runner[{extras}]{pinned}')}"
-    config = material.manifest("config", "file")
-    sets = " ".join(
-        f"--set {shlex.quote(f'{key}={value}')}" for key, value in material.manifest("deviations", default={}).items()
-    )
-    source = shlex.quote(f"{name}/config/{config}")
-    again = shlex.quote(f"results_output_path={name}_replication")
-    yield " ".join(part for part in (f"robot-runner run {source}", sets, f"--set {again}") if part)
-    replica = shlex.quote(f"{name}_replication/{material.results.name}")
-    yield f"robot-runner compare {shlex.quote(name)} {replica} --bound 5%"
+    yield f"robot-runner replicate {shlex.quote(name)} --bound 5%"
+    yield ""
+    yield "# One file that others can check and replicate"
+    yield f"pip install {shlex.quote(f'robot-runner[replication]{pinned}')}"
+    yield f"robot-runner pack {shlex.quote(name)}"
+    yield f"robot-runner replicate {shlex.quote(f'{name}.zip')} --bound 5%"
 
 
 def _order(material: Material) -> str:
     seed = material.results.seed
     if seed is None:
-        return "The order of the runs comes from no recorded seed: it is in the run table."
+        return "The order of the runs comes from no recorded seed: it is in the run table, and is taken from there."
     if material.manifest("seed_is_given"):
         return f"The config gives seed {seed}: the order of the runs will be the same."
-    return (
-        f"The order was drawn (seed {seed}) and will be drawn anew. For the same order give seed={seed} where the "
-        "config makes or shuffles its run table."
-    )
+    return f"The order was drawn (seed {seed}); replicating takes the same seed, so that the order will be the same."
 
 
 def _contents() -> Iterator[tuple[str, str]]:

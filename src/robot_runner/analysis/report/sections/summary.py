@@ -18,7 +18,7 @@ from robot_runner.analysis.report.blocks import (
     Tone,
 )
 from robot_runner.analysis.report.material import JOINT, origin_badges
-from robot_runner.analysis.report.numbers import MISSING, TIMES, counted, listed, shown_number
+from robot_runner.analysis.report.numbers import MISSING, TIMES, listed, shown_number
 from robot_runner.storage.run_status import RunStatus
 
 if TYPE_CHECKING:
@@ -46,8 +46,7 @@ def summary_section(material: Material, threats: Sequence[Threat]) -> Section:
     blocks += _means(material)
     hypotheses = material.statistics.hypotheses
     blocks += [Paragraph(each.conclusion, Tone.GOOD, lead=each.hypothesis.statement) for each in hypotheses]
-    for measure in material.statistics.measures:
-        blocks += _conclusions(measure)
+    blocks += map(_conclusion, material.statistics.measures)
     return Section("in-brief", "In brief", tuple(blocks))
 
 
@@ -95,14 +94,14 @@ def _cards(material: Material, threats: Sequence[Threat]) -> Iterator[Card]:
     factors = material.results.factors
     if factors:
         sizes = f" {TIMES} ".join(str(material.runs[name].nunique()) for name in factors)
-        yield Card(sizes, "treatments", f"of {listed(factors, shown=3)}")
+        yield Card(sizes, "treatment" if sizes == "1" else "treatments", f"of {listed(factors, shown=3)}")
     if design.used:
         size = (
             f"{design.smallest_group:,}"
             if design.is_balanced
             else f"{design.smallest_group:,} to {design.largest_group:,}"
         )
-        yield Card(size, "runs each", "of a combination")
+        yield Card(size, "run each" if size == "1" else "runs each", "of a combination")
     measures = material.results.measures
     yield Card(f"{len(measures):,}", "measures" if len(measures) != 1 else "measure", listed(measures, shown=3))
     serious = sum(threat.tone in {Tone.WARNING, Tone.BAD} for threat in threats)
@@ -114,15 +113,10 @@ def _cards(material: Material, threats: Sequence[Threat]) -> Iterator[Card]:
     )
 
 
-def _conclusions(measure: MeasureStatistics) -> Iterator[Paragraph]:
-    badges = origin_badges(measure.origin)
+def _conclusion(measure: MeasureStatistics) -> Paragraph:
     if measure.test is None:
-        why = measure.not_computed[0].why if measure.not_computed else "There is nothing to compare."
-        yield Paragraph(f"No test: {_sentence(why)}", Tone.PLAIN, lead=measure.name, badges=badges)
-        return
-    for effect in measure.test.effects:
-        yield Paragraph(effect.conclusion, Tone.PLAIN, lead=measure.name, badges=badges)
-
-
-def _sentence(text: str) -> str:
-    return f"{text[:1].lower()}{text[1:]}" if text else counted(0, "run")
+        why = measure.not_computed[0].why if measure.not_computed else "there is nothing to compare"
+        text = f"Not tested: {why[:1].lower()}{why[1:].rstrip('.')}."
+    else:
+        text = " ".join(effect.conclusion for effect in measure.test.effects)
+    return Paragraph(text, lead=measure.name, badges=origin_badges(measure.origin))

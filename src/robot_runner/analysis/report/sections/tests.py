@@ -23,21 +23,22 @@ from robot_runner.analysis.report.measure_figures import quantile_figure
 from robot_runner.analysis.report.numbers import (
     ALPHA,
     RHO,
-    counted,
     interval_cells,
     interval_columns,
     listed,
     number_cell,
     p_cell,
+    sentence,
     shown_number,
 )
 from robot_runner.analysis.report.tables import assumption_table, correction_in_words, effect_table, post_hoc_table
+from robot_runner.analysis.wording import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from robot_runner.analysis.report.material import Material
-    from robot_runner.analysis.statistics.outcome import MeasureStatistics, Power
+    from robot_runner.analysis.statistics.outcome import MeasureStatistics, NotComputed, Power
 
 __all__ = ["tests_section"]
 
@@ -53,9 +54,17 @@ def tests_section(material: Material) -> Section:
     blocks += _correlations(material)
     missed = material.statistics.not_computed
     if missed:
-        remarks = tuple(Remark(each.what, each.why, Tone.WARNING, "Not computed") for each in missed)
-        blocks.append(Remarks(remarks))
+        blocks.append(_missed(missed))
     return Section("tests", "Tests", tuple(blocks))
+
+
+def _missed(several: Sequence[NotComputed]) -> Remarks:
+    return Remarks(
+        tuple(
+            Remark(sentence(each.what).rstrip("."), sentence(each.why), Tone.WARNING, "Not computed")
+            for each in several
+        )
+    )
 
 
 def _planned(material: Material) -> str:
@@ -110,8 +119,7 @@ def _part(material: Material, measure: MeasureStatistics) -> Part:
     if measure.power is not None:
         blocks.append(Paragraph(_power(measure.power), Tone.NOTE, lead="Power."))
     if measure.not_computed:
-        remarks = tuple(Remark(each.what, each.why, Tone.WARNING, "Not computed") for each in measure.not_computed)
-        blocks.append(Remarks(remarks))
+        blocks.append(_missed(measure.not_computed))
     badges = (_PLANNED if measure.is_planned else _EXPLORATORY, *origin_badges(measure.origin))
     return Part(f"test-{measure.name}", material.results.label(measure.name), tuple(blocks), badges)
 
@@ -136,7 +144,7 @@ def _assumptions(material: Material, measure: MeasureStatistics) -> Iterator[Blo
     if measure.assumptions:
         caption = f"{material.results.label(measure.name)}: assumptions."
         blocks.append(assumption_table(f"assumptions {measure.name}", caption, measure.assumptions))
-    figure = quantile_figure(material, measure)
+    figure = quantile_figure(material, measure) if measure.name in material.drawn else None
     if figure is not None:
         blocks.append(Gallery((figure,)))
     if blocks:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 from robot_runner.analysis.figures.order import draw_run_order
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Remark, Remarks, Section, Tone
 from robot_runner.analysis.report.material import origin_badges
-from robot_runner.analysis.report.numbers import RHO, counted, listed, shown_number
+from robot_runner.analysis.report.numbers import RHO, listed, shown_number
 from robot_runner.analysis.report.sections.outcome import failures_in_words
+from robot_runner.analysis.wording import counted
 from robot_runner.storage.layout import ExperimentFolder
 from robot_runner.storage.run_status import RunStatus
 
@@ -47,7 +48,7 @@ def threats_section(material: Material, threats: Sequence[Remark]) -> Section:
     figures = tuple(
         _drift_figure(material, measure, measure.drift)
         for measure in material.statistics.measures
-        if measure.drift is not None
+        if measure.drift is not None and (measure.name in material.drawn or measure.drift.is_significant)
     )
     if figures:
         blocks.append(

@@ -13,7 +13,12 @@ _SMALLEST_P = 0.001
 
 
 def counted(count: int, noun: str) -> str:
-    """Return how many there are, as in `1 run` or `1,500 runs`."""
+    """Return how many there are.
+
+    Example:
+        >>> counted(1, "run"), counted(1500, "run")
+        ('1 run', '1,500 runs')
+    """
     return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 

@@ -1,0 +1,70 @@
+"""Whatever a name holds, a table says it and means nothing else by it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_runner.analysis.report.blocks import Cell, Column, Place, Table
+from robot_runner.analysis.report.markup import csv_of, latex_of, latex_text, markdown_text
+from robot_runner.analysis.report.names import SafeNames
+from robot_runner.analysis.report.numbers import MISSING
+
+texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=40)
+
+
+@given(texts)
+def test_latex_commands_are_only_ours(text):
+    written = latex_text(text)
+    commands = r"\\(textbackslash|textasciitilde|textasciicircum|textless|textgreater|textbar|textquotedbl|ldots)\{\}"
+    rest = re.sub(commands, "", written)
+    rest = re.sub(r"\\(textsuperscript\{2\}|textdegree\{\}|[{}$&#_%])", "", rest)
+    rest = re.sub(r"\$(-|\\[a-z]+)\$", "", rest)
+    assert not set(rest) & set("\\{}$&#_%~^")
+
+
+@given(texts)
+def test_markdown_stays_on_one_line_and_every_sign_is_escaped(text):
+    written = markdown_text(text)
+    assert "\n" not in written
+    assert not re.search(r"(?<!\\)(?:\\\\)*[*_|<>\[\]`$#]", written)
+
+
+@given(st.lists(st.tuples(texts, texts), max_size=5))
+def test_csv_gives_back_what_was_put_in(rows):
+    table = Table("t", "c", (Column("a"), Column("b")), tuple(tuple(map(Cell.of_text, row)) for row in rows))
+    [_, *read] = csv.reader(io.StringIO(csv_of(table), newline=""))
+    assert [tuple(row) for row in read if row] == [(a, b) for a, b in rows]
+
+
+def test_columns_for_programs_are_in_files_and_columns_for_readers_on_the_page():
+    columns = (Column("n"), Column("CI", place=Place.PAGE), Column("CI, low", place=Place.FILE))
+    table = Table("t", "c", columns, ((Cell(1, "1"), Cell.of_text("[2, 3]"), Cell(2.0, "2")),))
+    assert csv_of(table).splitlines() == ["n,CI, low".replace("CI, low", '"CI, low"'), "1,2.0"]
+    assert "[2, 3]" in latex_of(table)
+    assert "low" not in latex_of(table)
+
+
+def test_missing_values_are_empty_in_csv():
+    table = Table("t", "c", (Column("a"),), ((Cell(None, MISSING),), (Cell(0, "0"),)))
+    assert csv_of(table).splitlines() == ["a", '""', "0"]
+
+
+def test_columns_that_say_nothing_are_left_out():
+    rows = ((Cell(1, "1"), Cell(0, "0"), Cell(None, MISSING)), (Cell(2, "2"), Cell(0, "0"), Cell("", "")))
+    table = Table("t", "c", (Column("a"), Column("Missing"), Column("Odd")), rows).without_blank("Missing", "Odd")
+    assert [column.name for column in table.columns] == ["a"]
+    kept = Table("t", "c", (Column("Missing"),), ((Cell(0, "0"),), (Cell(3, "3"),)))
+    assert len(kept.without_blank("Missing").columns) == 1
+
+
+@given(st.lists(texts, unique=True, max_size=12))
+def test_no_two_names_become_one(names):
+    safe = SafeNames()
+    given_names = [safe(name) for name in names]
+    assert len({name.casefold() for name in given_names}) == len(names)
+    assert given_names == [safe(name) for name in names]

@@ -1,0 +1,72 @@
+"""Numbers are shown in as many digits as they deserve."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_runner.analysis.report.json_document import plain
+from robot_runner.analysis.report.numbers import MINUS, MISSING, shown_number, shown_p, with_unit
+
+
+@given(st.floats(min_value=1e-300, max_value=1e300))
+def test_a_number_is_shown_within_half_of_its_fourth_digit(value):
+    shown = float(shown_number(value).replace(",", ""))
+    assert shown == pytest.approx(value, rel=5.1e-4)
+    assert shown_number(-value) == f"{MINUS}{shown_number(value)}"
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        (0, "0"),
+        (0.0, "0"),
+        (16, "16"),
+        (285000, "285,000"),
+        (16.0, "16.00"),
+        (9999.6, "10,000"),
+        (12345.6, "12,346"),
+        (2.5e-5, "2.500e-05"),
+    ],
+)
+def test_numbers_as_a_reader_sees_them(value, shown):
+    assert shown_number(value) == shown
+
+
+@pytest.mark.parametrize("value", [None, math.nan, math.inf])
+def test_what_is_missing_is_a_dash(value):
+    assert shown_number(value) == shown_p(value) == with_unit(value, "J") == MISSING
+
+
+def test_a_count_has_no_unit():
+    assert with_unit(3, "1") == "3"
+
+
+@given(st.floats(min_value=0.0, max_value=1.0))
+def test_a_p_value_is_never_shown_as_zero(p_value):
+    assert shown_p(p_value) != "0.000"
+
+
+def test_plain_values_are_what_json_knows():
+    given_values = {
+        "a": np.float64(1.5),
+        "b": np.int64(2),
+        "c": math.nan,
+        "d": pd.NA,
+        "e": pd.NaT,
+        "f": pd.Timestamp("2026-01-31T12:00:00Z"),
+        "g": (1, {2}),
+        "h": np.bool_(True),
+        3: object,
+    }
+    written = plain(given_values)
+    assert json.loads(json.dumps(written, allow_nan=False)) == written
+    assert (written["a"], written["b"], written["c"], written["d"], written["e"]) == (1.5, 2, None, None, None)
+    assert written["f"] == "2026-01-31T12:00:00Z"
+    assert written["h"] is True

@@ -1,0 +1,190 @@
+"""Sections say what the folder knows, and label what was not measured."""
+
+from __future__ import annotations
+
+import pytest
+
+from robot_runner.analysis.report.blocks import Chart, Paragraph, Part, Remarks, Tone
+from robot_runner.analysis.report.document import report_document
+from robot_runner.analysis.report.markdown import markdown_of
+from robot_runner.analysis.report.material import Material
+from robot_runner.analysis.report.mission_figures import Mission, mission_parts
+from robot_runner.analysis.report.sample_columns import sampled_measures
+from robot_runner.analysis.report.sections.threats import threats_of
+from robot_runner.analysis.results import load_results
+from robot_runner.analysis.statistics.experiment import analyse
+
+
+def material_of(folder):
+    results = load_results(folder.root)
+    return Material(results, analyse(results))
+
+
+def threats(folder):
+    return {threat.title: threat for threat in threats_of(material_of(folder))}
+
+
+def document(folder):
+    return report_document(material_of(folder), made="now")
+
+
+def test_measured_values_are_no_threat(two_tasks):
+    found = threats(two_tasks())
+    assert not {"Values are simulated", "Values are estimated", "Runs failed"} & found.keys()
+    assert document(two_tasks()).badges == ()
+
+
+@pytest.mark.parametrize("origin", ["simulated", "estimated", "measured, simulated"])
+def test_values_that_were_not_measured_are_labelled_everywhere(two_tasks, origin):
+    folder = two_tasks(origin=origin)
+    word = origin.rpartition(" ")[2]
+    assert threats(folder)[f"Values are {word}"].kind == "Construct validity"
+    made = document(folder)
+    assert [badge.text for badge in made.badges] == ["some values not measured"]
+    conclusions = [block for block in made.sections[0].blocks if isinstance(block, Paragraph)]
+    assert all([badge.text for badge in block.badges] == [word] for block in conclusions)
+    captions = [figure.caption for figure in made.figures if figure.name.startswith("distribution")]
+    assert all(f"The values are {word}." in caption for caption in captions)
+    parts = [part for part in made.blocks() if isinstance(part, Part) and part.name.endswith("-Energy")]
+    assert any(word in [badge.text for badge in part.badges] for part in parts)
+
+
+def test_a_simulated_robot_is_said_at_the_head(two_tasks):
+    made = document(two_tasks(manifest={"robot": "simulated:initial_charge=40"}))
+    assert [badge.text for badge in made.badges] == ["simulated robot"]
+
+
+def test_what_was_set_by_hand_is_a_threat(two_tasks):
+    found = threats(two_tasks(manifest={"deviations": {"robot": "simulated"}}))
+    assert "robot = simulated" in found["Parameters were set by hand"].text
+
+
+def test_an_order_that_was_not_randomised_is_a_threat(two_tasks):
+    design = {"source": "config", "factors": {}, "repetitions": 5, "shuffle": False, "blocks": None}
+    assert "The order was not randomised" in threats(two_tasks(manifest={"design": design}))
+    assert "The order was not randomised" not in threats(two_tasks())
+
+
+def test_executions_in_parts_are_told(two_tasks):
+    stamps = {"started_at": "2026-01-31T12:00:00.000Z", "finished_at": "2026-01-31T13:00:00.000Z"}
+    found = threats(two_tasks(manifest={"executions": [stamps, {**stamps, "deviations": {"a": 1}}]}))
+    assert "2 parts" in found["Executed in parts"].text
+    assert "a = 1" in found["Parameters were set by hand"].text
+
+
+def test_gaps_and_saturation_are_threats(two_tasks):
+    folder = two_tasks()
+    counts = {"expected": 100, "got": 90, "coverage": 90.0, "lost": 10, "corrupt": 1, "largest_gap": 0.5}
+    folder.write_quality("Meter", {"samples": counts, "saturated": 2, "is_simulated": False})
+    found = threats(folder)
+    assert "100 samples lost, 10 damaged" in found["Samples of Meter have gaps"].text
+    assert "at the least 90.0 %" in found["Samples of Meter have gaps"].text
+    assert "20 samples" in found["Meter was saturated"].text
+
+
+def test_notes_that_are_no_notes_are_passed_over(two_tasks):
+    folder = two_tasks()
+    folder.write_quality("Meter", {"samples": "many"})
+    (folder.files.run("r_1") / "Meter" / "quality.json").write_text("{")
+    (folder.files.run("r_2") / "Meter" / "quality.json").write_text("[1]")
+    qualities = material_of(folder).qualities
+    assert len(qualities) == 8
+    assert {each.lost for each in qualities} == {None}
+
+
+def test_a_drift_is_told_with_a_figure(make_folder):
+    rows = [("ab"[place % 2], 100.0 + place * 3.0 + (place % 3) * 0.4) for place in range(20)]
+    folder = make_folder(factors={"Task": ["a", "b"]}, rows=rows, measures={"Energy": "J"})
+    assert threats(folder)["Energy drifts over the experiment"].kind == "Internal validity"
+    assert "order Energy" in [figure.name for figure in document(folder).figures]
+
+
+def test_an_experiment_without_threats_says_so(two_tasks):
+    made = document(two_tasks())
+    remarks = [block for block in made.sections[6].blocks if isinstance(block, Remarks)]
+    assert all(remark.tone in Tone for block in remarks for remark in block.remarks)
+
+
+def test_names_of_a_document_are_unique(two_tasks):
+    made = document(two_tasks())
+    for several in (made.tables, made.figures, made.charts):
+        names = [each.name for each in several]
+        assert len(set(names)) == len(names)
+
+
+def power(folder, plugin="Meter", heading="time_s,raw_counts,voltage_V,power_W"):
+    folder.write_samples(
+        plugin, "samples.csv", heading, lambda place: [f"{t / 10},1,12,{place + t}" for t in range(50)]
+    )
+
+
+def test_power_is_shown_before_all_else_and_raw_counts_never(two_tasks):
+    folder = two_tasks()
+    power(folder)
+    folder.write_samples(
+        "PsUtil", "samples.csv", "time_s,cpu_percent,memory_percent,threads", lambda place: ["0,1,2,3", "1,1,2,3"]
+    )
+    found = sampled_measures(load_results(folder.root))
+    assert [(each.label, each.column) for each in found] == [
+        ("Power (W)", "power_W"),
+        ("CPU (%)", "cpu_percent"),
+        ("Memory (%)", "memory_percent"),
+    ]
+
+
+def test_phases_that_differ_between_runs_are_not_drawn_for_all(two_tasks):
+    folder = two_tasks()
+    power(folder)
+    folder.write_samples(
+        "Robot", "phases.csv", "number,phase,start_s,end_s", lambda place: [f"1,{'ab'[place % 2]},0,2"]
+    )
+    material = material_of(folder)
+    [measure] = sampled_measures(material.results)
+    assert Mission(material, measure, material.order).phases == ()
+
+
+def test_times_are_counted_from_the_start_of_measurement(two_tasks):
+    folder = two_tasks()
+    power(folder)
+    material = material_of(folder)
+    [measure] = sampled_measures(material.results)
+    mission = Mission(material, measure, material.order)
+    assert dict(mission.events) == {"launch_mission": 5.0, "stop_measurement": 10.0}
+    assert {course.runs for course in mission.means} == {5}
+
+
+def test_runs_without_samples_leave_no_hole(two_tasks):
+    folder = two_tasks(statuses={0: "Failed"})
+    power(folder)
+    (folder.files.run("r_2") / "Meter" / "samples.csv").write_text("time_s,raw_counts,voltage_V,power_W\n")
+    [part] = mission_parts(material_of(folder))
+    [chart] = [block for block in part.blocks if isinstance(block, Chart)]
+    assert [(group["name"], group["runs"]) for group in chart.data["groups"]] == [("Video", 3), ("Network", 5)]
+    lengths = {len(run["values"]) for group in chart.data["groups"] for run in group["each"]}
+    assert lengths == {len(chart.data["time"])}
+
+
+def test_many_runs_are_thinned_out_in_a_chart(make_folder):
+    rows = [("a", 1.0 + place % 7) for place in range(120)]
+    folder = make_folder(factors={"T": ["a"]}, rows=rows, measures={"E": "J"})
+    power(folder)
+    [part] = mission_parts(material_of(folder))
+    [chart] = [block for block in part.blocks if isinstance(block, Chart)]
+    assert len(chart.data["groups"][0]["each"]) == 40
+    assert "one in 3" in chart.caption
+
+
+def test_of_very_many_measures_energy_and_the_planned_are_drawn_first(make_folder):
+    names = [f"m{number}" for number in range(25)]
+    rows = [("ab"[place % 2], *(place * 1.5 + number % 7 for number in range(25))) for place in range(6)]
+    plan = {"measures": ["m24"], "alpha": 0.05, "correction": "holm", "hypotheses": []}
+    folder = make_folder(
+        factors={"Task": ["a", "b"]},
+        rows=rows,
+        measures=dict.fromkeys(names, "s") | dict.fromkeys(names[20:23], "J"),
+        manifest={"analysis": plan},
+    )
+    made = document(folder)
+    drawn = {figure.name.split()[1] for figure in made.figures if figure.name.startswith("distribution")}
+    assert drawn == {"m24", *names[20:23], *names[:12]}
+    assert "9 more measures are not drawn: name those to draw by --measure." in markdown_of(made, str)
