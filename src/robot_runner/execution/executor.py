@@ -97,7 +97,8 @@ class _InProcessExecutor:
         def report(kind: str, fields: dict[str, object]) -> None:
             builder.take(kind, fields)
             watch.report(kind, fields)
-            watch.refresh()
+            if watch.refresh_interval is not None:
+                watch.refresh()
 
         with LazyLog(self._experiment.folder) as log, redirect_stdout(log), redirect_stderr(log):
             gate = InterruptGate()

@@ -112,7 +112,10 @@ class Odometer:
                 fix="See that one robot only publishes it: give each robot a namespace of its own.",
             )
         silence = self._clock.now() - self._heard_at
-        if self._pose is None or silence > self._timeout:
+        if self._pose is None:
+            fix = "Look whether the robot is on and publishes 'odom' on this graph: in this namespace and ROS domain."
+            raise LinkError(f"no odometry arrived for {silence:.1f} s", where=self._where, fix=fix)
+        if silence > self._timeout:
             raise LinkError(
                 f"no odometry arrived for {silence:.1f} s (at most {self._timeout:g} s are allowed)",
                 where=self._where,
