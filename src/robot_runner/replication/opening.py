@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+import struct
 import zipfile
 import zlib
 from contextlib import contextmanager
@@ -24,7 +25,9 @@ _BLOCK = 1 << 20
 #: Deflate cannot do better than about 1000 to 1, and data that was measured never comes near this.
 _MOST_TIMES_SMALLER = 200
 _SMALL = 64 << 20
-_HEADER = 30  # bytes of a local file header, without the name (APPNOTE.TXT, 4.3.7)
+#: A local file header, without the name (APPNOTE.TXT, 4.3.7): flags, method, time and date are its third to sixth part.
+_LOCAL = struct.Struct("<4s5H3I2H")
+_HEADER = _LOCAL.size
 _GET_IT_AGAIN = "Get it again from where it came from."
 
 
@@ -135,7 +138,7 @@ class _Zipped:
         if DESCRIPTION not in sizes:
             problem = f"it has no {DESCRIPTION}: it was not made by `robot-runner pack`"
             raise PackageError(problem, where=str(path), fix="Name a package.")
-        faults = [*_entry_faults(path, entries), *_layout_faults(path, entries)]
+        faults = [*_entry_faults(path, entries), *_layout_faults(path, entries), *_header_faults(path, entries)]
         return cls(path, sizes, tuple(faults), archive)
 
     def blocks(self, name: str) -> Iterator[bytes]:
@@ -171,6 +174,23 @@ def _entry_faults(path: Path, entries: list[zipfile.ZipInfo]) -> Iterator[Findin
         if entry.file_size > _SMALL and entry.file_size > _MOST_TIMES_SMALLER * max(1, entry.compress_size):
             problem = f"it would unpack to {entry.file_size:,} bytes out of {entry.compress_size:,}: a zip bomb"
             yield _fault(path, name, problem)
+
+
+def _header_faults(path: Path, entries: list[zipfile.ZipInfo]) -> Iterator[Finding]:
+    """Yield files whose own header says something else than the directory at the end, which is what is read."""
+    with path.open("rb") as file:
+        for entry in entries:
+            file.seek(entry.header_offset)
+            header = file.read(_HEADER)
+            if len(header) < _HEADER:
+                yield _fault(path, entry.filename, "its header is cut off")
+                continue
+            magic, _, flags, method, time, date, *_ = _LOCAL.unpack(header)
+            day = ((date >> 9) + 1980, date >> 5 & 0xF, date & 0x1F)
+            stamp = (*day, time >> 11, time >> 5 & 0x3F, (time & 0x1F) * 2)
+            wanted = (b"PK\x03\x04", entry.flag_bits, entry.compress_type, entry.date_time)
+            if (magic, flags, method, stamp) != wanted:
+                yield _fault(path, entry.filename, "its header is damaged: the directory of the zip file differs")
 
 
 def _layout_faults(path: Path, entries: list[zipfile.ZipInfo]) -> Iterator[Finding]:

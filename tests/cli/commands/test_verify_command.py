@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -21,9 +22,12 @@ def test_an_intact_package_is_called_so(robot_runner, package, packed, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["small.zip"]
 
 
-def test_a_damaged_package_is_refused(robot_runner, package):
+@pytest.mark.parametrize("place", [10, 100], ids=["header", "data"])
+def test_a_damaged_package_is_refused(robot_runner, package, place):
+    with zipfile.ZipFile(package) as archive:
+        place += archive.getinfo("run_table.csv").header_offset
     content = bytearray(package.read_bytes())
-    content[5000] ^= 255
+    content[place] ^= 255
     package.write_bytes(content)
     answer = robot_runner("verify", "small.zip")
     assert answer.code == 2

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import signal
 import subprocess
+import time
 from typing import TYPE_CHECKING
 
 from robot_runner.errors import PluginError
@@ -26,6 +27,7 @@ PROGRAMS = {Encoding.ROS1: "rosbag", Encoding.CDR: "ros2"}
 _STARTUP = 15.0
 _GRACE = 30.0
 _FETCH = 600.0
+_LOOK = 0.02
 
 #: What each takes for "finish your bag, and end". `rosbag` passes SIGTERM on to the program behind it as SIGINT, and
 #: SIGINT not at all, which a terminal would send to both.
@@ -45,6 +47,7 @@ exec >/dev/null 2>&1
 cat
 kill -{signal} $!
 wait $!
+for i in $(seq 300); do ls ./*.active >/dev/null 2>&1 || break; sleep 0.1; done
 touch done
 """
 
@@ -100,12 +103,19 @@ class BagProgram:
         """End it, fetch the bag where it is on another computer, and say what went wrong, if anything did."""
         if self._host == LOCAL:
             ending = self._process.stop(_END[self._encoding], grace=_GRACE)
+            self._wait_until_renamed()
         else:
             ending = self._process.stop(signal.SIGTERM, grace=_GRACE)
             problem = self._fetched()
             if problem is not None:
                 return problem
         return None if ending.was_asked else f"the recorder ended by itself: {ending.complaint}"
+
+    def _wait_until_renamed(self) -> None:
+        """Wait for the recorder behind `rosbag`, which may outlive it: a bag is called `.active` until it is finished."""
+        deadline = time.monotonic() + _GRACE
+        while any(self._folder.glob("*.active")) and time.monotonic() < deadline:
+            time.sleep(_LOOK)
 
     def _has_begun(self) -> bool:
         if self._host != LOCAL:
