@@ -112,7 +112,7 @@ class BagProgram:
         return None if ending.was_asked else f"the recorder ended by itself: {ending.complaint}"
 
     def _wait_until_renamed(self) -> None:
-        """Wait for the recorder behind `rosbag`, which may outlive it: a bag is called `.active` until it is finished."""
+        """Wait for the recorder behind `rosbag`, which outlives it: until it is finished, a bag is called `.active`."""
         deadline = time.monotonic() + _GRACE
         while any(self._folder.glob("*.active")) and time.monotonic() < deadline:
             time.sleep(_LOOK)
