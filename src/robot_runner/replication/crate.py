@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+from importlib.metadata import PackageNotFoundError, metadata
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.errors import PackageError
@@ -249,7 +250,7 @@ class _Crate:
         for plugin in self._manifest.get("plugins", ()):
             kind, name = str(plugin.get("class", "")).rpartition(":")[2], str(plugin.get("name"))
             package = plugin.get("package")
-            page = f"https://pypi.org/project/{package}/" if package not in {None, "robot-runner"} else _PAPER
+            page = _page_of(package)
             yield self._entity(
                 f"{page}#plugin-{_slug(name)}",
                 "SoftwareApplication",
@@ -258,6 +259,18 @@ class _Crate:
                 softwareVersion=f"{package} {plugin.get('version')}" if package else "a local module of the config",
                 description=f"Yields {', '.join(plugin.get('measures') or ()) or 'no measures'}.",
             )
+
+
+def _page_of(package: str | None) -> str:
+    """Return the page that a plugin's package names as its own; the paper's where it names none."""
+    try:
+        told = metadata(package) if package else None
+    except PackageNotFoundError:
+        told = None
+    if told is None:
+        return _PAPER
+    urls = [each.partition(",")[2].strip() for each in told.get_all("Project-URL") or ()]
+    return next((each for each in urls if each.startswith("https://")), _PAPER)
 
 
 def _compact(entity: dict[str, Any]) -> dict[str, Any]:
