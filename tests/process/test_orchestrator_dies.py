@@ -213,3 +213,18 @@ def test_a_process_that_is_killed_while_it_waits_for_its_run_costs_no_run(start:
     assert experiment.wait_for("killed in r_3")
     assert experiment.statuses == ["Done"] * 4
     assert experiment.nobody_is_left()
+
+
+def test_a_guardian_that_is_killed_between_two_runs_costs_no_run(start: Start) -> None:
+    experiment = start(
+        """
+        time_between_runs_in_ms = 1500
+        def stop_run(self, context):
+            import os, subprocess
+            if context.run_id == "r_1":
+                subprocess.Popen(["sh", "-c", f"sleep 0.5; kill -9 {os.getppid()}"], start_new_session=True)
+        """
+    )
+    assert experiment.end() == 0, experiment.output
+    assert experiment.statuses == ["Done"] * 4
+    assert experiment.nobody_is_left()

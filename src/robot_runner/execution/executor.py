@@ -69,6 +69,8 @@ class _ProcessExecutor:
             self._guardian = None
 
     def execute(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunOutcome:
+        if self._guardian is not None and self._guardian.has_died():  # between two runs: it costs none
+            self.let_go()
         if self._guardian is None:
             self._guardian = Guardian(self._starter, self._limits.grace).__enter__()
         run = self._guardian.start(hand_over(self._experiment, task))

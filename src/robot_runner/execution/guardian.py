@@ -45,6 +45,7 @@ class Guardian:
         """Take what starts a run, and the seconds that an abandoned run has to close what it opened."""
         self._starter = starter
         self._grace = grace
+        self._status: int | None = None
 
     def __enter__(self) -> Self:
         sys.stdout.flush()  # or a run would print it again
@@ -74,9 +75,16 @@ class Guardian:
         os.close(self._records)
         self._run.close()
 
+    def has_died(self) -> bool:
+        """Look, without waiting, whether somebody killed it."""
+        if self._status is None:
+            pid, status = os.waitpid(self._pid, os.WNOHANG)
+            self._status = status if pid else None
+        return self._status is not None
+
     def wait(self) -> int:
         """Wait until the process is gone; return how it went, as `os.waitpid` does."""
-        with suppress(ChildProcessError):  # it was waited for before
+        if self._status is None:
             self._status = os.waitpid(self._pid, 0)[1]
         return self._status
 
@@ -105,7 +113,8 @@ class Guardian:
 
     def _say(self, command: bytes) -> None:
         with suppress(BrokenPipeError):  # it was killed: seen by who waits for the run's end
-            os.write(self._commands, command)
+            while command:  # a signal may come in between
+                command = command[os.write(self._commands, command) :]
 
 
 class GuardedRun:
