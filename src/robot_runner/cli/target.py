@@ -18,10 +18,10 @@ from robot_runner.storage.layout import ExperimentFolder
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["experiment_folder"]
+__all__ = ["folder_of_target"]
 
 
-def experiment_folder(target: str, assignments: Sequence[str]) -> ExperimentFolder:
+def folder_of_target(target: str, assignments: Sequence[str]) -> ExperimentFolder:
     """Return the folder of the experiment that is meant.
 
     Raises:

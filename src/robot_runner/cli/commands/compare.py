@@ -16,7 +16,7 @@ from robot_runner.cli.aligned import Column, aligned, width_of
 from robot_runner.cli.arguments import add_json
 from robot_runner.cli.console import UserConsole, output, shown_path
 from robot_runner.cli.facts import print_facts, print_folded
-from robot_runner.cli.target import experiment_folder
+from robot_runner.cli.target import folder_of_target
 from robot_runner.cli.wording import counted, one_line
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Print the comparison; a difference is no failure, so the exit code is 0."""
-    first, second = (experiment_folder(target, []).root for target in (arguments.first, arguments.second))
+    first, second = (folder_of_target(target, []).root for target in (arguments.first, arguments.second))
     from robot_runner.analysis.comparison.comparing import compare  # noqa: PLC0415 - slow, and an extra
 
     comparison = compare(

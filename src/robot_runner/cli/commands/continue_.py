@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.cli.arguments import add_set, add_target
 from robot_runner.cli.console import shown_path
-from robot_runner.cli.target import experiment_folder
+from robot_runner.cli.target import folder_of_target
 from robot_runner.errors import ExecutionError
 from robot_runner.execution.status import ExperimentStatus, read_status
 from robot_runner.storage.control import Command, send_command
@@ -33,7 +33,7 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Tell the experiment to go on, and see that it has heard."""
-    folder = experiment_folder(arguments.target, arguments.set)
+    folder = folder_of_target(arguments.target, arguments.set)
     status = read_status(folder.root)
     _refuse_unless_it_waits(status)
     send_command(folder.control, Command.CONTINUE)

@@ -10,7 +10,7 @@ from rich.text import Text
 from robot_runner.cli.arguments import add_json, add_set, add_target
 from robot_runner.cli.console import UserConsole, output, print_json
 from robot_runner.cli.facts import print_facts
-from robot_runner.cli.target import experiment_folder
+from robot_runner.cli.target import folder_of_target
 from robot_runner.cli.wording import one_line, shown_value
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Print where each value comes from."""
-    folder = experiment_folder(arguments.target, arguments.set).root
+    folder = folder_of_target(arguments.target, arguments.set).root
     from robot_runner.replication.explanation import explain_run  # noqa: PLC0415 - for a quick --help
 
     explanation = explain_run(folder, arguments.run, arguments.names)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from robot_runner.cli.arguments import add_json, add_set, add_target
 from robot_runner.cli.console import output, print_json, shown_path
 from robot_runner.cli.facts import print_facts
-from robot_runner.cli.target import experiment_folder
+from robot_runner.cli.target import folder_of_target
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -30,7 +30,7 @@ def execute(arguments: Namespace) -> int:
     """Write the files, and name them."""
     from robot_runner.analysis.results import load_results  # noqa: PLC0415 - takes a second to import
 
-    results = load_results(experiment_folder(arguments.target, arguments.set).root)
+    results = load_results(folder_of_target(arguments.target, arguments.set).root)
     files = results.export(Path(arguments.to) if arguments.to else None)
     if arguments.json:
         print_json({"files": list(map(str, files))})

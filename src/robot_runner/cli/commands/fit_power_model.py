@@ -17,7 +17,7 @@ from robot_runner.cli.arguments import add_json, add_set, add_target
 from robot_runner.cli.console import UserConsole, output, print_json, shown_path
 from robot_runner.cli.facts import print_facts
 from robot_runner.cli.parser import UsageError
-from robot_runner.cli.target import experiment_folder
+from robot_runner.cli.target import folder_of_target
 from robot_runner.cli.templating import write_new_file
 from robot_runner.cli.wording import counted, listed, shown_duration
 from robot_runner.errors import did_you_mean
@@ -90,7 +90,7 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Fit the model, print how well it fits, and write it if a file was named."""
-    folder = experiment_folder(arguments.target, arguments.set)
+    folder = folder_of_target(arguments.target, arguments.set)
     fitting = cast("_Fitting", find_plugin("profilers", "PowerModel").load())
     model = fitting.fit(
         folder.root,

@@ -18,7 +18,7 @@ from robot_runner.cli.facts import print_facts, print_folded
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.parser import UsageError
 from robot_runner.cli.screens.byte_progress import byte_progress
-from robot_runner.cli.target import experiment_folder
+from robot_runner.cli.target import folder_of_target
 from robot_runner.cli.wording import counted, one_line
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Write the package; say what is in it, what is not, and what others will miss."""
-    folder = experiment_folder(arguments.target, arguments.set).root
+    folder = folder_of_target(arguments.target, arguments.set).root
     authors, licence = _authors(arguments.author), _licence(arguments.licence)
     from robot_runner.replication.packing import Packing, pack  # noqa: PLC0415 - takes a while to import
 

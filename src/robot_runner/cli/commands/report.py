@@ -13,7 +13,7 @@ from robot_runner.cli.arguments import add_set, add_target
 from robot_runner.cli.console import output, shown_path
 from robot_runner.cli.facts import print_facts
 from robot_runner.cli.parser import UsageError
-from robot_runner.cli.target import experiment_folder
+from robot_runner.cli.target import folder_of_target
 from robot_runner.cli.wording import counted
 from robot_runner.errors import did_you_mean
 
@@ -58,7 +58,7 @@ def execute(arguments: Namespace) -> int:
     """Write the report, and print where it is."""
     kind = _one_of(_FORMATS, arguments.format, "--format")
     figures = _figures(arguments.figures)
-    folder = experiment_folder(arguments.target, arguments.set).root
+    folder = folder_of_target(arguments.target, arguments.set).root
     from robot_runner.analysis.report.writing import ReportFormat, write_report  # noqa: PLC0415 - slow, and an extra
 
     written = write_report(

@@ -12,7 +12,7 @@ from robot_runner.cli.console import UserConsole, output, print_json, shown_path
 from robot_runner.cli.facts import print_facts
 from robot_runner.cli.findings import as_json
 from robot_runner.cli.odd import print_odd
-from robot_runner.cli.target import experiment_folder
+from robot_runner.cli.target import folder_of_target
 from robot_runner.cli.wording import counted
 from robot_runner.execution.status import ExperimentStatus, read_status
 
@@ -35,7 +35,7 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Print how far the experiment is."""
-    status = read_status(experiment_folder(arguments.target, arguments.set).root)
+    status = read_status(folder_of_target(arguments.target, arguments.set).root)
     if arguments.json:
         print_json(_as_json(status))
     else:
