@@ -12,16 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from benchmarks.table import Row, print_table
-from robot_runner.design.factor import Factor
-from robot_runner.design.run_table_model import RunTableModel
-from robot_runner.storage.layout import ExperimentFolder
-from robot_runner.storage.manifest import write_manifest
-from robot_runner.storage.run_status import RunStatus
-from robot_runner.storage.run_table_file import write_run_table
-from robot_runner.storage.run_table_rows import RunTableRows
-from robot_runner.storage.table_description import describe_columns
-from robot_runner.storage.table_layout import TableLayout
-from robot_runner.storage.table_schema import write_schema
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.manifest import write_manifest
+from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
+from robot_runner.core.storage.table_columns import TableLayout
+from robot_runner.core.storage.table_schema import describe_columns, write_schema
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -135,7 +135,7 @@ def _hear_ros1(latencies: list[int]) -> Callable[[], None]:
 
 
 def _speak_link(link: Any, rate: float, count: int, is_heard: Event) -> None:
-    from robot_runner.links.robot import Qos  # noqa: PLC0415  # a link is opened in the process that uses it
+    from robot_runner.core.links.robot import Qos  # noqa: PLC0415  # a link is opened in the process that uses it
 
     qos = Qos.RELIABLE if rate >= _FAST_RATE else Qos.DEFAULT
     _speak(lambda now: link.publish(_TOPIC, _ODOMETRY, _message(now), qos=qos), rate, count, is_heard)
@@ -153,15 +153,15 @@ def _hear_link(link: Any, latencies: list[int]) -> Callable[[], None]:
 
 
 def _dds_link() -> Any:
-    from robot_runner.events.clock import SystemClock  # noqa: PLC0415  # as above
-    from robot_runner.links.dds.opening import open_dds_link  # noqa: PLC0415
+    from robot_runner.core.events.context import SystemClock  # noqa: PLC0415  # as above
+    from robot_runner.ros.dds.link import open_dds_link  # noqa: PLC0415
 
     return open_dds_link({"domain": str(_DOMAIN), "distro": "jazzy"}, SystemClock())
 
 
 def _ros1_link() -> Any:
-    from robot_runner.events.clock import SystemClock  # noqa: PLC0415  # as above
-    from robot_runner.links.ros1.opening import open_ros1_link  # noqa: PLC0415
+    from robot_runner.core.events.context import SystemClock  # noqa: PLC0415  # as above
+    from robot_runner.ros.ros1.link import open_ros1_link  # noqa: PLC0415
 
     return open_ros1_link({}, SystemClock())
 
@@ -222,7 +222,7 @@ def _cyclone() -> tuple[Any, Any, Any]:
 @contextmanager
 def _master() -> Iterator[None]:
     """Start a master on loopback, and end it by its process id."""
-    from robot_runner.links.ros1.master import Master  # noqa: PLC0415
+    from robot_runner.ros.ros1.master import Master  # noqa: PLC0415
 
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -241,7 +241,7 @@ def _master() -> Iterator[None]:
 
 
 def _answers(master: Any) -> bool:
-    from robot_runner.errors import LinkError  # noqa: PLC0415
+    from robot_runner.core.errors import LinkError  # noqa: PLC0415
 
     try:
         master.check()

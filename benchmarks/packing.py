@@ -12,11 +12,11 @@ import zipfile
 from pathlib import Path
 
 from benchmarks.table import Row, print_table
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.manifest import describe_host, describe_software, write_manifest
+from robot_runner.core.storage.table_columns import ColumnRole
+from robot_runner.core.storage.table_schema import ColumnDescription, write_schema
 from robot_runner.replication.packing import Packing, pack
-from robot_runner.storage.layout import ExperimentFolder
-from robot_runner.storage.manifest import describe_host, describe_software, write_manifest
-from robot_runner.storage.table_layout import ColumnRole
-from robot_runner.storage.table_schema import ColumnDescription, write_schema
 
 _MEBIBYTE = 1 << 20
 _RUNS = 8

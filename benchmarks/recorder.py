@@ -43,9 +43,8 @@ def main() -> None:
 
 
 def _recorded(folder: Path) -> tuple[int, int, float]:
-    from robot_runner.plugins.profilers.ros_bag.bag_file import messages_in  # noqa: PLC0415  # heavy
-    from robot_runner.plugins.profilers.ros_bag.recorder import LinkRecorder  # noqa: PLC0415
-    from robot_runner.plugins.profilers.ros_listening import TypedTopic  # noqa: PLC0415
+    from robot_runner.ros.bag_file import LinkRecorder, messages_in  # noqa: PLC0415  # heavy
+    from robot_runner.ros.topic_statistics import TypedTopic  # noqa: PLC0415
 
     context = multiprocessing.get_context("spawn")
     is_ready, is_recording = context.Event(), context.Event()
@@ -83,8 +82,8 @@ def _speak(is_ready: Event, is_recording: Event) -> None:
 
 
 def _link() -> Any:
-    from robot_runner.events.clock import SystemClock  # noqa: PLC0415  # a link is opened in the process that uses it
-    from robot_runner.links.dds.opening import open_dds_link  # noqa: PLC0415
+    from robot_runner.core.events.context import SystemClock  # noqa: PLC0415  # a link is opened in the process that uses it
+    from robot_runner.ros.dds.link import open_dds_link  # noqa: PLC0415
 
     return open_dds_link({"domain": str(_DOMAIN), "distro": "jazzy"}, SystemClock())
 

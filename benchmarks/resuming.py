@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 from benchmarks.orchestration import scratch
 from benchmarks.table import Row, print_table
-from robot_runner.config.preparation import prepare_or_refuse
-from robot_runner.execution.notices import AttemptStarted, Notice, SilentObserver
-from robot_runner.execution.orchestrator import execute_experiment
-from robot_runner.execution.resumption import Resumption
+from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.execution.notices import AttemptStarted, Notice, SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.execution.recovery import Resumption
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -14,18 +14,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from benchmarks.table import Row, print_table
-from robot_runner.design.factor import Factor
-from robot_runner.design.run_table_model import RunTableModel
-from robot_runner.storage.run_status import RunStatus
-from robot_runner.storage.run_table_file import write_run_table
-from robot_runner.storage.run_table_reading import read_run_table
-from robot_runner.storage.run_table_rows import RunTableRows
-from robot_runner.storage.table_layout import TableLayout
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
+from robot_runner.core.storage.table_columns import TableLayout
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from robot_runner.design.run_table import RunTable
+    from robot_runner.core.design.run_table import RunTable
 
 _SIDE = 1000  # treatments of each of the two factors
 _TIMES = 3

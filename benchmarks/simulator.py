@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import mujoco
 
 from benchmarks.table import Row, print_table
-from robot_runner.links.simulated import SimulatedHost, SimulatedSerialLine
-from robot_runner.links.simulated_robot import SimulatedRobotLink
-from robot_runner.simulator.clock import STEPS_PER_SECOND
 from robot_runner.simulator.model import burger_model
-from robot_runner.simulator.parameters import Turtlebot3Parameters
-from robot_runner.simulator.simulation import Simulation
+from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
+from robot_runner.simulator.simulated_devices import SimulatedHost, SimulatedSerialLine
+from robot_runner.simulator.simulated_link import SimulatedRobotLink
+from robot_runner.simulator.simulated_turtlebot3 import Simulation
+from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
 if TYPE_CHECKING:
     from collections.abc import Callable

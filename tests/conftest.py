@@ -8,9 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.command_line import program, robot_runner, terminal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+
+__all__ = ["program", "robot_runner", "terminal"]
 
 HEAD = """\
 from pathlib import Path
@@ -44,7 +47,7 @@ def write_config(tmp_path: Path) -> Callable[..., Path]:
 @pytest.fixture(scope="session")
 def master_uri(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """One master for all tests of ROS 1: a process can join the graph of one only."""
-    from tests.links.ros1_master import ros1_environment, ros1_master
+    from tests.ros.ros1_master import ros1_environment, ros1_master
 
     folder = Path(tmp_path_factory.mktemp("ros1"))
     with ros1_master(folder) as uri:

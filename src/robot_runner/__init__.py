@@ -9,17 +9,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from robot_runner.config.authors import Author
-    from robot_runner.config.choices import FailurePolicy, OperationType, RunProcess
-    from robot_runner.config.experiment_config import ExperimentConfig
-    from robot_runner.design.analysis_plan import AnalysisPlan, Correction, Hypothesis
-    from robot_runner.design.factor import Factor
-    from robot_runner.design.run_table_model import RunTableModel
-    from robot_runner.errors import RobotRunnerError
-    from robot_runner.events.context import ExperimentContext, RobotRunnerContext
-    from robot_runner.events.event import RobotRunnerEvents
-    from robot_runner.events.measure import Measure, Origin
-    from robot_runner.events.subscription import EventSubscriptionController
+    from robot_runner.core.config.experiment import Author
+    from robot_runner.core.config.parameters import ExperimentConfig, FailurePolicy, OperationType, RunProcess
+    from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Hypothesis
+    from robot_runner.core.design.factor import Factor
+    from robot_runner.core.design.run_table_model import RunTableModel
+    from robot_runner.core.errors import RobotRunnerError
+    from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
+    from robot_runner.core.events.manager import EventSubscriptionController, RobotRunnerEvents
+    from robot_runner.core.events.measure import Measure, Origin
 
 __all__ = [
     "AnalysisPlan",
@@ -42,23 +40,23 @@ __all__ = [
 ]
 
 _HOMES = {
-    "AnalysisPlan": "robot_runner.design.analysis_plan",
-    "Author": "robot_runner.config.authors",
-    "Correction": "robot_runner.design.analysis_plan",
-    "Hypothesis": "robot_runner.design.analysis_plan",
-    "EventSubscriptionController": "robot_runner.events.subscription",
-    "ExperimentConfig": "robot_runner.config.experiment_config",
-    "ExperimentContext": "robot_runner.events.context",
-    "Factor": "robot_runner.design.factor",
-    "FailurePolicy": "robot_runner.config.choices",
-    "Measure": "robot_runner.events.measure",
-    "OperationType": "robot_runner.config.choices",
-    "Origin": "robot_runner.events.measure",
-    "RobotRunnerContext": "robot_runner.events.context",
-    "RobotRunnerError": "robot_runner.errors",
-    "RobotRunnerEvents": "robot_runner.events.event",
-    "RunProcess": "robot_runner.config.choices",
-    "RunTableModel": "robot_runner.design.run_table_model",
+    "AnalysisPlan": "robot_runner.core.design.analysis_plan",
+    "Author": "robot_runner.core.config.experiment",
+    "Correction": "robot_runner.core.design.analysis_plan",
+    "Hypothesis": "robot_runner.core.design.analysis_plan",
+    "EventSubscriptionController": "robot_runner.core.events.manager",
+    "ExperimentConfig": "robot_runner.core.config.parameters",
+    "ExperimentContext": "robot_runner.core.events.context",
+    "Factor": "robot_runner.core.design.factor",
+    "FailurePolicy": "robot_runner.core.config.parameters",
+    "Measure": "robot_runner.core.events.measure",
+    "OperationType": "robot_runner.core.config.parameters",
+    "Origin": "robot_runner.core.events.measure",
+    "RobotRunnerContext": "robot_runner.core.events.context",
+    "RobotRunnerError": "robot_runner.core.errors",
+    "RobotRunnerEvents": "robot_runner.core.events.manager",
+    "RunProcess": "robot_runner.core.config.parameters",
+    "RunTableModel": "robot_runner.core.design.run_table_model",
 }
 
 

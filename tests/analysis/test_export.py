@@ -10,8 +10,8 @@ from pyarrow import parquet
 from tests.analysis.made_experiment import make_experiment, write_phases, write_samples
 
 from robot_runner.analysis import load_results
-from robot_runner.design.factor import Factor
-from robot_runner.errors import StorageError
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.errors import StorageError
 
 
 @pytest.fixture

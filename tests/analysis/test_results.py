@@ -12,14 +12,14 @@ import pytest
 from tests.analysis.made_experiment import make_experiment, write_phases, write_samples
 
 from robot_runner.analysis import load_results
-from robot_runner.design.factor import Factor
-from robot_runner.errors import AnalysisError, StorageError
-from robot_runner.storage.journal import Journal
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.errors import AnalysisError, StorageError
+from robot_runner.core.storage.journal import Journal
 
 HOLDING = """
 import sys
 from pathlib import Path
-from robot_runner.storage.lock import ExperimentLock
+from robot_runner.core.storage.lock import ExperimentLock
 with ExperimentLock(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()

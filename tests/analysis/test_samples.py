@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from tests.analysis.made_experiment import make_experiment, write_phases, write_samples
 
 from robot_runner.analysis import load_results
-from robot_runner.analysis.growing_column import GrowingColumn
-from robot_runner.errors import AnalysisError
+from robot_runner.analysis.samples import GrowingColumn
+from robot_runner.core.errors import AnalysisError
 
 
 @pytest.fixture

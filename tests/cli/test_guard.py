@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.cli.guard import guarded
-from robot_runner.errors import ConfigError, Finding, LinkError
+from robot_runner.core.errors import ConfigError, Finding, LinkError
 
 if TYPE_CHECKING:
     from collections.abc import Callable

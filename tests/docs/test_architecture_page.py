@@ -15,16 +15,21 @@ FLOORS = [re.findall(r"`([\w.]+)`", row) for row in ROWS]
 
 
 def _layers() -> list[list[str]]:
-    """The layers of the import contract, each as the names of its packages below `robot_runner`."""
+    """The layers of the import contracts, each as the names of its packages below `robot_runner`."""
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
         "contracts"
     ]
-    layers = next(contract["layers"] for contract in contracts if contract["type"] == "layers")
-    return [re.findall(r"robot_runner\.([\w.]+)", layer) for layer in layers]
+    layered = [contract for contract in contracts if contract["type"] == "layers"]
+    return [
+        [(container + "." + name.strip()).removeprefix("robot_runner.") for name in layer.split("|")]
+        for contract in layered
+        for container in contract["containers"]
+        for layer in contract["layers"]
+    ]
 
 
 def test_every_package_has_a_row() -> None:
-    packages = {path.parent.name for path in SOURCE.glob("*/__init__.py")}
+    packages = {path.parent.name for path in SOURCE.glob("*/__init__.py")} - {"plugins"}  # a door
     named = {name.partition(".")[0] for floor in FLOORS for name in floor}
     assert packages - named == set()
 

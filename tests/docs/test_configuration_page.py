@@ -9,9 +9,9 @@ from pathlib import Path, PurePath
 import pytest
 
 from robot_runner.cli.main import main
-from robot_runner.config.parameters import PARAMETERS, REQUIRED
-from robot_runner.events.context import ExperimentContext, RobotRunnerContext
-from robot_runner.events.event import ORCHESTRATED_EVENTS, RobotRunnerEvents
+from robot_runner.core.config.parameters import PARAMETERS, REQUIRED
+from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
+from robot_runner.core.events.manager import ORCHESTRATED_EVENTS, RobotRunnerEvents
 
 PAGE = (Path(__file__).parents[2] / "docs" / "configuration.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)

@@ -45,7 +45,7 @@ def test_listing_1_is_refused_as_told(
     monkeypatch.setenv("HOME", str(tmp_path))
     for name in ("ROS_VERSION", "ROS_DISTRO"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("robot_runner.config.checks.required_ros.installed_ros", lambda: None)
+    monkeypatch.setattr("robot_runner.ros.required_ros.installed_ros", lambda: None)
     monkeypatch.chdir(Path(__file__).parents[2])
     block = next(block for block in CONSOLES if "listing_1" in block)
     assert [main(words) for words in _commands(block)] == [2]

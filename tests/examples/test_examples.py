@@ -120,7 +120,7 @@ def test_listing_1_is_refused_without_its_robot_and_says_what_to_do(
 ) -> None:
     for name in ("ROS_VERSION", "ROS_DISTRO", "ROS_ROOT"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("robot_runner.config.checks.required_ros.installed_ros", lambda: None)  # Debian has one
+    monkeypatch.setattr("robot_runner.ros.required_ros.installed_ros", lambda: None)  # Debian has one
     monkeypatch.setenv("HOME", str(tmp_path))
     assert main(["run", str(EXAMPLES / "listing_1.py")]) == 2
     said = capsys.readouterr().err

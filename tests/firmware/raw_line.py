@@ -6,14 +6,14 @@ import os
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from robot_runner.plugins.profilers.ina219.frames import FrameDecoder
+from robot_runner.meters.ina219.frames import FrameDecoder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from tests.firmware.simulated_board import Board
 
-    from robot_runner.plugins.profilers.ina219.frames import Frame
+    from robot_runner.meters.ina219.frames import Frame
 
 
 @contextmanager

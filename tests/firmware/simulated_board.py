@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.links.serial import Chunk
+from robot_runner.core.links.serial_line import Chunk
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from robot_runner.links.serial_port import SerialPort
+    from robot_runner.core.links.serial_line import SerialPort
 
 ROOT = Path(__file__).parents[2]
 FIRMWARE = ROOT / "firmware" / "ina219"

@@ -10,9 +10,9 @@ import pytest
 from tests.firmware.card_image import make_card
 from tests.firmware.measuring import MISSION, VOLTS, measure, metered
 
-from robot_runner.errors import LinkError
+from robot_runner.core.errors import LinkError
+from robot_runner.meters.ina219.card import read_card
 from robot_runner.plugins.profilers import Ina219
-from robot_runner.plugins.profilers.ina219 import read_card
 from robot_runner.testing import FakeClock, make_context, rehearse
 
 PATH = os.environ.get("PATH", "") + ":/usr/sbin:/sbin"  # where Debian keeps what formats

@@ -7,7 +7,7 @@ import time
 import pytest
 from tests.firmware.measuring import MISSION, SWING, VOLTS, Steps, measure
 
-from robot_runner.events.clock import SystemClock
+from robot_runner.core.events.context import SystemClock
 from robot_runner.plugins.profilers import Ina219
 from robot_runner.testing import make_context, rehearse
 

@@ -7,7 +7,7 @@ import csv
 import pytest
 from tests.firmware.measuring import VOLTS, Steps, measure, metered
 
-from robot_runner.errors import LinkError
+from robot_runner.core.errors import LinkError
 from robot_runner.plugins.profilers import Ina219
 from robot_runner.testing import rehearse
 

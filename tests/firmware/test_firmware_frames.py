@@ -9,9 +9,9 @@ from itertools import pairwise
 import pytest
 from tests.firmware.measuring import MISSION, MISSIONS, VOLTS, measure
 from tests.firmware.raw_line import decoded, intact, opened, read_until_unplugged
-from tests.plugins.profilers.scripted_meter import hello, mark, sample
+from tests.meters.scripted_meter import hello, mark, sample
 
-from robot_runner.plugins.profilers.ina219.frames import FrameDecoder, Hello, Mark, SampleFrame
+from robot_runner.meters.ina219.frames import FrameDecoder, Hello, Mark, SampleFrame
 
 
 def encoded(one) -> bytes:

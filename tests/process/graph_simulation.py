@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.events.clock import SystemClock
-from robot_runner.links.graph_links import open_graph_link
-from robot_runner.links.robot_name import RobotName
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.robot import RobotName
+from robot_runner.ros.graph_links import open_graph_link
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

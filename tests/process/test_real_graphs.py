@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.conftest import HEAD, TABLE
-from tests.links.dds_domain import LOOPBACK, claim_domain
-from tests.links.ros1_master import RUDE, needs_ros1
 from tests.process.graph_simulation import simulated_robot, witness
+from tests.ros.dds_domain import LOOPBACK, claim_domain
+from tests.ros.ros1_master import RUDE, needs_ros1
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -7,9 +7,9 @@ import sys
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from robot_runner.config.preparation import prepare_or_refuse
-from robot_runner.execution.notices import SilentObserver
-from robot_runner.execution.orchestrator import execute_experiment
+from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.execution.notices import SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

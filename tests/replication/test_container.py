@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from robot_runner.replication.container import container_commands, containerfile, image_name
+from robot_runner.replication.about import container_commands, containerfile, image_name
 
 
 def _recipe(**manifest):

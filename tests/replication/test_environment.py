@@ -9,14 +9,13 @@ import zipfile
 import pytest
 from tests.replication.small_index import tiny_wheel
 
-from robot_runner.errors import PackageError
-from robot_runner.links.ros_packages import describe_ros
+from robot_runner.core.errors import PackageError
+from robot_runner.core.storage.manifest import describe_host, describe_software
 from robot_runner.replication.differences import differing_environment, differing_packages
-from robot_runner.replication.distributions import closure, installed_distributions
+from robot_runner.replication.distributions import closure, installed_distributions, wheel_name, wheel_of, write_wheel
 from robot_runner.replication.environment import record_environment
-from robot_runner.replication.local_wheels import wheel_name, wheel_of, write_wheel
 from robot_runner.replication.virtual_environment import make_environment, remaining_differences
-from robot_runner.storage.manifest import describe_host, describe_software
+from robot_runner.ros.ros_environment import describe_ros
 
 
 @pytest.fixture
@@ -60,7 +59,7 @@ def test_a_wheel_of_a_local_package_can_be_imported_elsewhere(tmp_path):
     assert wheel.read_bytes() == again.read_bytes()
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(tmp_path / "site")
-    code = "import robot_runner.errors as e; print(e.__file__)"
+    code = "import robot_runner.core.errors as e; print(e.__file__)"
     answer = subprocess.run(
         [sys.executable, "-c", code],
         env={"PYTHONPATH": str(tmp_path / "site")},

@@ -9,7 +9,7 @@ import pytest
 from tests.analysis.experiment_folders import two_tasks
 from tests.replication.small_experiment import CONFIG
 
-from robot_runner.errors import StorageError
+from robot_runner.core.errors import StorageError
 from robot_runner.replication.explanation import explain_run
 
 

@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 from tests.replication.small_experiment import RUNS, SECRET, home
 
-from robot_runner.config.authors import Author
-from robot_runner.errors import PackageError
+from robot_runner.core.config.experiment import Author
+from robot_runner.core.errors import PackageError
+from robot_runner.core.storage.lock import ExperimentLock
 from robot_runner.replication.packing import Packing, pack
-from robot_runner.storage.lock import ExperimentLock
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import zipfile
 
 import pytest
 
-from robot_runner.errors import PackageError, StorageError
+from robot_runner.core.errors import PackageError, StorageError
 from robot_runner.replication import plain_zip
 from robot_runner.replication.packing import pack
 from robot_runner.replication.plain_zip import written_beside

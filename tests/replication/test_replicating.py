@@ -9,16 +9,15 @@ from pathlib import Path
 import pytest
 from tests.replication.small_experiment import SECRET, execute, own_modules, write_config
 
-from robot_runner.errors import ConfigError, PackageError
-from robot_runner.execution.notices import SilentObserver
-from robot_runner.execution.orchestrator import execute_experiment
-from robot_runner.replication.preparing import prepare_replication
-from robot_runner.replication.sameness import identical_values
-from robot_runner.storage.layout import ExperimentFolder
-from robot_runner.storage.manifest import read_manifest
-from robot_runner.storage.run_table_reading import read_run_table
-from robot_runner.storage.table_layout import TableLayout
-from robot_runner.storage.table_schema import read_schema
+from robot_runner.core.errors import ConfigError, PackageError
+from robot_runner.core.execution.notices import SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.manifest import read_manifest
+from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.table_columns import TableLayout
+from robot_runner.core.storage.table_schema import read_schema
+from robot_runner.replication.preparing import identical_values, prepare_replication
 
 
 @pytest.fixture(autouse=True)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from robot_runner.errors import PackageError
+from robot_runner.core.errors import PackageError
 from robot_runner.replication.opening import open_package
 from robot_runner.replication.source import find_source
 from robot_runner.replication.verification import refuse_faults, verify_package

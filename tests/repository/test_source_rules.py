@@ -25,7 +25,7 @@ def _talks_to_the_terminal(node: ast.AST) -> bool:
 
 
 def test_modules_are_found() -> None:
-    assert SOURCE / "errors.py" in MODULES
+    assert SOURCE / "core" / "errors.py" in MODULES
 
 
 @each_module
@@ -35,7 +35,7 @@ def test_no_module_is_long(module: Path) -> None:
 
 @each_module
 def test_only_the_command_line_prints_or_exits(module: Path) -> None:
-    if module.is_relative_to(SOURCE / "cli"):
+    if module.is_relative_to(SOURCE / "cli") or module.parent.name == "commands":
         return
     talking = filter(_talks_to_the_terminal, ast.walk(ast.parse(module.read_bytes())))
     assert [node.lineno for node in talking] == []

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.links.ros1_master import needs_ros1
+from tests.ros.ros1_master import needs_ros1
 
 ROOT = Path(__file__).parents[2]
 

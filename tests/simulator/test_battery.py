@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_runner.simulator.battery import Battery
-from robot_runner.simulator.parameters import Turtlebot3Parameters
-from robot_runner.simulator.simulation import Simulation
+from robot_runner.simulator.simulated_turtlebot3 import Simulation
+from robot_runner.simulator.supply import Battery
+from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
 PARAMETERS = Turtlebot3Parameters()
 BATTERY = Battery(PARAMETERS)

@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from robot_runner.simulator.clock import STEPS_PER_SECOND
 from robot_runner.simulator.drive import DifferentialDrive
 from robot_runner.simulator.model import burger_model
-from robot_runner.simulator.parameters import Turtlebot3Parameters
+from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
+from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
 PARAMETERS = Turtlebot3Parameters()
 RADII = (PARAMETERS.wheel_radius, PARAMETERS.wheel_radius)

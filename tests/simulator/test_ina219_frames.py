@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_runner.simulator.ina219_frames import HELLO_SIZE, SAMPLE_SIZE, hello_frame, sample_frames
+from robot_runner.simulator.power_meter import HELLO_SIZE, SAMPLE_SIZE, hello_frame, sample_frames
 
 PROTOCOL = Path(__file__).parents[2] / "docs" / "ina219-protocol.md"
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_runner.simulator.ina219 import CONFIGURATION
-from robot_runner.simulator.parameters import Turtlebot3Parameters
-from robot_runner.simulator.simulation import Simulation
+from robot_runner.simulator.power_meter import CONFIGURATION
+from robot_runner.simulator.simulated_turtlebot3 import Simulation
+from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
 
 def split(data):

@@ -6,9 +6,8 @@ import math
 
 import pytest
 
-from robot_runner.simulator.drive import DifferentialDrive
-from robot_runner.simulator.odometry import WheelOdometry
-from robot_runner.simulator.parameters import Turtlebot3Parameters
+from robot_runner.simulator.drive import DifferentialDrive, WheelOdometry
+from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
 PARAMETERS = Turtlebot3Parameters()
 RADII = (PARAMETERS.wheel_radius, PARAMETERS.wheel_radius)

@@ -6,8 +6,8 @@ from statistics import mean, stdev
 
 import pytest
 
-from robot_runner.simulator.parameters import Turtlebot3Parameters
-from robot_runner.simulator.simulation import Simulation
+from robot_runner.simulator.simulated_turtlebot3 import Simulation
+from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
 QUIET = Turtlebot3Parameters(cpu_deviation=0, memory_deviation=0, run_cpu_deviation=0, run_memory_deviation=0)
 

@@ -9,8 +9,8 @@ from statistics import mean, stdev
 import numpy as np
 import pytest
 
-from robot_runner.simulator.parameters import Turtlebot3Parameters
-from robot_runner.simulator.simulation import Simulation
+from robot_runner.simulator.simulated_turtlebot3 import Simulation
+from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
 TASKS = ("computation", "video", "network")
 SEEDS = range(8)

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from robot_runner.simulator.arena import ARENA, ray_distances
-from robot_runner.simulator.parameters import Turtlebot3Parameters
-from robot_runner.simulator.simulation import Simulation
+from robot_runner.simulator.model import ARENA, ray_distances
+from robot_runner.simulator.simulated_turtlebot3 import Simulation
+from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
 #: The fields of each type, as the ROS definitions have them.
 FIELDS = {

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_runner.errors import LinkError
-from robot_runner.events.clock import Clock
-from robot_runner.simulator.clock import STEP_NS, SimulatedClock, tick_time
+from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import Clock
+from robot_runner.simulator.simulated_clock import STEP_NS, SimulatedClock, tick_time
 
 
 def test_it_is_a_clock():

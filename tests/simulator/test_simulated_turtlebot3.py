@@ -6,10 +6,9 @@ import math
 
 import pytest
 
-from robot_runner.errors import LinkError
-from robot_runner.simulator.simulation import Simulation
-from robot_runner.simulator.tasks import Task
-from robot_runner.simulator.turtlebot3 import SERVICES
+from robot_runner.core.errors import LinkError
+from robot_runner.simulator.onboard import Task
+from robot_runner.simulator.simulated_turtlebot3 import SERVICES, Simulation
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from robot_runner.errors import LinkError
-from robot_runner.simulator.parameters import Turtlebot3Parameters
+from robot_runner.core.errors import LinkError
+from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "simulator.md"
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_runner.simulator.tasks import NO_TASK, Task, TaskRunner
+from robot_runner.simulator.onboard import NO_TASK, Task, TaskRunner
 
 
 @pytest.fixture

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from robot_runner.simulator.clock import SimulatedClock
-from robot_runner.simulator.topic import PublishedTopic
+from robot_runner.simulator.sensors import PublishedTopic
+from robot_runner.simulator.simulated_clock import SimulatedClock
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import pytest
 
-from robot_runner.errors import Finding
-from robot_runner.events.measure import Measure
-from robot_runner.links.connect import connect_robot
+from robot_runner.core.errors import Finding
+from robot_runner.core.events.measure import Measure
+from robot_runner.core.links.connect import connect_robot
 from robot_runner.plugins import Profiler, System
 from robot_runner.testing import FakeClock, FakeLinks, FakeTurtlebot3Link, ProfilerContract, SystemContract
 from robot_runner.testing.plugin_contract import MissionFailed

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from robot_runner.events.clock import Clock
+from robot_runner.core.events.context import Clock
 from robot_runner.testing import FakeClock
 
 

@@ -4,12 +4,12 @@ import math
 
 import pytest
 
-from robot_runner.errors import LinkError, MeasureError
-from robot_runner.events.measure import Measure
-from robot_runner.links.connect import connect_host, connect_robot, open_serial_line
-from robot_runner.links.host import HostLink, UtilisationSampler
-from robot_runner.links.robot import RobotLink, Subscription
-from robot_runner.links.serial import SerialLine
+from robot_runner.core.errors import LinkError, MeasureError
+from robot_runner.core.events.measure import Measure
+from robot_runner.core.links.connect import connect_host, connect_robot, open_serial_line
+from robot_runner.core.links.host import HostLink, UtilisationSampler
+from robot_runner.core.links.robot import RobotLink, Subscription
+from robot_runner.core.links.serial_line import SerialLine
 from robot_runner.plugins import Profiler
 from robot_runner.testing import (
     Chunk,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from robot_runner.errors import LinkError
-from robot_runner.links.robot import Encoding, Qos, RobotLink, Subscription
-from robot_runner.links.type_catalogue import TypeCatalogue
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.robot import Encoding, Qos, RobotLink, Subscription
+from robot_runner.ros.type_catalogue import TypeCatalogue
 from robot_runner.testing import FakeClock, FakeRobotLink, FakeTurtlebot3Link
 
 STRING = "std_msgs/String"

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from robot_runner.errors import ConfigError
-from robot_runner.events.measure import Measure
+from robot_runner.core.errors import ConfigError
+from robot_runner.core.events.measure import Measure
 from robot_runner.plugins import Profiler, System
 from robot_runner.testing import make_context, rehearse
 

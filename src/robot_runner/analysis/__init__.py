@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.analysis.libraries import require_libraries
 
 if TYPE_CHECKING:
+    from robot_runner.analysis.comparison.compared import Comparison
     from robot_runner.analysis.comparison.comparing import compare
-    from robot_runner.analysis.comparison.outcome import Comparison
     from robot_runner.analysis.report.writing import write_report
     from robot_runner.analysis.results import Results, load_results
     from robot_runner.analysis.statistics.experiment import analyse
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["Comparison", "ExperimentStatistics", "Results", "analyse", "compare", "load_results", "write_report"]
 
 _HOMES = {
-    "Comparison": "robot_runner.analysis.comparison.outcome",
+    "Comparison": "robot_runner.analysis.comparison.compared",
     "ExperimentStatistics": "robot_runner.analysis.statistics.outcome",
     "Results": "robot_runner.analysis.results",
     "analyse": "robot_runner.analysis.statistics.experiment",

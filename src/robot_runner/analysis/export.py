@@ -17,9 +17,9 @@ import pandas as pd
 import pyarrow as pa
 from pyarrow import parquet
 
-from robot_runner.design.columns import RUN_ID
-from robot_runner.storage.data_package import data_package, file_resource, table_resource
-from robot_runner.storage.safe_write import storage_error, write_beside_and_rename
+from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
+from robot_runner.core.storage.table_schema import data_package, file_resource, table_resource
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

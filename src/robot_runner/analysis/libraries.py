@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-from robot_runner.errors import AnalysisError
+from robot_runner.core.errors import AnalysisError
 
 __all__ = ["MissingLibraryError", "require_libraries"]
 

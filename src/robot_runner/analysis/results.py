@@ -9,27 +9,33 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.export import export_results
-from robot_runner.analysis.history import History, read_history
-from robot_runner.analysis.phases import phase_files, phase_spans, read_phases
-from robot_runner.analysis.run_frame import RunFrame, column_descriptions, read_run_frame
-from robot_runner.analysis.sample_files import SampleFile, choose_file, find_sample_files, run_files
+from robot_runner.analysis.run_frame import History, RunFrame, column_descriptions, read_history, read_run_frame
+from robot_runner.analysis.sample_files import (
+    SampleFile,
+    choose_file,
+    find_sample_files,
+    phase_files,
+    phase_spans,
+    read_phases,
+    run_files,
+)
 from robot_runner.analysis.samples import PhaseSpans, SampleRequest, read_samples
-from robot_runner.design.analysis_plan import AnalysisPlan
-from robot_runner.design.columns import REPETITION, RUN_ID, STATUS
-from robot_runner.errors import AnalysisError, StorageError, did_you_mean
-from robot_runner.storage.layout import ExperimentFolder
-from robot_runner.storage.lock import holder_of
-from robot_runner.storage.manifest import read_manifest
-from robot_runner.storage.run_status import RunStatus
-from robot_runner.storage.table_layout import ColumnRole
+from robot_runner.core.design.analysis_plan import AnalysisPlan
+from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
+from robot_runner.core.errors import AnalysisError, StorageError, did_you_mean
+from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.lock import holder_of
+from robot_runner.core.storage.manifest import read_manifest
+from robot_runner.core.storage.table_columns import ColumnRole
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     import pandas as pd
 
-    from robot_runner.errors import Finding
-    from robot_runner.storage.table_schema import ColumnDescription
+    from robot_runner.core.errors import Finding
+    from robot_runner.core.storage.table_schema import ColumnDescription
 
 __all__ = ["Results", "load_results"]
 

@@ -1,1 +1,1 @@
-"""The command line: words to calls. The only place that prints or exits."""
+"""The command line. Only this package and the commands of the rooms print or exit."""

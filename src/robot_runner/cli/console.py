@@ -1,29 +1,42 @@
-"""Where text goes: coloured on a terminal, plain elsewhere; what a user wrote is never taken for markup."""
+"""Rows of cells beneath each other, printed as they come: the widths are known before the first row."""
 
 from __future__ import annotations
 
 import json
 import os
 import sys
+import textwrap
 from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
+from rich.cells import cell_len, set_cell_size
 from rich.console import Console
+from rich.text import Text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
 __all__ = [
+    "Column",
     "UserConsole",
+    "aligned",
     "complaints",
+    "fitting",
     "is_live_terminal",
     "no_byte_code",
     "output",
+    "print_facts",
+    "print_folded",
     "print_json",
     "quiet_loading",
     "shown_path",
+    "width_of",
 ]
+
+
+# Where text goes: coloured on a terminal, plain elsewhere; what a user wrote is never taken for markup.
 
 #: Wide enough that nothing is folded where nobody looks at a screen.
 _UNLIMITED = 100_000
@@ -95,3 +108,76 @@ def quiet_loading() -> Iterator[None]:
     """While a config is looked at, what its code prints goes to stderr, and nothing is written beside it."""
     with no_byte_code(), redirect_stdout(sys.stderr):
         yield
+
+
+# A few facts in two columns: what, and how it is.
+
+_NARROWEST = 20
+
+
+def print_facts(console: UserConsole, facts: Iterable[tuple[str, str]], *, indent: int = 2) -> None:
+    """Print facts beneath each other; long ones are folded beneath themselves, and empty ones left out."""
+    told = [(name, fact) for name, fact in facts if fact]
+    names = max((len(name) for name, _ in told), default=0) + indent + 2
+    for name, fact in told:
+        print_folded(console, f"{' ' * indent}{name}".ljust(names), fact, style="bold")
+
+
+def print_folded(console: UserConsole, head: str, text: str, *, style: str) -> None:
+    """Print a text after a head in this style; where it is folded, it goes on beneath itself."""
+    # A path or a command that was broken could not be pasted.
+    width = max(_NARROWEST, console.width - len(head))
+    first, *more = textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False) or [""]
+    console.print(Text(head, style=style).append(first, "not bold default"), soft_wrap=True)
+    for line in more:
+        console.print(Text(" " * len(head) + line), soft_wrap=True)
+
+
+_GAP = "  "
+_WIDEST = 28
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column of text.
+
+    Attributes:
+        width: in cells of a terminal.
+        is_number: whether its cells stand to the right.
+
+    Example:
+        >>> aligned([Column("Task", 7), Column("Energy", 6, is_number=True)], ["Video", "877.1"])
+        'Video     877.1'
+    """
+
+    heading: str
+    width: int
+    is_number: bool = False
+
+
+def width_of(texts: Iterable[str]) -> int:
+    """Return the width that a column needs for these texts, within reason."""
+    return min(_WIDEST, max(map(cell_len, texts), default=0))
+
+
+def fitting(columns: Sequence[Column], width: int) -> int:
+    """Return how many of the first columns fit beside each other; one at least."""
+    used = 0
+    for place, column in enumerate(columns):
+        used += column.width + (len(_GAP) if place else 0)
+        if used > width:
+            return max(1, place)
+    return len(columns)
+
+
+def aligned(columns: Sequence[Column], cells: Sequence[str]) -> str:
+    """Return a row as one line; what is too long for its column ends in `…`."""
+    parts = [_placed(column, cell) for column, cell in zip(columns, cells, strict=False)]
+    return _GAP.join(parts).rstrip()
+
+
+def _placed(column: Column, cell: str) -> str:
+    length = cell_len(cell)
+    if length > column.width:
+        return set_cell_size(cell, column.width - 1) + "…"
+    return f"{' ' * (column.width - length)}{cell}" if column.is_number else set_cell_size(cell, column.width)

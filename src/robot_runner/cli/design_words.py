@@ -4,23 +4,59 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.cli.wording import counted, plain
-from robot_runner.design.listed_runs import ListedRunTableModel
+from robot_runner.cli.console import Column, width_of
+from robot_runner.core.design.columns import REPETITION
+from robot_runner.core.design.listed_runs import ListedRunTableModel
+from robot_runner.core.words import counted, plain, shown_treatment
 
 if TYPE_CHECKING:
-    from robot_runner.design.run_table import PlannedRun
-    from robot_runner.design.run_table_model import RunTableModel
-    from robot_runner.events.columns import MeasureColumn, MeasureColumns
+    from collections.abc import Mapping
 
-__all__ = ["columns_as_json", "design_as_json", "in_words", "measures_in_words", "order_in_words", "run_as_json"]
+    from robot_runner.core.design.factor import Factor
+    from robot_runner.core.design.run_table import PlannedRun
+    from robot_runner.core.design.run_table_model import RunTableModel
+    from robot_runner.core.events.measure import MeasureColumn, MeasureColumns
+
+__all__ = [
+    "columns_as_json",
+    "design_as_json",
+    "in_words",
+    "measures_in_words",
+    "order_in_words",
+    "run_as_json",
+    "run_cells",
+    "run_columns",
+]
+
+
+# The columns that tell runs apart: id, treatments, repetition.
+
+
+def run_columns(model: RunTableModel, last_run_id: str) -> list[Column]:
+    """Return the columns for the runs of a design."""
+    columns = [Column("run", width_of(["run", last_run_id])), *map(_factor_column, model.factors)]
+    if model.repetitions > 1:
+        columns.append(Column(REPETITION, len(REPETITION), is_number=True))
+    return columns
+
+
+def run_cells(model: RunTableModel, run_id: str, combination: Mapping[str, object], repetition: int) -> list[str]:
+    """Return the cells of one run."""
+    cells = [run_id, *map(shown_treatment, combination.values())]
+    return [*cells, str(repetition)] if model.repetitions > 1 else cells
+
+
+def _factor_column(factor: Factor) -> Column:
+    are_numbers = all(isinstance(each, int | float) and not isinstance(each, bool) for each in factor.treatments)
+    return Column(factor.name, width_of([factor.name, *map(shown_treatment, factor.treatments)]), are_numbers)
 
 
 def in_words(model: RunTableModel) -> str:
     """Return how many runs there are and what they come from.
 
     Example:
-        >>> from robot_runner.design.factor import Factor
-        >>> from robot_runner.design.run_table_model import RunTableModel
+        >>> from robot_runner.core.design.factor import Factor
+        >>> from robot_runner.core.design.run_table_model import RunTableModel
         >>> in_words(RunTableModel([Factor("Task", ["Video", "Network"]), Factor("Speed", [1])], repetitions=3))
         '6 runs: Task (2) x Speed (1) x 3 repetitions'
     """

@@ -1,21 +1,25 @@
-"""Findings and errors as a user reads them: severity, place, problem, and beneath it how to mend it."""
+"""What looked odd in the runs of an experiment: what many runs say alike is said once."""
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from robot_runner.cli.console import complaints
-from robot_runner.cli.wording import counted, one_line
+from robot_runner.cli.console import complaints, print_folded
+from robot_runner.core.words import counted, listed, one_line
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
     from robot_runner.cli.console import UserConsole
-    from robot_runner.errors import Finding, RobotRunnerError
+    from robot_runner.core.errors import Finding, RobotRunnerError
 
-__all__ = ["as_json", "print_findings", "show_error", "show_findings", "tally"]
+__all__ = ["as_json", "grouped", "print_findings", "print_odd", "show_error", "show_findings", "tally"]
+
+
+# Findings and errors as a user reads them: severity, place, problem, and beneath it how to mend it.
 
 _STYLES = {"error": "bold red", "warning": "bold yellow"}
 
@@ -48,7 +52,7 @@ def tally(findings: Sequence[Finding]) -> str:
     """Return how many errors and warnings there are.
 
     Example:
-        >>> from robot_runner.errors import Finding
+        >>> from robot_runner.core.errors import Finding
         >>> tally([Finding.error("a", "b", "c"), Finding.warning("a", "b")])
         '1 error, 1 warning'
     """
@@ -68,3 +72,78 @@ def as_json(findings: Sequence[Finding]) -> list[dict[str, str]]:
         }
         for finding in sorted(findings, key=lambda each: not each.is_error)
     ]
+
+
+_NUMBER = re.compile(r"\d+(?:[.,]\d+)*")
+_PLANNED_ID = re.compile(r"r_\d+")
+_MOST = 8
+
+
+def print_odd(
+    console: UserConsole,
+    *,
+    failures: Sequence[str],
+    findings: Sequence[Finding],
+    run_ids: Collection[str] | None,
+) -> None:
+    """Print why runs failed, and what looked odd.
+
+    Args:
+        console: where to.
+        failures: one line for each run that failed.
+        findings: what looked odd.
+        run_ids: the runs that findings may be about; None takes what looks like the id of a planned run.
+    """
+    reasons = _reasons(failures)
+    for reason in reasons[:_MOST]:
+        print_folded(console, "  ✗ ", one_line(reason), style="bold red")
+    if len(reasons) > _MOST:
+        more = counted(len(reasons) - _MOST, "more reason")
+        console.print(Text(f"  ✗ {more}: journal.jsonl has them all", style="red"))
+    groups = grouped(findings, run_ids)
+    for text, fix in groups[:_MOST]:
+        print_folded(console, "  ! ", one_line(text), style="bold yellow")
+        if fix:
+            print_folded(console, "    ", one_line(fix), style="")
+    if len(groups) > _MOST:
+        more = counted(len(groups) - _MOST, "more finding")
+        console.print(Text(f"  ! {more}: journal.jsonl has them all", style="yellow"))
+
+
+def _reasons(failures: Sequence[str]) -> list[str]:
+    """Return why runs failed, each reason once with its runs."""
+    runs_by_reason: dict[str, list[str]] = {}
+    for failure in failures:
+        run_id, _, reason = failure.partition(": ")
+        runs_by_reason.setdefault(reason, []).append(run_id)
+    return [f"{listed(runs)}: {reason}" for reason, runs in runs_by_reason.items()]
+
+
+def grouped(findings: Iterable[Finding], run_ids: Collection[str] | None) -> list[tuple[str, str]]:
+    """Return each finding's text and fix; findings that differ in the run and in numbers alone become one.
+
+    Example:
+        >>> from robot_runner.core.errors import Finding
+        >>> grouped([Finding.warning(f"r_{n}, Ina219", f"{n} samples lost") for n in (1, 2)], None)
+        [('Ina219: 1 samples lost, and the like (in r_1, r_2)', '')]
+    """
+    groups: dict[tuple[str, str, str], list[tuple[str, Finding]]] = {}
+    for finding in findings:
+        run_id, place = _split(finding.where, run_ids)
+        key = (place, _NUMBER.sub("#", finding.problem), finding.fix)
+        groups.setdefault(key, []).append((run_id, finding))
+    return [(_text(place, members), fix) for (place, _, fix), members in groups.items()]
+
+
+def _split(where: str, run_ids: Collection[str] | None) -> tuple[str, str]:
+    head, _, rest = where.partition(", ")
+    is_run = head in run_ids if run_ids is not None else _PLANNED_ID.fullmatch(head) is not None
+    return (head, rest) if is_run else ("", where)
+
+
+def _text(place: str, members: Sequence[tuple[str, Finding]]) -> str:
+    problem = members[0][1].problem
+    alike = "" if all(finding.problem == problem for _, finding in members) else ", and the like"
+    runs = list(dict.fromkeys(run_id for run_id, _ in members if run_id))
+    where = f" (in {listed(runs)})" if runs else ""
+    return f"{place}: {problem}{alike}{where}" if place else f"{problem}{alike}{where}"

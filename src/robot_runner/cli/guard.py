@@ -3,14 +3,50 @@
 from __future__ import annotations
 
 import os
+import platform
 import sys
+import tempfile
+import traceback
 from contextlib import suppress
+from importlib.metadata import version
 from typing import TYPE_CHECKING
+
+from robot_runner.cli.findings import show_findings
+from robot_runner.core.errors import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["BROKEN_PIPE", "FAULT", "INTERRUPTED", "REFUSED", "SOME_FAILED", "guarded", "let_go_of_stdout"]
+__all__ = ["BROKEN_PIPE", "FAULT", "INTERRUPTED", "REFUSED", "SOME_FAILED", "guarded", "let_go_of_stdout", "show_fault"]
+
+
+# A fault of our own: one line for the user, the traceback for whoever mends it.
+
+
+def show_fault(error: Exception, *, show_traceback: bool) -> None:
+    """Say that this is our fault; the traceback goes to the terminal, or to a file that is named."""
+    text = "".join(traceback.format_exception(error))
+    if show_traceback:
+        sys.stderr.write(text)
+        fix = "Report it with this traceback."
+    else:
+        fix = f"Report it with the file {_kept(text)}, or repeat the command with --debug."
+    problem = f"this is a fault of Robot Runner, not yours: {type(error).__name__}: {error}"
+    show_findings([Finding.error("", problem, fix)])
+
+
+def _kept(text: str) -> str:
+    head = f"robot-runner {version('robot-runner')}, Python {platform.python_version()}, {platform.platform()}\n"
+    command = " ".join(sys.argv)
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w", prefix="robot-runner-fault-", suffix=".txt", delete=False, encoding="utf-8", errors="backslashreplace"
+        ) as file:
+            file.write(f"{head}{command}\n\n{text}")
+    except OSError as error:
+        return f"that could not be written ({error.strerror})"
+    return file.name
+
 
 SOME_FAILED = 1
 REFUSED = 2
@@ -47,7 +83,7 @@ def let_go_of_stdout() -> None:
 
 
 def _explained(error: Exception, *, show_traceback: bool) -> int:
-    from robot_runner.errors import RobotRunnerError  # noqa: PLC0415 - `--help` needs none of it
+    from robot_runner.core.errors import RobotRunnerError  # noqa: PLC0415 - `--help` needs none of it
 
     if isinstance(error, RobotRunnerError):
         from robot_runner.cli.findings import show_error  # noqa: PLC0415 - as above
@@ -56,7 +92,6 @@ def _explained(error: Exception, *, show_traceback: bool) -> int:
         if show_traceback:
             _print_traceback(error)
         return REFUSED
-    from robot_runner.cli.fault import show_fault  # noqa: PLC0415 - as above
 
     show_fault(error, show_traceback=show_traceback)
     return FAULT

@@ -1,4 +1,4 @@
-"""What each command takes, and what is said when it gets something else."""
+"""Arguments that several commands take."""
 
 from __future__ import annotations
 
@@ -7,12 +7,25 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from robot_runner.cli.commands import COMMANDS, module_of
-from robot_runner.errors import RobotRunnerError, did_you_mean, nearest
+from robot_runner.core.errors import RobotRunnerError, did_you_mean, nearest
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-__all__ = ["Parser", "UsageError", "parser_of", "unknown_command", "unknown_option"]
+__all__ = [
+    "Parser",
+    "UsageError",
+    "add_config",
+    "add_json",
+    "add_set",
+    "add_target",
+    "parser_of",
+    "unknown_command",
+    "unknown_option",
+]
+
+
+# What each command takes, and what is said when it gets something else.
 
 
 class UsageError(RobotRunnerError):
@@ -97,3 +110,31 @@ def unknown_option(word: str, known: Iterable[str], *, where: str) -> UsageError
     """Return the error that names the option that was meant, or all of them."""
     name = word.partition("=")[0]
     return UsageError(f"there is no option {name!r}", where=where, fix=did_you_mean(name, known))
+
+
+def add_config(parser: Parser) -> None:
+    """Add the config file."""
+    parser.add_argument("config", metavar="CONFIG", help="the Python file that describes the experiment")
+
+
+def add_target(parser: Parser) -> None:
+    """Add an experiment, named by its folder or by its config file."""
+    parser.add_argument(
+        "target", metavar="EXPERIMENT", help="the folder of an experiment, or the config file that it comes from"
+    )
+
+
+def add_set(parser: Parser) -> None:
+    """Add what takes the place of a value in the config."""
+    parser.add_argument(
+        "--set",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        help="set a static parameter of the config, such as robot=simulated; may be given several times",
+    )
+
+
+def add_json(parser: Parser) -> None:
+    """Add the choice of JSON."""
+    parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, to stdout")

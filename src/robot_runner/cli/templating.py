@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from robot_runner.errors import StorageError
+from robot_runner.core.errors import StorageError
 
 __all__ = ["template", "write_new_file"]
 

@@ -19,25 +19,32 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from robot_runner.errors import Finding, LinkError, PluginError
-    from robot_runner.events.context import RobotRunnerContext
-    from robot_runner.events.measure import Measure, Origin
-    from robot_runner.links.connect import connect_host, connect_robot, open_serial_line
-    from robot_runner.plugins.api.plugin import Circumstances, Plugin, Profiler, System
-    from robot_runner.plugins.sampling.device_clock import ClockMap, fit_clock
-    from robot_runner.plugins.sampling.integration import (
+    from robot_runner.core.errors import Finding, LinkError, PluginError
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.events.measure import Measure, Origin
+    from robot_runner.core.links.connect import connect_host, connect_robot, open_serial_line
+    from robot_runner.core.plugin import Circumstances, Plugin, Profiler, System
+    from robot_runner.core.sampling.device_clock import ClockMap, fit_clock
+    from robot_runner.core.sampling.periodic import PeriodicSampler, Sampling
+    from robot_runner.core.sampling.quality import (
+        Column,
+        Jitter,
+        SampleQuality,
+        quality_of,
+        report_quality,
+        write_quality,
+        write_samples,
+    )
+    from robot_runner.core.sampling.series import (
+        Series,
+        Window,
+        cut,
         energy,
         energy_from_mean_power,
         integrate,
         mean,
         mean_of_intervals,
     )
-    from robot_runner.plugins.sampling.periodic import PeriodicSampler, Sampling
-    from robot_runner.plugins.sampling.quality import Jitter, SampleQuality, quality_of
-    from robot_runner.plugins.sampling.raw_files import Column, write_quality, write_samples
-    from robot_runner.plugins.sampling.reporting import report_quality
-    from robot_runner.plugins.sampling.series import Series
-    from robot_runner.plugins.sampling.window import Window, cut
 
 __all__ = [
     "Circumstances",
@@ -75,38 +82,38 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Circumstances": "robot_runner.plugins.api.plugin",
-    "ClockMap": "robot_runner.plugins.sampling.device_clock",
-    "Column": "robot_runner.plugins.sampling.raw_files",
-    "Finding": "robot_runner.errors",
-    "Jitter": "robot_runner.plugins.sampling.quality",
-    "LinkError": "robot_runner.errors",
-    "Measure": "robot_runner.events.measure",
-    "Origin": "robot_runner.events.measure",
-    "PeriodicSampler": "robot_runner.plugins.sampling.periodic",
-    "Plugin": "robot_runner.plugins.api.plugin",
-    "PluginError": "robot_runner.errors",
-    "Profiler": "robot_runner.plugins.api.plugin",
-    "RobotRunnerContext": "robot_runner.events.context",
-    "SampleQuality": "robot_runner.plugins.sampling.quality",
-    "Sampling": "robot_runner.plugins.sampling.periodic",
-    "Series": "robot_runner.plugins.sampling.series",
-    "System": "robot_runner.plugins.api.plugin",
-    "Window": "robot_runner.plugins.sampling.window",
-    "connect_host": "robot_runner.links.connect",
-    "connect_robot": "robot_runner.links.connect",
-    "cut": "robot_runner.plugins.sampling.window",
-    "energy": "robot_runner.plugins.sampling.integration",
-    "energy_from_mean_power": "robot_runner.plugins.sampling.integration",
-    "fit_clock": "robot_runner.plugins.sampling.device_clock",
-    "integrate": "robot_runner.plugins.sampling.integration",
-    "mean": "robot_runner.plugins.sampling.integration",
-    "mean_of_intervals": "robot_runner.plugins.sampling.integration",
-    "open_serial_line": "robot_runner.links.connect",
-    "quality_of": "robot_runner.plugins.sampling.quality",
-    "report_quality": "robot_runner.plugins.sampling.reporting",
-    "write_quality": "robot_runner.plugins.sampling.raw_files",
-    "write_samples": "robot_runner.plugins.sampling.raw_files",
+    "Circumstances": "robot_runner.core.plugin",
+    "ClockMap": "robot_runner.core.sampling.device_clock",
+    "Column": "robot_runner.core.sampling.quality",
+    "Finding": "robot_runner.core.errors",
+    "Jitter": "robot_runner.core.sampling.quality",
+    "LinkError": "robot_runner.core.errors",
+    "Measure": "robot_runner.core.events.measure",
+    "Origin": "robot_runner.core.events.measure",
+    "PeriodicSampler": "robot_runner.core.sampling.periodic",
+    "Plugin": "robot_runner.core.plugin",
+    "PluginError": "robot_runner.core.errors",
+    "Profiler": "robot_runner.core.plugin",
+    "RobotRunnerContext": "robot_runner.core.events.context",
+    "SampleQuality": "robot_runner.core.sampling.quality",
+    "Sampling": "robot_runner.core.sampling.periodic",
+    "Series": "robot_runner.core.sampling.series",
+    "System": "robot_runner.core.plugin",
+    "Window": "robot_runner.core.sampling.series",
+    "connect_host": "robot_runner.core.links.connect",
+    "connect_robot": "robot_runner.core.links.connect",
+    "cut": "robot_runner.core.sampling.series",
+    "energy": "robot_runner.core.sampling.series",
+    "energy_from_mean_power": "robot_runner.core.sampling.series",
+    "fit_clock": "robot_runner.core.sampling.device_clock",
+    "integrate": "robot_runner.core.sampling.series",
+    "mean": "robot_runner.core.sampling.series",
+    "mean_of_intervals": "robot_runner.core.sampling.series",
+    "open_serial_line": "robot_runner.core.links.connect",
+    "quality_of": "robot_runner.core.sampling.quality",
+    "report_quality": "robot_runner.core.sampling.quality",
+    "write_quality": "robot_runner.core.sampling.quality",
+    "write_samples": "robot_runner.core.sampling.quality",
 }
 
 

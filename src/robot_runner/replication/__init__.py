@@ -1,1 +1,1 @@
-"""An experiment folder sealed as a replication package, checked, executed again, and explained value by value."""
+"""An experiment folder sealed as a replication package, checked, executed again, and explained."""

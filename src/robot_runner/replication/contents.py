@@ -6,20 +6,137 @@ import os
 import re
 import stat
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
-from robot_runner.errors import PackageError, did_you_mean
-from robot_runner.replication.names import GENERATED, WHEELS, fault_of_name
-from robot_runner.replication.secret_patterns import forbidden_name
-from robot_runner.storage.safe_write import storage_error
+from robot_runner.core.errors import PackageError, did_you_mean
+from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.replication.redaction import forbidden_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from robot_runner.storage.layout import ExperimentFolder
+    from robot_runner.core.storage.layout import ExperimentFolder
 
-__all__ = ["ALL", "CONFIG_OWNER", "NONE", "Contents", "LeftOut", "PackedFile", "choose_contents", "run_owner"]
+__all__ = [
+    "ALL",
+    "CONFIG_OWNER",
+    "CONTAINERFILE",
+    "CRATE",
+    "DATA_PACKAGE",
+    "DESCRIPTION",
+    "ENVIRONMENT",
+    "FORMAT",
+    "GENERATED",
+    "NONE",
+    "README",
+    "REQUIREMENTS",
+    "SUMS",
+    "WHEELS",
+    "Contents",
+    "LeftOut",
+    "MediaType",
+    "PackedFile",
+    "choose_contents",
+    "fault_of_name",
+    "media_type_of",
+    "run_owner",
+]
+
+
+# The names of a package's files: the only place that knows them, as `storage.layout` does for an experiment's.
+
+#: Version of the package's format; a newer one is refused by readers.
+FORMAT = 1
+
+CRATE = "ro-crate-metadata.json"
+DESCRIPTION = "package.json"
+SUMS = "SHA256SUMS"
+README = "README.md"
+CONTAINERFILE = "Containerfile"
+DATA_PACKAGE = "datapackage.json"
+ENVIRONMENT = "environment/environment.json"
+REQUIREMENTS = "environment/requirements.txt"
+WHEELS = "environment/wheels"
+
+#: What packing makes anew; files of these names in an experiment's folder are not taken.
+GENERATED = frozenset({CRATE, DESCRIPTION, SUMS, README, CONTAINERFILE, DATA_PACKAGE, ENVIRONMENT, REQUIREMENTS})
+
+_DRIVE = re.compile(r"[A-Za-z]:")
+
+
+def fault_of_name(name: str) -> str | None:
+    r"""Return what is wrong with the name of a file in a package, or None.
+
+    Example:
+        >>> fault_of_name("runs/r_1/log.txt")
+        >>> fault_of_name("../.bashrc"), fault_of_name("/etc/passwd")
+        ('it leaves the folder', 'it is absolute')
+    """
+    if not name or not name.isprintable() or "\\" in name:
+        return "it has characters that no name in a package may have"
+    if name.startswith("/") or _DRIVE.match(name):
+        return "it is absolute"
+    parts = name.split("/")
+    if ".." in parts:
+        return "it leaves the folder"
+    if "" in parts or "." in parts:
+        return "it is not in its shortest form"
+    return None
+
+
+# What kind of file each is: its media type, and where the format is described (PRONOM where it has an entry).
+
+_PRONOM = "https://www.nationalarchives.gov.uk/PRONOM/"
+
+
+@dataclass(frozen=True, slots=True)
+class MediaType:
+    """One kind of file.
+
+    Attributes:
+        name: the media type (RFC 6838).
+        title: in words.
+        page: where the format is described.
+
+    Example:
+        >>> media_type_of("runs/r_1/PsUtil/samples.csv").name
+        'text/csv'
+    """
+
+    name: str
+    title: str
+    page: str
+
+
+_ANY = MediaType("application/octet-stream", "Binary data", "https://www.rfc-editor.org/rfc/rfc2046#section-4.5.1")
+_TEXT = MediaType("text/plain", "Plain text", f"{_PRONOM}x-fmt/111")
+_BY_SUFFIX = {
+    ".csv": MediaType("text/csv", "Comma separated values", f"{_PRONOM}x-fmt/18"),
+    ".html": MediaType("text/html", "HTML 5", f"{_PRONOM}fmt/471"),
+    ".json": MediaType("application/json", "JSON", f"{_PRONOM}fmt/817"),
+    ".jsonl": MediaType("application/jsonl", "JSON lines", "https://jsonlines.org"),
+    ".log": _TEXT,
+    ".mcap": MediaType("application/octet-stream", "MCAP", "https://mcap.dev/spec"),
+    ".md": MediaType("text/markdown", "Markdown", f"{_PRONOM}fmt/1149"),
+    ".parquet": MediaType("application/vnd.apache.parquet", "Apache Parquet", f"{_PRONOM}fmt/1843"),
+    ".pdf": MediaType("application/pdf", "PDF", f"{_PRONOM}fmt/276"),
+    ".png": MediaType("image/png", "PNG", f"{_PRONOM}fmt/11"),
+    ".py": MediaType("text/x-python", "Python", f"{_PRONOM}fmt/938"),
+    ".svg": MediaType("image/svg+xml", "SVG", f"{_PRONOM}fmt/92"),
+    ".txt": _TEXT,
+    ".whl": MediaType("application/zip", "Python wheel", "https://peps.python.org/pep-0427/"),
+    ".yaml": MediaType("application/yaml", "YAML", f"{_PRONOM}fmt/818"),
+    ".yml": MediaType("application/yaml", "YAML", f"{_PRONOM}fmt/818"),
+}
+_BY_NAME = {"Containerfile": _TEXT, "SHA256SUMS": _TEXT}
+
+
+def media_type_of(name: str) -> MediaType:
+    """Return the kind of a file, by its name."""
+    path = PurePosixPath(name)
+    return _BY_NAME.get(path.name) or _BY_SUFFIX.get(path.suffix.casefold(), _ANY)
+
 
 ALL, NONE = "all", "none"
 

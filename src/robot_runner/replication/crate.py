@@ -11,9 +11,9 @@ import re
 from importlib.metadata import PackageNotFoundError, metadata
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.errors import PackageError
-from robot_runner.replication.media_types import media_type_of
-from robot_runner.replication.names import (
+from robot_runner.core.errors import PackageError
+from robot_runner.core.storage.table_columns import ColumnRole
+from robot_runner.replication.contents import (
     CONTAINERFILE,
     CRATE,
     DATA_PACKAGE,
@@ -22,15 +22,15 @@ from robot_runner.replication.names import (
     README,
     REQUIREMENTS,
     SUMS,
+    media_type_of,
 )
-from robot_runner.storage.table_layout import ColumnRole
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+    from robot_runner.core.storage.table_schema import ColumnDescription
     from robot_runner.replication.about import About
     from robot_runner.replication.plain_zip import StoredFile
-    from robot_runner.storage.table_schema import ColumnDescription
 
 __all__ = ["PROFILE", "crate_text", "require_rocrate"]
 

@@ -1,21 +1,30 @@
-"""What differs between the environment of a package and this machine."""
+"""What a package needs that is not installed here, found without executing anything of it."""
 
 from __future__ import annotations
 
 import platform
+import sys
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.links.ros_packages import describe_ros
+from robot_runner.core.errors import Finding
+from robot_runner.core.storage.manifest import describe_host
+from robot_runner.legacy.stand_ins.catalogue import MODULES, PACKAGES
 from robot_runner.replication.distributions import installed_distributions
-from robot_runner.storage.manifest import describe_host
+from robot_runner.replication.environment import imported_names
+from robot_runner.ros.ros_environment import describe_ros
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+    from pathlib import Path
 
     from robot_runner.replication.distributions import InstalledDistribution
 
-__all__ = ["Difference", "differing_environment", "differing_packages"]
+__all__ = ["Difference", "differing_environment", "differing_packages", "lacking"]
+
+
+# What differs between the environment of a package and this machine.
 
 _GIBIBYTE = 1 << 30
 _SAME_MEMORY = 0.02  # what the kernel keeps for itself differs from boot to boot
@@ -108,3 +117,46 @@ def _ros(there: Mapping[str, Any] | None, here: Mapping[str, Any] | None) -> Ite
 
 def _shown(value: object) -> str:
     return "-" if value in (None, "") else str(value)
+
+
+#: What configs of the paper and of the earlier tools import, and Robot Runner itself brings.
+_BROUGHT = frozenset(name.partition(".")[0] for name in (*MODULES, *PACKAGES, "plugins"))
+
+
+def lacking(root: Path, manifest: Mapping[str, Any]) -> list[Finding]:
+    """Return the plugins and modules that the experiment in an unpacked package needs and that are not here.
+
+    Raises:
+        OSError: a file of the config cannot be read.
+    """
+    config = root / "config"
+    local = {path.relative_to(config).parts[0].removesuffix(".py") for path in config.rglob("*.py")}
+    return [*_plugins(manifest, local), *_modules(config, manifest, local)]
+
+
+def _plugins(manifest: Mapping[str, Any], local: set[str]) -> Iterator[Finding]:
+    for plugin in manifest.get("plugins", ()):
+        module, _, kind = str(plugin.get("class", "")).partition(":")
+        if module.partition(".")[0] in {*local, "robot_runner_config"} or _is_installed(module):
+            continue
+        package, release = plugin.get("package"), plugin.get("version")
+        fix = (
+            f"Install it: pip install {package}=={release}" if package else f"Install what brings the module {module}."
+        )
+        yield Finding.error(f"plugin {plugin.get('name')}", f"{kind}, of {package or module}, is not installed", fix)
+
+
+def _modules(config: Path, manifest: Mapping[str, Any], local: set[str]) -> Iterator[Finding]:
+    known = {*local, *_BROUGHT, *sys.stdlib_module_names, "robot_runner"}
+    told = {str(plugin.get("class", "")).partition(".")[0] for plugin in manifest.get("plugins", ())}
+    for name in sorted(imported_names(config) - known - told):
+        if not _is_installed(name):
+            fix = "Install the package that brings it, or have the environment made: --environment venv"
+            yield Finding.error("config", f"it imports {name}, which is not installed", fix)
+
+
+def _is_installed(module: str) -> bool:
+    try:
+        return find_spec(module) is not None
+    except (ImportError, ValueError):  # a package above it is not there
+        return False

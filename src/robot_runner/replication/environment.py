@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from importlib.metadata import packages_distributions
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.errors import Finding
+from robot_runner.core.errors import Finding
 from robot_runner.replication.distributions import canonical, closure, installed_distributions
 from robot_runner.replication.index_hashes import PLATFORMS
 

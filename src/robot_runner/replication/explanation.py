@@ -5,17 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.design.columns import RUN_ID, STATUS
-from robot_runner.errors import StorageError, did_you_mean
-from robot_runner.replication.config_lines import ConfigLine, ConfigLines
+from robot_runner.core.design.columns import RUN_ID, STATUS
+from robot_runner.core.errors import StorageError, did_you_mean
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.manifest import read_manifest
+from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.table_columns import ColumnRole, TableLayout
+from robot_runner.core.storage.table_schema import ColumnDescription, read_schema
 from robot_runner.replication.contents import CONFIG_OWNER
-from robot_runner.replication.run_history import read_run_history
-from robot_runner.storage.layout import ExperimentFolder
-from robot_runner.storage.manifest import read_manifest
-from robot_runner.storage.run_table_reading import read_run_table
-from robot_runner.storage.safe_write import storage_error
-from robot_runner.storage.table_layout import ColumnRole, TableLayout
-from robot_runner.storage.table_schema import ColumnDescription, read_schema
+from robot_runner.replication.run_history import ConfigLine, ConfigLines, read_run_history
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

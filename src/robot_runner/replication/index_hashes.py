@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from robot_runner.errors import Finding
+from robot_runner.core.errors import Finding
 from robot_runner.replication.distributions import canonical
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from robot_runner.errors import Finding, PackageError
-from robot_runner.replication.names import DESCRIPTION, fault_of_name
-from robot_runner.storage.safe_write import storage_error
+from robot_runner.core.errors import Finding, PackageError
+from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.replication.contents import DESCRIPTION, fault_of_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

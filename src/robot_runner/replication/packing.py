@@ -9,31 +9,29 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.errors import Finding, PackageError, StorageError
+from robot_runner.core.errors import Finding, PackageError, StorageError
+from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.lock import holder_of
+from robot_runner.core.storage.manifest import read_manifest
+from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.table_columns import TableLayout
+from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.replication.about import About
-from robot_runner.replication.contents import ALL, LeftOut, choose_contents
+from robot_runner.replication.contents import ALL, DESCRIPTION, LeftOut, choose_contents
 from robot_runner.replication.crate import require_rocrate
 from robot_runner.replication.environment import record_environment
 from robot_runner.replication.index_hashes import findings_of_hashes, with_index_hashes
-from robot_runner.replication.names import DESCRIPTION
 from robot_runner.replication.plain_zip import written_beside
-from robot_runner.replication.redaction import Redactor, secrets_in_code
+from robot_runner.replication.redaction import SECRET_NAME, Redactor, secrets_in_code
 from robot_runner.replication.sealing import PackingPlan, Progress, Replaced, Sealing
-from robot_runner.replication.secret_patterns import SECRET_NAME
-from robot_runner.storage.layout import ExperimentFolder
-from robot_runner.storage.lock import holder_of
-from robot_runner.storage.manifest import read_manifest
-from robot_runner.storage.run_status import RunStatus
-from robot_runner.storage.run_table_reading import read_run_table
-from robot_runner.storage.safe_write import storage_error
-from robot_runner.storage.table_layout import TableLayout
-from robot_runner.storage.table_schema import read_schema
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from robot_runner.config.authors import Author
-    from robot_runner.storage.run_table_rows import RunTableRows
+    from robot_runner.core.config.experiment import Author
+    from robot_runner.core.storage.run_table_rows import RunTableRows
 
 __all__ = ["Packed", "Packing", "file_sha256", "pack"]
 

@@ -1,4 +1,4 @@
-"""From a verified package to an experiment that executes the same runs in the same order from the same seed."""
+"""Whether the runs of a replication yielded the very same values: what a deterministic simulation has to do."""
 
 from __future__ import annotations
 
@@ -6,26 +6,32 @@ import hashlib
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.dialects.preparation import prepare
-from robot_runner.errors import ConfigError, Finding, PackageError
-from robot_runner.execution.changes import table_differences
-from robot_runner.replication.lacking import lacking
-from robot_runner.replication.names import SUMS
-from robot_runner.replication.secret_patterns import REDACTED
-from robot_runner.storage.layout import ExperimentFolder
-from robot_runner.storage.manifest import read_manifest
-from robot_runner.storage.run_table_file import write_run_table
-from robot_runner.storage.run_table_reading import read_run_table
-from robot_runner.storage.safe_write import storage_error
+from robot_runner.core.errors import ConfigError, Finding, PackageError
+from robot_runner.core.execution.recovery import table_differences
+from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.manifest import read_manifest
+from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.run_table_rows import write_run_table
+from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.table_columns import TableLayout
+from robot_runner.core.storage.table_schema import read_schema
+from robot_runner.legacy.loading import prepare
+from robot_runner.replication.contents import SUMS
+from robot_runner.replication.differences import lacking
+from robot_runner.replication.redaction import REDACTED
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from robot_runner.config.experiment import Experiment
-    from robot_runner.storage.run_table_rows import RunTableRows
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.storage.run_table_rows import RunTableRows
 
-__all__ = ["Replication", "original_settings", "prepare_replication"]
+__all__ = ["Replication", "Sameness", "identical_values", "original_settings", "prepare_replication"]
+
+
+# From a verified package to an experiment that executes the same runs in the same order from the same seed.
 
 _PATH = "results_output_path"
 
@@ -183,3 +189,55 @@ def _lay_table(experiment: Experiment, rows: RunTableRows) -> None:
     except OSError as error:
         raise storage_error(folder, "made", error) from error
     write_run_table(experiment.folder.run_table, rows)
+
+
+@dataclass(frozen=True, slots=True)
+class Sameness:
+    """One measure in the runs that are done in both experiments.
+
+    Attributes:
+        runs: how many of them have a value in either.
+        identical: in how many of these the two values are the same, to the last digit.
+
+    Example:
+        >>> Sameness(15, 15).is_complete
+        True
+    """
+
+    runs: int
+    identical: int
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether there are values, and all are the same."""
+        return self.runs > 0 and self.identical == self.runs
+
+
+def identical_values(original: Path, replication: Path) -> dict[str, Sameness]:
+    """Compare the run tables of two experiments run by run, by the runs' ids.
+
+    Returns:
+        Each measure that both have.
+
+    Raises:
+        StorageError: a run table cannot be read.
+    """
+    ours, theirs = _rows(original), _rows(replication)
+    pairs = [
+        (place, other)
+        for place in range(len(ours))
+        if (other := theirs.run_ids.place_of(ours.run_id(place))) is not None
+        and ours.status(place) is theirs.status(other) is RunStatus.DONE
+    ]
+    return {name: _sameness(ours, theirs, name, pairs) for name in ours.measures if name in theirs.measures}
+
+
+def _sameness(ours: RunTableRows, theirs: RunTableRows, name: str, pairs: list[tuple[int, int]]) -> Sameness:
+    values = [(ours.measures[name].values[place], theirs.measures[name].values[other]) for place, other in pairs]
+    with_value = [pair for pair in values if pair != (None, None)]
+    return Sameness(len(with_value), sum(first == second for first, second in with_value))
+
+
+def _rows(folder: Path) -> RunTableRows:
+    files = ExperimentFolder.found_at(folder)
+    return read_run_table(files.run_table, TableLayout.of_schema(read_schema(files.schema)))

@@ -11,25 +11,23 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.replication import names
-from robot_runner.replication.container import containerfile
+from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.table_schema import data_package, table_resource
+from robot_runner.replication import contents
+from robot_runner.replication.about import containerfile, readme
 from robot_runner.replication.contents import Contents, LeftOut, PackedFile
 from robot_runner.replication.crate import crate_text
-from robot_runner.replication.distributions import canonical
-from robot_runner.replication.local_wheels import wheel_name, wheel_of, write_wheel
-from robot_runner.replication.readme import readme
+from robot_runner.replication.distributions import canonical, wheel_name, wheel_of, write_wheel
 from robot_runner.replication.redaction import Redactor, is_binary
-from robot_runner.storage.data_package import data_package, table_resource
-from robot_runner.storage.safe_write import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from robot_runner.core.storage.table_schema import ColumnDescription
     from robot_runner.replication.about import About
     from robot_runner.replication.distributions import InstalledDistribution
     from robot_runner.replication.environment import RecordedEnvironment
     from robot_runner.replication.plain_zip import PlainZip
-    from robot_runner.storage.table_schema import ColumnDescription
 
 __all__ = ["PackingPlan", "Progress", "Replaced", "Sealing"]
 
@@ -151,7 +149,7 @@ class Sealing:
     def _add_wheel(self, distribution: InstalledDistribution) -> None:
         try:
             files = wheel_of(distribution)
-            name = f"{names.WHEELS}/{wheel_name(distribution)}"
+            name = f"{contents.WHEELS}/{wheel_name(distribution)}"
             secrets: Counter[str] = Counter()
             for path in files.values():
                 secrets += self._plan.redactor.own.secrets_in(path)
@@ -173,23 +171,23 @@ class Sealing:
             table = stored[_TABLE]
             schema = _SCHEMA if _SCHEMA in stored else None
             resource = table_resource(_TABLE, table.size, table.sha256, schema=schema)
-            self._add_json(names.DATA_PACKAGE, data_package(plan.about.name, [resource]))
-        self._add_text(names.REQUIREMENTS, plan.environment.requirements(self.wheels))
-        self._add_json(names.ENVIRONMENT, plan.environment.as_mapping(self.wheels))
-        self._add_text(names.CONTAINERFILE, containerfile(plan.manifest, has_wheels=bool(self.wheels)))
-        self._add_json(names.DESCRIPTION, self._description())
-        listed = [*stored, names.README]
-        self._add_text(names.README, readme(plan.about, plan.manifest, listed, self.left_out))
+            self._add_json(contents.DATA_PACKAGE, data_package(plan.about.name, [resource]))
+        self._add_text(contents.REQUIREMENTS, plan.environment.requirements(self.wheels))
+        self._add_json(contents.ENVIRONMENT, plan.environment.as_mapping(self.wheels))
+        self._add_text(contents.CONTAINERFILE, containerfile(plan.manifest, has_wheels=bool(self.wheels)))
+        self._add_json(contents.DESCRIPTION, self._description())
+        listed = [*stored, contents.README]
+        self._add_text(contents.README, readme(plan.about, plan.manifest, listed, self.left_out))
         files = sorted(stored.values(), key=lambda file: file.name)
         crate = crate_text(plan.about, plan.manifest, plan.columns, files, failed=plan.failed)
-        self._add_text(names.CRATE, crate)
+        self._add_text(contents.CRATE, crate)
         sums = "".join(f"{file.sha256}  {file.name}\n" for _, file in sorted(stored.items()))
-        self._archive.add(names.SUMS, [sums.encode()])
+        self._archive.add(contents.SUMS, [sums.encode()])
         self._archive.add_folders()
 
     def _description(self) -> dict[str, Any]:
         return {
-            "format": names.FORMAT,
+            "format": contents.FORMAT,
             "made_by": f"robot-runner {version('robot-runner')}",
             "experiment": self._plan.about.name,
             "config": self._plan.manifest.get("config"),

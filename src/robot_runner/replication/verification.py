@@ -8,9 +8,9 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.errors import Finding, PackageError
-from robot_runner.replication import names
-from robot_runner.storage.manifest import FORMAT as MANIFEST_FORMAT
+from robot_runner.core.errors import Finding, PackageError
+from robot_runner.core.storage.manifest import FORMAT as MANIFEST_FORMAT
+from robot_runner.replication import contents
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -25,8 +25,8 @@ _LARGEST_TEXT = 64 << 20  # of what is read whole: descriptions and sums
 _MOST_FINDINGS = 20
 #: What is read of each description, and what it has to be; what is missing is none of ours to judge.
 _SHAPES: dict[str, dict[str, str]] = {
-    names.DESCRIPTION: {"left_out": "mappings", "replaced": "mappings", "experiment": "text"},
-    names.ENVIRONMENT: {"packages": "mapping of mappings", "host": "mapping", "ros": "mapping"},
+    contents.DESCRIPTION: {"left_out": "mappings", "replaced": "mappings", "experiment": "text"},
+    contents.ENVIRONMENT: {"packages": "mapping of mappings", "host": "mapping", "ros": "mapping"},
     _MANIFEST: {
         "config": "mapping",
         "design": "mapping",
@@ -99,9 +99,9 @@ def verify_package(package: OpenPackage, progress: Callable[[int, int], None] = 
     findings += _differing_names(package, sums)
     findings += _differing_contents(package, sums, progress)
     manifest = _mapping(package, _MANIFEST, findings)
-    environment = _mapping(package, names.ENVIRONMENT, findings)
-    findings += _malformed(package, names.DESCRIPTION, description)
-    findings += _malformed(package, names.ENVIRONMENT, environment)
+    environment = _mapping(package, contents.ENVIRONMENT, findings)
+    findings += _malformed(package, contents.DESCRIPTION, description)
+    findings += _malformed(package, contents.ENVIRONMENT, environment)
     malformed = list(_malformed(package, _MANIFEST, manifest))
     findings += malformed or _unfit(package, manifest)
     return _verified(package, description, manifest, environment, tuple(findings))
@@ -134,18 +134,18 @@ def _verified(
 
 
 def _description(package: OpenPackage) -> Mapping[str, Any]:
-    where = f"{package.where}, {names.DESCRIPTION}"
-    if names.DESCRIPTION not in package.sizes:
+    where = f"{package.where}, {contents.DESCRIPTION}"
+    if contents.DESCRIPTION not in package.sizes:
         fix = "Name a package; `robot-runner pack` makes one of an experiment's folder."
-        raise PackageError(f"it is no package: it has no {names.DESCRIPTION}", where=str(package.where), fix=fix)
+        raise PackageError(f"it is no package: it has no {contents.DESCRIPTION}", where=str(package.where), fix=fix)
     try:
-        found = json.loads(_text(package, names.DESCRIPTION))
+        found = json.loads(_text(package, contents.DESCRIPTION))
     except ValueError as error:
         raise PackageError(f"it cannot be read: {error}", where=where, fix=_ALTERED) from error
     if not isinstance(found, dict) or not isinstance(found.get("format"), int):
         raise PackageError("it does not describe a package", where=where, fix=_ALTERED)
-    if found["format"] > names.FORMAT:
-        problem = f"it has format {found['format']}, newer than {names.FORMAT}, which this version knows"
+    if found["format"] > contents.FORMAT:
+        problem = f"it has format {found['format']}, newer than {contents.FORMAT}, which this version knows"
         raise PackageError(problem, where=where, fix="Update robot-runner.")
     return found
 
@@ -158,14 +158,14 @@ def _text(package: OpenPackage, name: str) -> str:
 
 
 def _sums(package: OpenPackage) -> tuple[dict[str, str], list[Finding]]:
-    if names.SUMS not in package.sizes:
-        return {}, [Finding.error(f"{package.where}, {names.SUMS}", "it is missing", _ALTERED)]
+    if contents.SUMS not in package.sizes:
+        return {}, [Finding.error(f"{package.where}, {contents.SUMS}", "it is missing", _ALTERED)]
     sums: dict[str, str] = {}
     findings = []
-    for number, line in enumerate(_text(package, names.SUMS).splitlines(), start=1):
+    for number, line in enumerate(_text(package, contents.SUMS).splitlines(), start=1):
         found = _SUM.fullmatch(line)
         if found is None:
-            where = f"{package.where}, {names.SUMS}:{number}"
+            where = f"{package.where}, {contents.SUMS}:{number}"
             findings.append(Finding.error(where, "this line is no checksum", _ALTERED))
         else:
             sums[found[2]] = found[1]
@@ -175,7 +175,7 @@ def _sums(package: OpenPackage) -> tuple[dict[str, str], list[Finding]]:
 def _differing_names(package: OpenPackage, sums: Mapping[str, str]) -> Iterator[Finding]:
     for name in sorted(set(sums) - set(package.sizes)):
         yield Finding.error(f"{package.where}, {name}", "it is missing", _ALTERED)
-    for name in sorted(set(package.sizes) - set(sums) - {names.SUMS}):
+    for name in sorted(set(package.sizes) - set(sums) - {contents.SUMS}):
         yield Finding.error(f"{package.where}, {name}", "it is no part of the package", "Remove it, or get it again.")
 
 

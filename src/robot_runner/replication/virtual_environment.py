@@ -9,11 +9,11 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.errors import PackageError
+from robot_runner.core.errors import PackageError
+from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.replication.contents import REQUIREMENTS, WHEELS
 from robot_runner.replication.differences import Difference, differing_packages
 from robot_runner.replication.distributions import InstalledDistribution, canonical
-from robot_runner.replication.names import REQUIREMENTS, WHEELS
-from robot_runner.storage.safe_write import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

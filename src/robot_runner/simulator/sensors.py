@@ -8,19 +8,213 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from robot_runner.simulator import messages
-from robot_runner.simulator.arena import ARENA, ray_distances
-from robot_runner.simulator.battery import CELLS
-from robot_runner.simulator.topic import PublishedTopic
+from robot_runner.simulator.model import ARENA, ray_distances
+from robot_runner.simulator.supply import CELLS
 
 if TYPE_CHECKING:
-    from robot_runner.simulator.clock import SimulatedClock
-    from robot_runner.simulator.drive import DifferentialDrive
-    from robot_runner.simulator.odometry import WheelOdometry
-    from robot_runner.simulator.parameters import Turtlebot3Parameters
-    from robot_runner.simulator.supply import PowerSupply
+    from collections.abc import Callable, Sequence
 
-__all__ = ["SensorBoard", "published_topics"]
+    from robot_runner.simulator.drive import DifferentialDrive, OdometryState, WheelOdometry
+    from robot_runner.simulator.simulated_clock import SimulatedClock, Ticker
+    from robot_runner.simulator.supply import PowerSupply
+    from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
+
+    Listener = Callable[[dict[str, Any]], None]
+
+__all__ = [
+    "Listening",
+    "PublishedTopic",
+    "SensorBoard",
+    "battery_state",
+    "imu",
+    "joint_state",
+    "laser_scan",
+    "odometry",
+    "published_topics",
+]
+
+
+# The robot's messages as plain mappings that follow the ROS message definitions, complete with every field.
+
+Message = dict[str, Any]
+
+_SECOND_NS = 1_000_000_000
+_UNKNOWN_COVARIANCE = [0.0] * 36
+
+# Constants of sensor_msgs/BatteryState.
+_DISCHARGING = 2
+_HEALTH_GOOD = 1
+_TECHNOLOGY_LIPO = 3
+
+
+def odometry(now_ns: int, state: OdometryState) -> Message:
+    """Return a nav_msgs/Odometry."""
+    half = state.yaw / 2
+    pose = {
+        "position": _vector(state.x, state.y, 0.0),
+        "orientation": _quaternion(0.0, 0.0, math.sin(half), math.cos(half)),
+    }
+    twist = {"linear": _vector(state.linear, 0.0, 0.0), "angular": _vector(0.0, 0.0, state.angular)}
+    return {
+        "header": _header(now_ns, "odom"),
+        "child_frame_id": "base_footprint",
+        "pose": {"pose": pose, "covariance": list(_UNKNOWN_COVARIANCE)},
+        "twist": {"twist": twist, "covariance": list(_UNKNOWN_COVARIANCE)},
+    }
+
+
+def imu(
+    now_ns: int,
+    *,
+    orientation: tuple[float, float, float, float],
+    angular_velocity: Sequence[float],
+    acceleration: Sequence[float],
+    gyroscope_deviation: float,
+    accelerometer_deviation: float,
+) -> Message:
+    """Return a sensor_msgs/Imu; the deviations become the diagonals of its covariances."""
+    return {
+        "header": _header(now_ns, "imu_link"),
+        "orientation": _quaternion(*orientation),
+        "orientation_covariance": _diagonal(0.0),
+        "angular_velocity": _vector(*angular_velocity),
+        "angular_velocity_covariance": _diagonal(gyroscope_deviation**2),
+        "linear_acceleration": _vector(*acceleration),
+        "linear_acceleration_covariance": _diagonal(accelerometer_deviation**2),
+    }
+
+
+def laser_scan(now_ns: int, *, ranges: list[float], rate: int, nearest: float, farthest: float) -> Message:
+    """Return a sensor_msgs/LaserScan of a whole turn, counter-clockwise from straight ahead."""
+    increment = 2 * math.pi / len(ranges)
+    return {
+        "header": _header(now_ns, "base_scan"),
+        "angle_min": 0.0,
+        "angle_max": increment * (len(ranges) - 1),
+        "angle_increment": increment,
+        "time_increment": 0.0,  # the simulated turn happens in one moment
+        "scan_time": 1 / rate,
+        "range_min": nearest,
+        "range_max": farthest,
+        "ranges": ranges,
+        "intensities": [],
+    }
+
+
+def battery_state(
+    now_ns: int, *, voltage: float, current: float, charge: float, capacity: float, cells: int
+) -> Message:
+    """Return a sensor_msgs/BatteryState; as ROS has it, discharging is negative and the unmeasured is NaN.
+
+    Args:
+        now_ns: the moment, in ns.
+        voltage: at the terminals, in volts.
+        current: drawn, in amperes.
+        charge: state of charge, 0..1.
+        capacity: in ampere hours.
+        cells: how many cells there are in series.
+    """
+    return {
+        "header": _header(now_ns, ""),
+        "voltage": voltage,
+        "temperature": math.nan,
+        "current": -current,
+        "charge": charge * capacity,
+        "capacity": capacity,
+        "design_capacity": capacity,
+        "percentage": charge,
+        "power_supply_status": _DISCHARGING,
+        "power_supply_health": _HEALTH_GOOD,
+        "power_supply_technology": _TECHNOLOGY_LIPO,
+        "present": True,
+        "cell_voltage": [math.nan] * cells,
+        "cell_temperature": [math.nan] * cells,
+        "location": "",
+        "serial_number": "",
+    }
+
+
+def joint_state(now_ns: int, *, positions: list[float], velocities: list[float]) -> Message:
+    """Return a sensor_msgs/JointState of the two wheels, left and right."""
+    return {
+        "header": _header(now_ns, "base_link"),
+        "name": ["wheel_left_joint", "wheel_right_joint"],
+        "position": positions,
+        "velocity": velocities,
+        "effort": [],
+    }
+
+
+def _header(now_ns: int, frame: str) -> Message:
+    seconds, nanoseconds = divmod(now_ns, _SECOND_NS)
+    return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame}
+
+
+def _vector(x: float, y: float, z: float) -> Message:
+    return {"x": x, "y": y, "z": z}
+
+
+def _quaternion(x: float, y: float, z: float, w: float) -> Message:
+    return {"x": x, "y": y, "z": z, "w": w}
+
+
+def _diagonal(variance: float) -> list[float]:
+    return [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance]
+
+
+# A topic that the robot publishes: its messages are made only while somebody hears them.
+
+
+class PublishedTopic:
+    """A topic with its type, its rate and who hears it.
+
+    Args:
+        clock: the simulation's clock.
+        message_type: ROS name, such as `nav_msgs/Odometry`.
+        rate: messages a second.
+        make: makes the message of this moment.
+    """
+
+    def __init__(self, clock: SimulatedClock, message_type: str, rate: int, make: Callable[[], dict[str, Any]]) -> None:
+        self.message_type = message_type
+        self._clock = clock
+        self._rate = rate
+        self._make = make
+        self._listeners: dict[Listening, Listener] = {}
+        self._ticker: Ticker | None = None
+
+    def listen(self, listener: Listener) -> Listening:
+        """Have `listener` called with each message while the clock is slept on, until the listening is closed."""
+        listening = Listening(self)
+        self._listeners[listening] = listener
+        if self._ticker is None:
+            self._ticker = self._clock.every(self._rate, self._publish)
+        return listening
+
+    def forget(self, listening: Listening) -> None:
+        """Call this listener no more; a topic that nobody hears is no longer computed."""
+        self._listeners.pop(listening, None)
+        if not self._listeners and self._ticker is not None:
+            self._ticker.close()
+            self._ticker = None
+
+    def _publish(self) -> None:
+        message = self._make()
+        for listening, listener in tuple(self._listeners.items()):
+            if listening in self._listeners:  # a listener before it may have ended it
+                listener(message)
+
+
+class Listening:
+    """Somebody who hears a topic."""
+
+    def __init__(self, topic: PublishedTopic) -> None:
+        self._topic = topic
+
+    def close(self) -> None:
+        """Hear no more messages; closing twice does nothing."""
+        self._topic.forget(self)
+
 
 _RAYS = 360
 _RAY_ANGLES = np.arange(_RAYS, dtype=np.float64) * (2 * math.pi / _RAYS)
@@ -42,7 +236,7 @@ class SensorBoard:
     def odom(self) -> dict[str, Any]:
         """Return what the wheels' encoders say."""
         self.drive.advance(self.clock.step)
-        return messages.odometry(self.clock.now_ns, self.wheels.latest())
+        return odometry(self.clock.now_ns, self.wheels.latest())
 
     def imu(self) -> dict[str, Any]:
         """Return angular velocity and acceleration with the noise of the sensor."""
@@ -50,7 +244,7 @@ class SensorBoard:
         noise = self.imu_noise.standard_normal((2, 3))
         angular = self.drive.angular_velocity + self.parameters.gyroscope_deviation * noise[0]
         linear = self.drive.acceleration + self.parameters.accelerometer_deviation * noise[1]
-        return messages.imu(
+        return imu(
             self.clock.now_ns,
             orientation=self.drive.orientation,
             angular_velocity=angular.tolist(),
@@ -69,7 +263,7 @@ class SensorBoard:
         noise = self.scan_noise.standard_normal(_RAYS)
         read = true * (1 + parameters.scan_deviation / 100 * noise)
         is_in_range = (read >= parameters.scan_minimum) & (read <= parameters.scan_maximum)
-        return messages.laser_scan(
+        return laser_scan(
             self.clock.now_ns,
             ranges=np.where(is_in_range, read, np.inf).tolist(),
             rate=parameters.scan_rate,
@@ -82,7 +276,7 @@ class SensorBoard:
         step = self.clock.step
         self.drive.advance(step)
         self.supply.extend(step)
-        return messages.battery_state(
+        return battery_state(
             self.clock.now_ns,
             voltage=float(self.supply.terminal_voltage(np.array([step]))[0]),
             current=float(self.supply.current[step]),
@@ -95,7 +289,7 @@ class SensorBoard:
         """Return angles and speeds of the wheels."""
         step = self.clock.step
         self.drive.advance(step)
-        return messages.joint_state(
+        return joint_state(
             self.clock.now_ns,
             positions=self.drive.wheel_angles[step].tolist(),
             velocities=self.drive.wheel_speeds[step].tolist(),

@@ -17,20 +17,25 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from robot_runner.links.host import UtilisationSample
-    from robot_runner.links.serial import Chunk
-    from robot_runner.testing.clock import FakeClock
-    from robot_runner.testing.context import FakeLinks, RecordingBroker, context_for, make_context
+    from robot_runner.core.links.host import UtilisationSample
+    from robot_runner.core.links.serial_line import Chunk
+    from robot_runner.testing.fake_devices import FakeHostLink, FakeSerialLine
+    from robot_runner.testing.fake_robot import FakeRobotLink, Publication, ServiceCall
+    from robot_runner.testing.fake_run import (
+        FakeClock,
+        FakeLinks,
+        RecordingBroker,
+        Rehearsal,
+        context_for,
+        make_context,
+        rehearse,
+    )
+    from robot_runner.testing.fake_turtlebot3 import FakeTurtlebot3Link
     from robot_runner.testing.graph_link_contract import GraphLinkContract
-    from robot_runner.testing.host import FakeHostLink
     from robot_runner.testing.link_contract import RobotLinkContract
-    from robot_runner.testing.profiler_contract import ProfilerContract
-    from robot_runner.testing.rehearsal import Rehearsal, rehearse
-    from robot_runner.testing.robot import FakeRobotLink, Publication, ServiceCall
+    from robot_runner.testing.plugin_contract import ProfilerContract
     from robot_runner.testing.rosbridge_server import RosbridgeServer
-    from robot_runner.testing.serial import FakeSerialLine
     from robot_runner.testing.system_contract import SystemContract
-    from robot_runner.testing.turtlebot3 import FakeTurtlebot3Link
 
 __all__ = [
     "Chunk",
@@ -56,26 +61,26 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Chunk": "robot_runner.links.serial",
-    "FakeClock": "robot_runner.testing.clock",
-    "FakeHostLink": "robot_runner.testing.host",
-    "FakeLinks": "robot_runner.testing.context",
-    "FakeRobotLink": "robot_runner.testing.robot",
-    "FakeSerialLine": "robot_runner.testing.serial",
-    "FakeTurtlebot3Link": "robot_runner.testing.turtlebot3",
+    "Chunk": "robot_runner.core.links.serial_line",
+    "FakeClock": "robot_runner.testing.fake_run",
+    "FakeHostLink": "robot_runner.testing.fake_devices",
+    "FakeLinks": "robot_runner.testing.fake_run",
+    "FakeRobotLink": "robot_runner.testing.fake_robot",
+    "FakeSerialLine": "robot_runner.testing.fake_devices",
+    "FakeTurtlebot3Link": "robot_runner.testing.fake_turtlebot3",
     "GraphLinkContract": "robot_runner.testing.graph_link_contract",
-    "ProfilerContract": "robot_runner.testing.profiler_contract",
-    "Publication": "robot_runner.testing.robot",
-    "RecordingBroker": "robot_runner.testing.context",
-    "Rehearsal": "robot_runner.testing.rehearsal",
+    "ProfilerContract": "robot_runner.testing.plugin_contract",
+    "Publication": "robot_runner.testing.fake_robot",
+    "RecordingBroker": "robot_runner.testing.fake_run",
+    "Rehearsal": "robot_runner.testing.fake_run",
     "RobotLinkContract": "robot_runner.testing.link_contract",
     "RosbridgeServer": "robot_runner.testing.rosbridge_server",
-    "ServiceCall": "robot_runner.testing.robot",
+    "ServiceCall": "robot_runner.testing.fake_robot",
     "SystemContract": "robot_runner.testing.system_contract",
-    "UtilisationSample": "robot_runner.links.host",
-    "context_for": "robot_runner.testing.context",
-    "make_context": "robot_runner.testing.context",
-    "rehearse": "robot_runner.testing.rehearsal",
+    "UtilisationSample": "robot_runner.core.links.host",
+    "context_for": "robot_runner.testing.fake_run",
+    "make_context": "robot_runner.testing.fake_run",
+    "rehearse": "robot_runner.testing.fake_run",
 }
 
 

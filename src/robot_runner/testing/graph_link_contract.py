@@ -8,14 +8,14 @@ import time
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from robot_runner.links.robot import Encoding, Qos, RawMessage
-from robot_runner.links.shapes import plain_type
-from robot_runner.links.velocity_commands import TWIST, TWIST_STAMPED, velocity_command, velocity_of
+from robot_runner.core.links.robot import Encoding, Qos, RawMessage
+from robot_runner.ros.shapes import plain_type
+from robot_runner.ros.watchdog import TWIST, TWIST_STAMPED, velocity_command, velocity_of
 from robot_runner.testing.link_contract import SLACK, RobotLinkContract, refusal
 from robot_runner.testing.plugin_contract import require
 
 if TYPE_CHECKING:
-    from robot_runner.links.robot import Message, RobotLink
+    from robot_runner.core.links.robot import Message, RobotLink
 
 __all__ = ["GraphLinkContract"]
 
@@ -37,8 +37,8 @@ class GraphLinkContract(RobotLinkContract):
         keeps_last: whether what is published `TRANSIENT_LOCAL` is there for who comes later.
 
     Example:
-        >>> from robot_runner.events.clock import SystemClock
-        >>> from robot_runner.links.ros1.opening import open_ros1_link
+        >>> from robot_runner.core.events.context import SystemClock
+        >>> from robot_runner.ros.ros1.link import open_ros1_link
         >>> from robot_runner.testing import GraphLinkContract
         >>> class TestRos1Link(GraphLinkContract):
         ...     def make_link(self, namespace=""):
@@ -91,7 +91,7 @@ class GraphLinkContract(RobotLinkContract):
 
     def test_bytes_are_those_of_the_message(self) -> None:
         """Hold that a recorder gets what a bag of this generation of ROS holds."""
-        from robot_runner.links.type_catalogue import TypeCatalogue  # noqa: PLC0415  # it needs rosbags
+        from robot_runner.ros.type_catalogue import TypeCatalogue  # noqa: PLC0415  # it needs rosbags
 
         with self.opened() as robot, self.opened() as link:
             raw: list[RawMessage] = []

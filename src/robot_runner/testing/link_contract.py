@@ -7,14 +7,14 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
-from robot_runner.errors import LinkError
-from robot_runner.links.robot import Encoding, RobotLink, Subscription
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.robot import Encoding, RobotLink, Subscription
 from robot_runner.testing.plugin_contract import require
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from robot_runner.links.robot import Message, RawMessage
+    from robot_runner.core.links.robot import Message, RawMessage
 
 __all__ = ["SLACK", "RobotLinkContract", "refusal"]
 
@@ -45,8 +45,8 @@ class RobotLinkContract:
         publishes: whether there is such a robot behind the link, without the test's publishing anything.
 
     Example:
-        >>> from robot_runner.links.simulated_robot import SimulatedRobotLink
-        >>> from robot_runner.simulator.simulation import Simulation
+        >>> from robot_runner.simulator.simulated_link import SimulatedRobotLink
+        >>> from robot_runner.simulator.simulated_turtlebot3 import Simulation
         >>> from robot_runner.testing import RobotLinkContract
         >>> class TestSimulatedRobotLink(RobotLinkContract):
         ...     def setup_method(self):

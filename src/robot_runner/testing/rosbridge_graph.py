@@ -1,19 +1,84 @@
-"""The graph behind the rosbridge server that tests speak to: topics and services, and who is on them."""
+"""The part of rosapi that the rosbridge server of the tests offers."""
 
 from __future__ import annotations
 
+import struct
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
-from robot_runner.links.rosbridge.conversion import from_protocol, to_protocol
-from robot_runner.links.shapes import Shape, completed
+from robot_runner.ros.rosbridge.frames import from_protocol, to_protocol
+from robot_runner.ros.shapes import BYTE_KINDS, Field, Shape, UpTo, completed, plain_type
 
 if TYPE_CHECKING:
-    from robot_runner.links.robot import Message
-    from robot_runner.links.type_catalogue import TypeCatalogue
+    from collections.abc import Callable, Sequence
 
-__all__ = ["Graph", "Hearer", "Refusal", "ServedTopic", "received"]
+    from cbor2 import CBORTag
+
+    from robot_runner.core.links.robot import Message
+    from robot_runner.ros.type_catalogue import TypeCatalogue
+
+__all__ = ["Graph", "Hearer", "Refusal", "ServedRosapi", "ServedTopic", "received", "typed_array", "with_typed_arrays"]
+
+
+# Writes the arrays of numbers of a message as a rosbridge server does in CBOR, for the server that tests speak to.
+
+#: Tag and layout of an array of numbers, by the kind of its elements.
+_TYPED = MappingProxyType(
+    {
+        "uint16": (69, "H"),
+        "uint32": (70, "I"),
+        "uint64": (71, "Q"),
+        "int8": (72, "b"),
+        "int16": (77, "h"),
+        "int32": (78, "i"),
+        "int64": (79, "q"),
+        "float32": (85, "f"),
+        "float64": (86, "d"),
+    }
+)
+
+
+def typed_array(kind: str, numbers: Sequence[Any]) -> CBORTag:
+    """Return numbers of one kind as a typed array, little endian.
+
+    Example:
+        >>> from cbor2 import dumps
+        >>> dumps(typed_array("int8", [1, -1])).hex()
+        'd8484201ff'
+    """
+    from cbor2 import CBORTag  # noqa: PLC0415  # an extra
+
+    tag, layout = _TYPED[kind]
+    return CBORTag(tag, struct.pack(f"<{len(numbers)}{layout}", *numbers))
+
+
+def with_typed_arrays(shape: Shape, values: Mapping[str, Any], message: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a message of the protocol with its arrays of numbers and bytes as CBOR has them.
+
+    Args:
+        shape: of its type.
+        values: the message as the protocol has it in JSON.
+        message: the same message as ours.
+    """
+    return {field.name: _value(field, values[field.name], message[field.name]) for field in shape.fields}
+
+
+def _value(field: Field, value: Any, ours: Any) -> Any:
+    if isinstance(field.kind, Shape):
+        if field.count is None:
+            return with_typed_arrays(field.kind, value, ours)
+        return [with_typed_arrays(field.kind, *pair) for pair in zip(value, ours, strict=True)]
+    if field.count is None:
+        return value
+    if field.kind in BYTE_KINDS:
+        return ours
+    return typed_array(field.kind, ours) if field.kind in _TYPED else value
+
+
+# The graph behind the rosbridge server that tests speak to: topics and services, and who is on them.
 
 
 class Refusal(Exception):  # noqa: N818 - what a server says in a status message, which is no error of the test's
@@ -152,3 +217,99 @@ def _merged(defaults: Mapping[str, Any], given: object, where: str) -> dict[str,
         else given.get(name, default)
         for name, default in defaults.items()
     }
+
+
+class ServedRosapi:
+    """Answers questions about a graph.
+
+    Args:
+        graph: that it is asked about.
+        generation: of ROS.
+        distro: of ROS.
+        nodes: full names of the nodes that there are.
+    """
+
+    def __init__(self, graph: Graph, generation: int, distro: str, nodes: list[str]) -> None:
+        self._graph = graph
+        self._generation = generation
+        self._distro = distro
+        self.nodes = nodes
+
+    def answer(self, service: str, request: Mapping[str, Any]) -> dict[str, Any] | None:
+        """Return the response of a service of rosapi's, or None if it is none of them."""
+        questions: dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {
+            "get_time": lambda _: {"time": self._stamp()},
+            "topics": lambda _: self._topics(),
+            "topic_type": lambda asked: {"type": self._topic_type(asked["topic"])},
+            "services": lambda _: {"services": [*self._graph.services, "/rosapi/topics"]},
+            "service_type": lambda asked: {"type": self._service_type(asked["service"])},
+            "nodes": lambda _: {"nodes": list(self.nodes)},
+            "message_details": lambda asked: _details(self._graph.types.shape(plain_type(asked["type"]))),
+            "service_request_details": lambda asked: _details(self._graph.types.request(plain_type(asked["type"]))),
+            "service_response_details": lambda asked: _details(self._graph.types.response(plain_type(asked["type"]))),
+            "topics_and_raw_types": lambda _: self._raw(),
+        }
+        if self._generation > 1:
+            questions["get_ros_version"] = lambda _: {"version": self._generation, "distro": self._distro}
+        question = questions.get(service.removeprefix("/rosapi/")) if service.startswith("/rosapi/") else None
+        if question is None:
+            return None
+        try:
+            return question(request)
+        except KeyError as error:
+            raise Refusal(f"the request of {service} lacks {error}") from error
+
+    def _stamp(self) -> dict[str, int]:
+        seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)
+        names = ("secs", "nsecs") if self._generation == 1 else ("sec", "nanosec")
+        return dict(zip(names, (seconds, nanoseconds), strict=True))
+
+    def _topics(self) -> dict[str, Any]:
+        topics = self._graph.topics.values()
+        return {"topics": [topic.name for topic in topics], "types": [topic.type_name for topic in topics]}
+
+    def _topic_type(self, name: str) -> str:
+        topic = self._graph.topics.get(name)
+        return "" if topic is None else topic.type_name
+
+    def _service_type(self, name: str) -> str:
+        service = self._graph.services.get(name)
+        return "" if service is None else service.type_name
+
+    def _raw(self) -> dict[str, Any]:
+        topics = self._topics()
+        texts = [self._graph.types.definition(plain_type(name)) for name in topics["types"]]
+        return {**topics, "typedefs_full_text": texts}
+
+
+def _details(shape: Shape) -> dict[str, Any]:
+    found: dict[str, dict[str, Any]] = {}
+    _describe(shape, found)
+    return {"typedefs": list(found.values())}
+
+
+def _describe(shape: Shape, found: dict[str, dict[str, Any]]) -> None:
+    if shape.type_name in found:
+        return
+    found[shape.type_name] = {
+        "type": shape.type_name,
+        "fieldnames": list(shape.names),
+        "fieldtypes": [_kind(field) for field in shape.fields],
+        "fieldarraylen": [_length(field) for field in shape.fields],
+        "examples": ["" for _ in shape.fields],
+        "constnames": [],
+        "constvalues": [],
+    }
+    for each in shape.fields:
+        if isinstance(each.kind, Shape):
+            _describe(each.kind, found)
+
+
+def _kind(field: Field) -> str:
+    return field.kind.type_name if isinstance(field.kind, Shape) else field.kind
+
+
+def _length(field: Field) -> int:
+    if field.count is None:
+        return -1
+    return 0 if isinstance(field.count, UpTo) else field.count

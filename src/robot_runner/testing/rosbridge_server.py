@@ -5,27 +5,212 @@ Source: rosbridge v2.0 protocol specification.
 
 from __future__ import annotations
 
+import itertools
+import json
 import logging
 import math
 import threading
 import time
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.links.robot import Encoding
-from robot_runner.links.rosbridge.conversion import to_protocol
-from robot_runner.links.shapes import completed, plain_type
-from robot_runner.links.type_catalogue import TypeCatalogue
-from robot_runner.testing.rosbridge_client import ServedClient
-from robot_runner.testing.rosbridge_graph import Graph, Refusal, ServedService, received
-from robot_runner.testing.rosbridge_rosapi import ServedRosapi
+from robot_runner.core.errors import RobotRunnerError
+from robot_runner.core.links.robot import Encoding
+from robot_runner.ros.rosbridge.frames import FrameReader, send_errors, to_protocol
+from robot_runner.ros.shapes import completed, plain_type
+from robot_runner.ros.type_catalogue import TypeCatalogue
+from robot_runner.testing.rosbridge_graph import (
+    Graph,
+    Refusal,
+    ServedRosapi,
+    ServedService,
+    received,
+    with_typed_arrays,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from robot_runner.links.robot import Message
+    from robot_runner.core.links.robot import Message
+    from robot_runner.testing.rosbridge_graph import ServedTopic
 
-__all__ = ["RosbridgeServer"]
+__all__ = ["RosbridgeServer", "ServedClient"]
+
+
+# One connection to the rosbridge server that tests speak to, and the operations of the protocol that it takes.
+
+_logger = logging.getLogger(__name__)
+
+
+class ServedClient:
+    """A client, from its first to its last frame.
+
+    Args:
+        server: that it is connected to.
+        connection: its WebSocket.
+    """
+
+    def __init__(self, server: RosbridgeServer, connection: Any) -> None:
+        self._server = server
+        self._connection = connection
+        self._numbers = itertools.count(1)
+        self._compressions: dict[str, str] = {}
+        self._fragment_sizes: dict[str, int] = {}
+        self._open_requests: dict[str, tuple[ServedClient, Any]] = {}
+
+    def serve(self) -> None:
+        """Take operations until the connection ends."""
+        reader = FrameReader()
+        with suppress(*send_errors()):
+            for frame in self._connection:
+                try:
+                    operation = reader.read(frame)
+                except ValueError as error:
+                    self._complain(None, str(error))
+                    continue
+                if operation is not None:
+                    self._take(operation)
+        self._leave()
+
+    def close(self) -> None:
+        """End the connection."""
+        with suppress(*send_errors()):
+            self._connection.close()
+
+    def hear(self, topic: ServedTopic, message: Message) -> None:
+        """Send a message of a topic, in the compression that was asked for."""
+        compression = self._compressions.get(topic.name, "none")
+        operation: dict[str, Any] = {"op": "publish", "topic": topic.name}
+        types, name = self._server.graph.types, plain_type(topic.type_name)
+        if compression == "cbor-raw":
+            seconds, nanoseconds = divmod(self._server.now_ns(), 1_000_000_000)
+            data = types.serialise(name, message, self._server.encoding)
+            self._send_bytes({**operation, "msg": {"secs": seconds, "nsecs": nanoseconds, "bytes": data}})
+            return
+        shape = types.shape(name)
+        values = self._server.spelt(to_protocol(shape, message))
+        if compression == "cbor":
+            self._send_bytes({**operation, "msg": with_typed_arrays(shape, values, message)})
+        else:
+            self._send({**operation, "msg": values}, self._fragment_sizes.get(topic.name))
+
+    def ask(self, caller: ServedClient, number: Any, service: str, request: Mapping[str, Any]) -> None:
+        """Forward a call of a service that this client offers."""
+        name = f"service_request:{service}:{next(self._numbers)}"
+        self._open_requests[name] = (caller, number)
+        self._send({"op": "call_service", "id": name, "service": service, "args": self._server.spelt(dict(request))})
+
+    def respond(self, number: Any, service: str, values: Any, *, is_good: bool) -> None:
+        """Send the response of a service that this client called."""
+        response = {"op": "service_response", "id": number, "service": service, "values": values, "result": is_good}
+        self._send(self._server.spelt(response))
+
+    def _take(self, operation: dict[str, Any]) -> None:
+        takers: dict[str, Callable[[dict[str, Any]], None]] = {
+            "advertise": self._advertise,
+            "unadvertise": lambda op: self._server.graph.unadvertise(op["topic"], self),
+            "publish": self._publish,
+            "subscribe": self._subscribe,
+            "unsubscribe": lambda op: self._server.graph.unsubscribe(op["topic"], self, op.get("id")),
+            "call_service": self._call,
+            "advertise_service": self._advertise_service,
+            "unadvertise_service": self._unadvertise_service,
+            "service_response": self._pass_on,
+            "set_level": lambda _: None,
+        }
+        try:
+            with self._server.lock:
+                taker = takers.get(operation["op"])
+                if taker is None:
+                    raise Refusal(f"Unknown operation: {operation['op']}")  # noqa: TRY301 - answered as all others
+                taker(operation)
+        except KeyError as error:
+            self._complain(operation.get("id"), f"{operation['op']}: the field {error} is missing")
+        except (Refusal, RobotRunnerError) as error:
+            self._complain(operation.get("id"), f"{operation['op']}: {error}")
+
+    def _advertise(self, operation: dict[str, Any]) -> None:
+        self._server.graph.types.shape(plain_type(operation["type"]))
+        is_latched = bool(operation.get("latch", False))
+        self._server.graph.advertise(operation["topic"], operation["type"], self, is_latched=is_latched)
+
+    def _publish(self, operation: dict[str, Any]) -> None:
+        name = operation["topic"]
+        topic = self._server.graph.topics.get(name)
+        if topic is None:
+            raise Refusal(f"topic {name} is not advertised")
+        shape = self._server.graph.types.shape(plain_type(topic.type_name))
+        self._server.graph.publish(name, received(shape, operation["msg"], where=name), self)
+
+    def _subscribe(self, operation: dict[str, Any]) -> None:
+        name, asked = operation["topic"], operation.get("compression", "none")
+        if operation.get("type") is not None:
+            self._server.graph.types.shape(plain_type(operation["type"]))
+        self._compressions[name] = asked if asked in self._server.compressions else "none"
+        if operation.get("fragment_size"):
+            self._fragment_sizes[name] = operation["fragment_size"]
+        self._server.graph.subscribe(name, operation.get("type"), self, str(operation.get("id")))
+
+    def _call(self, operation: dict[str, Any]) -> None:
+        name, number, request = operation["service"], operation.get("id"), operation.get("args") or {}
+        try:
+            self._server.call(self, number, name, request)
+        except (Refusal, RobotRunnerError) as error:
+            self._complain(number, f"call_service {type(error).__name__}: {error}")
+            self.respond(number, name, str(error), is_good=False)
+
+    def _advertise_service(self, operation: dict[str, Any]) -> None:
+        self._server.graph.types.request(plain_type(operation["type"]))
+        self._server.graph.services[operation["service"]] = ServedService(operation["type"], self)
+
+    def _unadvertise_service(self, operation: dict[str, Any]) -> None:
+        service = self._server.graph.services.get(operation["service"])
+        if service is None or service.owner is not self:
+            raise Refusal(f"Service {operation['service']} has not been advertised externally.")
+        del self._server.graph.services[operation["service"]]
+
+    def _pass_on(self, operation: dict[str, Any]) -> None:
+        caller, number = self._open_requests.pop(operation["id"], (None, None))
+        if caller is not None:
+            values, is_good = operation.get("values"), operation.get("result", True)
+            caller.respond(number, operation["service"], values, is_good=is_good)
+
+    def _leave(self) -> None:
+        with self._server.lock:
+            self._server.graph.forget(self)
+            for caller, number in self._open_requests.values():
+                caller.respond(number, "", "the service's node is gone", is_good=False)
+            self._open_requests.clear()
+        self._server.forget(self)
+
+    def _complain(self, number: Any, text: str) -> None:
+        if not self._server.tells:
+            _logger.debug("refused: %s", text)
+            return
+        status = {"op": "status", "level": "error", "msg": text}
+        self._send(status if number is None else {**status, "id": number})
+
+    def _send(self, operation: dict[str, Any], fragment_size: int | None = None) -> None:
+        text = json.dumps(operation)
+        if fragment_size is None or len(text) <= fragment_size:
+            self._send_frame(text)
+            return
+        parts = [text[at : at + fragment_size] for at in range(0, len(text), fragment_size)]
+        name = str(next(self._numbers))
+        for number, part in enumerate(parts):
+            fragment = {"op": "fragment", "id": name, "data": part, "num": number, "total": len(parts)}
+            self._send_frame(json.dumps(fragment))
+
+    def _send_bytes(self, operation: dict[str, Any]) -> None:
+        from cbor2 import dumps  # noqa: PLC0415  # an extra
+
+        self._send_frame(dumps(operation))
+
+    def _send_frame(self, frame: str | bytes) -> None:
+        with suppress(*send_errors()):
+            self._connection.send(frame)
+
 
 _ALL = ("none", "cbor", "cbor-raw")
 _DISTROS = {1: "noetic", 2: "humble"}
@@ -46,8 +231,8 @@ class RosbridgeServer:
         lock: held by whoever uses the graph.
 
     Example:
-        >>> from robot_runner.events.clock import SystemClock
-        >>> from robot_runner.links.rosbridge.opening import open_rosbridge_link
+        >>> from robot_runner.core.events.context import SystemClock
+        >>> from robot_runner.ros.rosbridge.link import open_rosbridge_link
         >>> server = RosbridgeServer()
         >>> server.offer("/task/stop", "std_srvs/Trigger", lambda request: {"success": True})
         >>> link = open_rosbridge_link(server.url, SystemClock())

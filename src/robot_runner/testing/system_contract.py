@@ -5,18 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from robot_runner.links.connect import connect_robot
-from robot_runner.plugins.api.plugin import System
+from robot_runner.core.links.connect import connect_robot
+from robot_runner.core.plugin import System
+from robot_runner.testing.fake_robot import FakeRobotLink
+from robot_runner.testing.fake_run import Rehearsal
 from robot_runner.testing.plugin_contract import MissionFailed, PluginContract, require
-from robot_runner.testing.rehearsal import Rehearsal
-from robot_runner.testing.robot import FakeRobotLink
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from robot_runner.events.clock import Clock
-    from robot_runner.events.context import RobotRunnerContext
+    from robot_runner.core.events.context import Clock, RobotRunnerContext
 
 __all__ = ["SystemContract"]
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_runner.analysis.comparison.bounds import Bound, Bounds
-from robot_runner.errors import AnalysisError
+from robot_runner.analysis.comparison.equivalence import Bound, Bounds
+from robot_runner.core.errors import AnalysisError
 
 
 @given(st.floats(min_value=1e-9, max_value=99.0))

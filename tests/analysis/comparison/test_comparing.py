@@ -7,12 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from robot_runner.analysis.comparison.bounds import Bound
+from robot_runner.analysis.comparison.compared import Verdict
 from robot_runner.analysis.comparison.comparing import compare
-from robot_runner.analysis.comparison.document import comparison_document
-from robot_runner.analysis.comparison.outcome import Verdict
-from robot_runner.analysis.comparison.writing import json_of_comparison
-from robot_runner.errors import AnalysisError, StorageError
+from robot_runner.analysis.comparison.comparison_document import comparison_document, json_of_comparison
+from robot_runner.analysis.comparison.equivalence import Bound
+from robot_runner.core.errors import AnalysisError, StorageError
 
 
 def shifted(values, by):

@@ -6,8 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from robot_runner.analysis.comparison.compared import Verdict
 from robot_runner.analysis.comparison.comparing import compare
-from robot_runner.analysis.comparison.outcome import Verdict
 
 PROGRAM = Path(sys.executable).with_name("robot-runner")
 

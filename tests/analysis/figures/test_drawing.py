@@ -14,20 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.colors import to_rgb
 
-from robot_runner.analysis.figures.agreement import draw_agreement
-from robot_runner.analysis.figures.courses import course_of_run, mean_course
-from robot_runner.analysis.figures.distribution import draw_distribution
-from robot_runner.analysis.figures.equivalence import Estimate, draw_differences
-from robot_runner.analysis.figures.files import FigureFormat, figure_bytes, file_name
-from robot_runner.analysis.figures.groups import Group
-from robot_runner.analysis.figures.interaction import Mean, draw_interaction
-from robot_runner.analysis.figures.mission import draw_mean_courses, draw_single_courses
-from robot_runner.analysis.figures.order import draw_run_order
-from robot_runner.analysis.figures.phases import PhaseSpan
-from robot_runner.analysis.figures.quantiles import draw_quantiles
-from robot_runner.analysis.figures.style import COLUMN, PAGE, looks, verbatim
-from robot_runner.analysis.figures.timeline import AttemptSpan, draw_timeline
-from robot_runner.analysis.figures.trajectory import Way, draw_trajectories
+from robot_runner.analysis.figures.courses import PhaseSpan, course_of_run, mean_course
+from robot_runner.analysis.figures.differences import Estimate, draw_agreement, draw_differences
+from robot_runner.analysis.figures.distribution import Group, draw_distribution, draw_quantiles
+from robot_runner.analysis.figures.effects import AttemptSpan, Mean, draw_interaction, draw_run_order, draw_timeline
+from robot_runner.analysis.figures.missions import Way, draw_mean_courses, draw_single_courses, draw_trajectories
+from robot_runner.analysis.figures.style import COLUMN, PAGE, FigureFormat, figure_bytes, file_name, looks, verbatim
 
 ROOT = Path(__file__).parents[3]
 LABEL = "Energy (J)"

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from robot_runner.analysis.figures import pdf_worker
+from robot_runner.analysis.figures.distribution import draw_quantiles
 from robot_runner.analysis.figures.pdf_worker import PdfWorker
-from robot_runner.analysis.figures.quantiles import draw_quantiles
-from robot_runner.errors import AnalysisError, StorageError
+from robot_runner.core.errors import AnalysisError, StorageError
 
 
 @pytest.fixture

@@ -4,14 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from robot_runner.analysis.importing.description import (
-    Aggregation,
-    ImportDescription,
-    SamplesDescription,
-    parse_recipe,
-)
-from robot_runner.analysis.importing.description_reading import read_description
-from robot_runner.errors import AnalysisError, StorageError
+from robot_runner.analysis.importing.description import Aggregation, ImportDescription, SamplesDescription, parse_recipe
+from robot_runner.analysis.importing.description_file import read_description
+from robot_runner.core.errors import AnalysisError, StorageError
 
 WHOLE = """
 name = "Rover"

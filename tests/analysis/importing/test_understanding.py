@@ -10,9 +10,9 @@ from robot_runner.analysis.importing.adoption import adopt
 from robot_runner.analysis.importing.description import ImportDescription, SamplesDescription, parse_recipe
 from robot_runner.analysis.importing.understanding import understand
 from robot_runner.analysis.results import load_results
-from robot_runner.errors import AnalysisError, StorageError
-from robot_runner.storage import cells
-from robot_runner.storage.run_status import RunStatus
+from robot_runner.core.errors import AnalysisError, StorageError
+from robot_runner.core.storage import cells
+from robot_runner.core.storage.cells import RunStatus
 
 NOTHING = ImportDescription()
 

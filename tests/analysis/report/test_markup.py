@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.analysis.report.blocks import Cell, Column, Place, Table
-from robot_runner.analysis.report.markup import csv_of, latex_of, latex_text, markdown_text
+from robot_runner.analysis.report.markdown import csv_of, latex_of, latex_text, markdown_text
 from robot_runner.analysis.report.names import SafeNames
 from robot_runner.analysis.report.numbers import MISSING
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from robot_runner.analysis.comparison.comparing import compare
-from robot_runner.analysis.comparison.writing import write_comparison
+from robot_runner.analysis.comparison.comparison_document import write_comparison
 from robot_runner.analysis.report.writing import write_report
 
 PROGRAM = Path(sys.executable).with_name("robot-runner")

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_runner.analysis.report.json_document import plain
+from robot_runner.analysis.report.document import plain
 from robot_runner.analysis.report.numbers import MINUS, MISSING, shown_number, shown_p, with_unit
 
 

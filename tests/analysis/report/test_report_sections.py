@@ -8,9 +8,8 @@ from robot_runner.analysis.report.blocks import Chart, Paragraph, Part, Remarks,
 from robot_runner.analysis.report.document import report_document
 from robot_runner.analysis.report.markdown import markdown_of
 from robot_runner.analysis.report.material import Material
-from robot_runner.analysis.report.mission_figures import Mission, mission_parts
-from robot_runner.analysis.report.sample_columns import sampled_measures
-from robot_runner.analysis.report.sections.threats import threats_of
+from robot_runner.analysis.report.mission_figures import Mission, mission_parts, sampled_measures
+from robot_runner.analysis.report.threats_section import threats_of
 from robot_runner.analysis.results import load_results
 from robot_runner.analysis.statistics.experiment import analyse
 

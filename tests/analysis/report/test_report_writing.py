@@ -8,9 +8,9 @@ import re
 
 import pytest
 
-from robot_runner.analysis.figures.files import FigureFormat
+from robot_runner.analysis.figures.style import FigureFormat
 from robot_runner.analysis.report.writing import ReportFormat, write_report
-from robot_runner.errors import AnalysisError, StorageError
+from robot_runner.core.errors import AnalysisError, StorageError
 
 SECTIONS = [
     "in-brief",

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from tests.analysis.statistics.reference_data import one_factor, split_plot, two_factors
 
-from robot_runner.analysis.statistics.carrying_out import carry_out
 from robot_runner.analysis.statistics.choice import Choice, choose_test
-from robot_runner.analysis.statistics.described import NotComputed
+from robot_runner.analysis.statistics.outcome import NotComputed
 from robot_runner.analysis.statistics.post_hoc import compare_pairs
 from robot_runner.analysis.statistics.tested import TestMethod
-from robot_runner.design.analysis_plan import Correction
+from robot_runner.analysis.statistics.tests import carry_out
+from robot_runner.core.design.analysis_plan import Correction
 
 NORMAL = np.random.default_rng(5).normal(0, 1, 200)
 SKEWED = np.exp(2 * NORMAL)

@@ -13,13 +13,13 @@ from tests.analysis.made_experiment import make_experiment
 from tests.analysis.statistics.reference_data import one_factor
 
 from robot_runner.analysis import analyse, load_results
-from robot_runner.analysis.statistics.drift import drift_of
+from robot_runner.analysis.statistics.correlations import drift_of
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.power import power_of, repetitions_needed
 from robot_runner.analysis.statistics.tested import TestMethod
-from robot_runner.design.analysis_plan import Correction
-from robot_runner.design.factor import Factor
-from robot_runner.errors import AnalysisError
+from robot_runner.core.design.analysis_plan import Correction
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.errors import AnalysisError
 
 NOISE = np.random.default_rng(11).normal(0, 1, 400).tolist()
 TASKS = Factor("Task", ["Video", "Network", "Idle"])

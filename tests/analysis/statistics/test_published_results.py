@@ -8,17 +8,15 @@ import numpy as np
 import pytest
 from tests.analysis.statistics import reference_data as data
 
-from robot_runner.analysis.statistics.aligned_ranks import aligned, fit_aligned
-from robot_runner.analysis.statistics.assumptions import equal_variances, normality
-from robot_runner.analysis.statistics.carrying_out import carry_out, mixed_model
-from robot_runner.analysis.statistics.choice import Choice, choose_test
+from robot_runner.analysis.statistics.choice import Choice, choose_test, equal_variances, normality
 from robot_runner.analysis.statistics.correlations import correlations_of
 from robot_runner.analysis.statistics.effect_sizes import cliffs_delta, cohens_d, paired_d, vargha_delaney
-from robot_runner.analysis.statistics.linear_model import fit_linear, terms_of
+from robot_runner.analysis.statistics.linear_model import aligned, fit_aligned, fit_linear, terms_of
 from robot_runner.analysis.statistics.outcome import Magnitude, TestMethod
 from robot_runner.analysis.statistics.post_hoc import adjusted, compare_pairs
 from robot_runner.analysis.statistics.power import _power, repetitions_needed
-from robot_runner.design.analysis_plan import Correction
+from robot_runner.analysis.statistics.tests import carry_out, mixed_model
+from robot_runner.core.design.analysis_plan import Correction
 
 
 def forced(measure, method):

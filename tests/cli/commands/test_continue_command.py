@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from robot_runner.cli.commands import continue_
-from robot_runner.execution.status import ExperimentStatus
-from robot_runner.storage.lock import Holder
+from robot_runner.core.execution.status import ExperimentStatus
+from robot_runner.core.storage.lock import Holder
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,7 +8,7 @@ import pytest
 
 from robot_runner.cli.commands import demo
 from robot_runner.cli.templating import template
-from robot_runner.errors import Finding
+from robot_runner.core.errors import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from robot_runner.cli.commands import plugins
-from robot_runner.plugins.registry import InstalledPlugin, installed_plugins
+from robot_runner.core.plugin import InstalledPlugin, installed_plugins
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -44,7 +44,7 @@ def test_json_has_the_same(robot_runner: Callable) -> None:
     [
         ("nowhere_at_all:Meter", "it cannot be imported: ModuleNotFoundError"),
         ("robot_runner.plugins.profilers:Meter", "it cannot be imported: AttributeError"),
-        ("robot_runner.errors:Finding", "is no Profiler"),
+        ("robot_runner.core.errors:Finding", "is no Profiler"),
     ],
 )
 def test_a_broken_plugin_is_a_finding_and_hides_no_other(

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from robot_runner.execution import trial
+from robot_runner.core.execution import trial
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -194,8 +194,8 @@ def test_the_traceback_of_a_strangers_callback_is_shown(robot_runner: Callable, 
         (["PsUtil", "--seconds", "nan"], "--seconds is nan"),
         (["nowhere.py"], "there is no such file"),
         (["no_such_module:Meter"], "it raised ModuleNotFoundError when it was imported"),
-        (["robot_runner.errors:Finding"], "Finding is no Profiler"),
-        (["robot_runner.plugins.profilers.psutil.profiler:PsUtl"], "Did you mean 'PsUtil'?"),
+        (["robot_runner.core.errors:Finding"], "Finding is no Profiler"),
+        (["robot_runner.meters.psutil:PsUtl"], "Did you mean 'PsUtil'?"),
         (["BasicTurtlebot3"], "no plugin named 'BasicTurtlebot3' is installed"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

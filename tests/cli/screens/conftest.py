@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from robot_runner.cli.console import UserConsole
-from robot_runner.config.preparation import prepare_or_refuse
-from robot_runner.events.measure import Origin, PublishedMeasure
-from robot_runner.execution.notices import AttemptFinished, AttemptStarted, ExperimentFinished, ExperimentStarted
-from robot_runner.execution.task import AttemptStatus, RunFailure, RunOutcome, RunTask
+from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.events.measure import Origin, PublishedMeasure
+from robot_runner.core.execution.notices import AttemptFinished, AttemptStarted, ExperimentFinished, ExperimentStarted
+from robot_runner.core.execution.task import AttemptStatus, RunFailure, RunOutcome, RunTask
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from robot_runner.config.experiment import Experiment
+    from robot_runner.core.config.experiment import Experiment
 
 
 @pytest.fixture

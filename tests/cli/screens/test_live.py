@@ -10,10 +10,10 @@ import pytest
 
 from robot_runner.cli.screens import live
 from robot_runner.cli.screens.live import LiveScreen
-from robot_runner.execution.notices import RunRecord, WaitingForUser
+from robot_runner.core.execution.notices import RunRecord, WaitingForUser
 
 if TYPE_CHECKING:
-    from robot_runner.config.experiment import Experiment
+    from robot_runner.core.config.experiment import Experiment
 
 COLUMNS = 100
 

@@ -7,11 +7,11 @@ import pytest
 
 from robot_runner.cli.screens import plain
 from robot_runner.cli.screens.plain import PlainScreen
-from robot_runner.errors import Finding
-from robot_runner.execution.notices import WaitingForUser
+from robot_runner.core.errors import Finding
+from robot_runner.core.execution.notices import WaitingForUser
 
 if TYPE_CHECKING:
-    from robot_runner.config.experiment import Experiment
+    from robot_runner.core.config.experiment import Experiment
 
 
 @pytest.fixture

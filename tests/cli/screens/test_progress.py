@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from robot_runner.cli.screens.progress import Progress
-from robot_runner.events.measure import Origin
-from robot_runner.execution.notices import RunRecord, WaitingForUser
+from robot_runner.core.events.measure import Origin
+from robot_runner.core.execution.notices import RunRecord, WaitingForUser
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -13,10 +13,10 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import pytest
-from tests.links.ros1_master import RUDE, needs_ros1, ros1_environment
+from tests.ros.ros1_master import RUDE, needs_ros1, ros1_environment
 
-from robot_runner.links.ros1.link import Ros1Link
-from robot_runner.links.ros1.master import Master
+from robot_runner.ros.ros1.link import Ros1Link
+from robot_runner.ros.ros1.master import Master
 
 ROBOT = Path(__file__).parents[3] / "robot"
 SOURCES = [ROBOT / "robot_runner_onboard" / "src", ROBOT / "robot_runner_ros1" / "src"]

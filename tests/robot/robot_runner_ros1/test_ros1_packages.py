@@ -11,10 +11,10 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
-from tests.links.ros1_master import RUDE, needs_ros1, ros1_environment
+from tests.ros.ros1_master import RUDE, needs_ros1, ros1_environment
 
-from robot_runner.links.ros1.link import Ros1Link
-from robot_runner.links.ros1.master import Master
+from robot_runner.ros.ros1.link import Ros1Link
+from robot_runner.ros.ros1.master import Master
 
 pytestmark = [*map(pytest.mark.filterwarnings, RUDE)]
 

@@ -1,29 +1,134 @@
-"""Tests of a difference, and two one-sided tests of equivalence (TOST), with scipy.
-
-Schuirmann, "A comparison of the two one-sided tests procedure and the power approach" (J. Pharmacokinet. Biopharm. 15,
-1987); with a bound in percent of the first mean, after Sasabuchi: each one-sided test compares the second mean with the
-first one multiplied by 1 less or plus the bound, so that the first mean's own uncertainty counts.
-"""
+"""Relative error and limits of agreement of two experiments."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import stats
 
+from robot_runner.analysis.comparison.compared import Agreement
 from robot_runner.analysis.statistics.outcome import Interval
+from robot_runner.core.errors import AnalysisError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.comparison.bounds import Bound
+__all__ = [
+    "Bound",
+    "Bounds",
+    "DifferenceTest",
+    "agreement_of",
+    "difference_test",
+    "equivalence_p_value",
+    "why_not_testable",
+]
 
-__all__ = ["DifferenceTest", "difference_test", "equivalence_p_value", "why_not_testable"]
+
+# What difference would not matter: stated by the user, in the unit of the measure or as a share.
+
+_PERCENT = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """The largest difference that does not matter.
+
+    Attributes:
+        value: in the unit of the measure, or a percentage of the first experiment's mean.
+        is_relative: whether it is a percentage.
+
+    Raises:
+        AnalysisError: it is not a finite number above 0, or not below 100 %.
+
+    Example:
+        >>> Bound.parse("5%")
+        Bound(value=5.0, is_relative=True)
+    """
+
+    value: float
+    is_relative: bool = False
+
+    def __post_init__(self) -> None:
+        is_sensible = math.isfinite(self.value) and self.value > 0
+        if not is_sensible or (self.is_relative and self.value >= _PERCENT):
+            raise AnalysisError(
+                f"the bound is {self.value:g}{' %' if self.is_relative else ''}",
+                where="bound",
+                fix="Give a number above 0, or a percentage between 0 and 100: --bound 5%.",
+            )
+
+    @classmethod
+    def parse(cls, text: str) -> Bound:
+        """Read a bound, such as `10` or `5%`.
+
+        Raises:
+            AnalysisError: it is no number, or one that cannot be a bound.
+        """
+        is_relative = text.strip().endswith("%")
+        try:
+            value = float(text.strip().removesuffix("%"))
+        except ValueError as error:
+            fix = "Give a number in the measure's unit, or a percentage: --bound 10, or --bound 5%."
+            raise AnalysisError(f"{text!r} is no bound", where="bound", fix=fix) from error
+        return cls(value, is_relative)
+
+    def in_units(self, mean: float) -> float:
+        """Return the bound in the unit of the measure, where the first experiment has this mean."""
+        return abs(mean) * self.value / _PERCENT if self.is_relative else self.value
+
+    def __str__(self) -> str:
+        return f"{self.value:g} %" if self.is_relative else f"{self.value:g}"
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """Bounds of several measures.
+
+    Attributes:
+        general: for every measure that has none of its own; None where those have no bound.
+        own: by measure.
+
+    Example:
+        >>> str(Bounds.parse(["5%", "Energy=10"]).of("Energy"))
+        '10'
+    """
+
+    general: Bound | None
+    own: Mapping[str, Bound]
+
+    @classmethod
+    def parse(cls, texts: Iterable[str]) -> Bounds:
+        """Read bounds, each as `5%` or `10`, or of one measure as `Energy=10`.
+
+        Raises:
+            AnalysisError: one cannot be read, or a measure has two.
+        """
+        general: Bound | None = None
+        own: dict[str, Bound] = {}
+        for text in texts:
+            # The bound is a number, so what stands before the last = is the name, whatever it holds.
+            name, equals, value = text.rpartition("=")
+            if name in own or (not equals and general is not None):
+                raise AnalysisError(f"{text!r} is a second bound", where="bound", fix="Leave one of them out.")
+            if equals:
+                own[name] = Bound.parse(value)
+            else:
+                general = Bound.parse(value)
+        return cls(general, own)
+
+    def of(self, measure: str) -> Bound | None:
+        """Return the bound of a measure, if it has one."""
+        return self.own.get(measure, self.general)
+
+
+# Tests of a difference, and two one-sided tests of equivalence (TOST), with scipy.
 
 _FEWEST = 2
-_PERCENT = 100.0
 #: Spread below which values are equal but for rounding, as a share of their size.
 _ROUNDING = 1e-12
 
@@ -95,3 +200,51 @@ def equivalence_p_value(
         above = stats.ttest_ind(second, lower, equal_var=False, alternative="greater")
         below = stats.ttest_ind(second, upper, equal_var=False, alternative="less")
     return max(float(above.pvalue), float(below.pvalue))
+
+
+#: Bland and Altman, "Statistical methods for assessing agreement between two methods of clinical measurement" (Lancet
+#: 327, 1986): 95 % of normally distributed differences.
+_SPREAD = 1.96
+
+
+def agreement_of(
+    groups: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]], *, is_paired: bool
+) -> Agreement | None:
+    """Return relative error and limits of agreement, or None where there is no pair.
+
+    Args:
+        groups: by combination: the values of the first and the second experiment; of pairs in the same order.
+        is_paired: whether values belong together; otherwise those of one combination are put beside each other.
+    """
+    pairs = {
+        label: [(float(one), float(other)) for one, other in zip(first, second, strict=False)]
+        for label, (first, second) in groups.items()
+        if len(first) and len(second)
+    }
+    differences = np.array([other - one for several in pairs.values() for one, other in several])
+    if not len(differences):
+        return None
+    bias = float(differences.mean())
+    spread = float(differences.std(ddof=1)) * _SPREAD if len(differences) >= _FEWEST else None
+    references = (
+        [pair for several in pairs.values() for pair in several]
+        if is_paired
+        else [
+            (float(first.mean()), float(second.mean())) for first, second in groups.values() if len(first) * len(second)
+        ]
+    )
+    return Agreement(
+        pairs,
+        are_natural=is_paired,
+        bias=bias,
+        lower=None if spread is None else bias - spread,
+        upper=None if spread is None else bias + spread,
+        error=_error(references),
+    )
+
+
+def _error(pairs: Sequence[tuple[float, float]]) -> float | None:
+    """Return the mean absolute percentage error of the second values, in percent of the first ones."""
+    if any(one == 0 for one, _ in pairs):
+        return None
+    return float(np.mean([abs(other - one) / abs(one) for one, other in pairs])) * _PERCENT

@@ -1,15 +1,15 @@
-"""Which runs of two experiments are compared with each other."""
+"""What differs between the circumstances of two experiments."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
-from robot_runner.design.columns import RUN_ID
-from robot_runner.errors import AnalysisError, did_you_mean
+from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.errors import AnalysisError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.results import Results
 
-__all__ = ["MatchedRuns", "Matching", "chosen_measures", "match_runs"]
+__all__ = ["MatchedRuns", "Matching", "chosen_measures", "differing_circumstances", "match_runs", "names_of"]
+
+
+# Which runs of two experiments are compared with each other.
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,3 +157,53 @@ def _paired(
 def _numbers(values: pd.Series) -> NDArray[np.float64]:
     numbers: NDArray[np.float64] = pd.to_numeric(values, errors="coerce").to_numpy(dtype="float64", na_value=np.nan)
     return numbers
+
+
+_ASPECTS = (
+    ("Robot", ("robot",)),
+    ("Config", ("config", "file")),
+    ("Seed of the order", ("seed",)),
+    ("Set by hand", ("deviations",)),
+    ("Robot Runner", ("software", "robot_runner")),
+    ("Python", ("software", "python")),
+    ("System", ("host", "system")),
+    ("Machine", ("host", "machine")),
+    ("Processor", ("host", "processor")),
+)
+
+
+def names_of(first: Results, second: Results, measures: Sequence[tuple[str, str]] = ()) -> tuple[str, str]:
+    """Return names that tell two experiments apart, or two measures of one."""
+    if first.folder == second.folder and len(measures) == 1 and len(set(measures[0])) > 1:
+        return measures[0]
+    if first.name != second.name:
+        return first.name, second.name
+    folders = (first.folder, second.folder)
+    if folders[0].name != folders[1].name:
+        return folders[0].name, folders[1].name
+    return f"first {first.name}", f"second {second.name}"
+
+
+def differing_circumstances(first: Results, second: Results) -> tuple[tuple[str, str, str], ...]:
+    """Return what differs: what it is, how it is in the first, how it is in the second."""
+    rows = [("Runs that are done", str(len(first.done)), str(len(second.done)))]
+    for name, keys in _ASPECTS:
+        rows.append((name, _shown(_within(first.manifest, keys)), _shown(_within(second.manifest, keys))))
+    for factor in first.factors:
+        if factor in second.factors:
+            ours, theirs = (", ".join(map(str, each.runs[factor].cat.categories)) for each in (first, second))
+            rows.append((f"Treatments of {factor}", ours, theirs))
+    return tuple(row for row in rows if row[1] != row[2])
+
+
+def _within(manifest: Mapping[str, Any], keys: tuple[str, ...]) -> Any:
+    found: Any = manifest
+    for key in keys:
+        found = found.get(key) if hasattr(found, "get") else None
+    return found
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name} = {each}" for name, each in value.items()) or "nothing"
+    return "not recorded" if value is None else str(value)

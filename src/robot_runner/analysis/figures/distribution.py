@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from robot_runner.analysis.figures.style import COLUMN, INK, Look, figure_style, looks, new_figure, verbatim, wrapped
+from robot_runner.analysis.figures.style import (
+    COLUMN,
+    GREY,
+    INK,
+    Look,
+    figure_style,
+    looks,
+    new_figure,
+    verbatim,
+    wrapped,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,9 +27,86 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.figures.groups import Group
+__all__ = ["Group", "draw_distribution", "draw_quantiles"]
 
-__all__ = ["draw_distribution"]
+
+# Values of a measure, group by group.
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """The values of the runs that had one treatment.
+
+    Attributes:
+        label: the treatment, or several with ` / ` between.
+        values: one a run; none is missing.
+        run_ids: the run of each value.
+        mean_low, mean_high: confidence interval of the mean, where one was computed.
+
+    Example:
+        >>> Group("Video", (866.9, 877.5), ("r_3", "r_5")).label
+        'Video'
+    """
+
+    label: str
+    values: Sequence[float]
+    run_ids: Sequence[str]
+    mean_low: float | None = None
+    mean_high: float | None = None
+
+    @property
+    def size(self) -> int:
+        """How many runs there are."""
+        return len(self.values)
+
+    @property
+    def mean(self) -> float:
+        """The mean; there must be a run."""
+        return sum(self.values) / len(self.values)
+
+
+# Whether values are distributed normally: a Q-Q figure.
+
+
+@figure_style()
+def draw_quantiles(
+    theoretical: Sequence[float],
+    observed: Sequence[float],
+    *,
+    slope: float,
+    intercept: float,
+    value_label: str,
+    width: float = COLUMN * 0.75,
+) -> Figure:
+    """Draw residuals against the quantiles of the standard normal distribution; on the line they are normal.
+
+    Args:
+        theoretical: quantiles of the standard normal distribution.
+        observed: the residuals, in ascending order.
+        slope: of the line of reference.
+        intercept: of the line of reference.
+        value_label: the measure, with its unit.
+        width: of the figure, inches.
+    """
+    figure = new_figure(width, width * 0.85)
+    axes = figure.subplots()
+    ends = [min(theoretical, default=-1.0), max(theoretical, default=1.0)]
+    axes.plot(ends, [intercept + slope * end for end in ends], color=GREY, linestyle=(0, (5, 2)), linewidth=0.9)
+    [look] = looks(1)
+    axes.plot(
+        theoretical,
+        observed,
+        linestyle="none",
+        marker="o",
+        color=look.colour,
+        markeredgecolor="white",
+        markeredgewidth=0.3,
+    )
+    axes.set_xlabel("Quantile of the normal distribution")
+    axes.set_ylabel(wrapped(f"Residual of {value_label}"))
+    axes.grid(visible=True)
+    return figure
+
 
 #: Fewer values than this make a density that says more about the method than about the values.
 _ENOUGH_FOR_A_VIOLIN = 20

@@ -11,9 +11,9 @@ import tempfile
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Self
 
-from robot_runner.analysis.figures.files import FigureFormat, figure_bytes
-from robot_runner.errors import AnalysisError
-from robot_runner.storage.safe_write import storage_error
+from robot_runner.analysis.figures.style import FigureFormat, figure_bytes
+from robot_runner.core.errors import AnalysisError
+from robot_runner.core.storage.safe_write import storage_error
 
 if TYPE_CHECKING:
     from types import TracebackType

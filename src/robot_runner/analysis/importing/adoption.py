@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
+from robot_runner.analysis.importing.adopted_records import write_records
 from robot_runner.analysis.importing.foreign_samples import ForeignSamples, RunSamples, read_run_samples
 from robot_runner.analysis.importing.recomputation import Difference, recompute
-from robot_runner.analysis.importing.records import write_records
-from robot_runner.errors import StorageError
-from robot_runner.storage.cells import quoted
-from robot_runner.storage.layout import ExperimentFolder
-from robot_runner.storage.safe_write import storage_error
+from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.cells import quoted
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.safe_write import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -8,7 +8,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.importing.units import TIME_UNITS, known_units, unit_of
-from robot_runner.errors import AnalysisError, did_you_mean
+from robot_runner.core.errors import AnalysisError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -9,17 +9,16 @@ from typing import TYPE_CHECKING
 
 from robot_runner.analysis.importing.foreign_samples import find_run_folders
 from robot_runner.analysis.wording import counted
-from robot_runner.errors import AnalysisError
-from robot_runner.storage.cells import CellValue, number_of
-from robot_runner.storage.run_status import RunStatus
+from robot_runner.core.errors import AnalysisError
+from robot_runner.core.storage.cells import CellValue, RunStatus, number_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from robot_runner.analysis.importing.column_roles import ColumnRoles
     from robot_runner.analysis.importing.description import ImportDescription
     from robot_runner.analysis.importing.foreign_table import ForeignTable
+    from robot_runner.analysis.importing.understanding import ColumnRoles
 
 __all__ = ["ForeignRun", "read_runs"]
 

@@ -11,19 +11,22 @@ import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
 from robot_runner.analysis.importing.foreign_table import CsvDialect, dialect_of
-from robot_runner.analysis.importing.foreign_times import (
+from robot_runner.analysis.importing.units import (
     DAY,
+    Unit,
     first_moment,
     guessed_unit,
     is_absolute,
     is_number,
     named_time,
     nanoseconds_of,
+    si_heading,
+    split_heading,
+    unit_of,
     unit_words,
     zone_words,
 )
-from robot_runner.analysis.importing.units import Unit, si_heading, split_heading, unit_of
-from robot_runner.errors import AnalysisError, did_you_mean
+from robot_runner.core.errors import AnalysisError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

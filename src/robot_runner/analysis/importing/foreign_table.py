@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from robot_runner.errors import AnalysisError
-from robot_runner.storage.cells import number_of
-from robot_runner.storage.safe_write import storage_error
+from robot_runner.core.errors import AnalysisError
+from robot_runner.core.storage.cells import number_of
+from robot_runner.core.storage.safe_write import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

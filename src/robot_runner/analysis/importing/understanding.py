@@ -6,23 +6,174 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.importing.column_roles import ColumnRoles, roles_of
 from robot_runner.analysis.importing.foreign_runs import ForeignRun, read_runs
 from robot_runner.analysis.importing.foreign_samples import ForeignSamples, understand_samples
 from robot_runner.analysis.importing.foreign_table import ForeignTable, read_foreign_table
 from robot_runner.analysis.importing.recomputation import check_recipes, guess_recipes
 from robot_runner.analysis.importing.units import Unit, split_heading, unit_of
-from robot_runner.design.columns import REPETITION, name_findings
-from robot_runner.errors import AnalysisError, StorageError, did_you_mean
-from robot_runner.storage.cells import number_of
+from robot_runner.core.design.columns import REPETITION, name_findings
+from robot_runner.core.errors import AnalysisError, StorageError, did_you_mean
+from robot_runner.core.storage.cells import number_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.analysis.importing.description import ImportDescription, Recipe
+    from robot_runner.analysis.importing.foreign_table import ForeignTable
 
-__all__ = ["Understanding", "understand"]
+__all__ = ["ColumnRoles", "Understanding", "roles_of", "understand"]
+
+
+# Which column of a foreign run table is what: as the user says, or as it looks.
+
+# As the earlier tools, the paper's Fig. 3 and people write them; blanks, underscores and case aside.
+_RUN_ID = ("runid", "id", "run", "runnumber", "runname")
+_STATUS = ("done", "status", "progress", "state")
+_REPETITION = ("repetition", "repetitions", "rep", "repeat", "trial", "iteration", "replication")
+
+_NUMBERED = re.compile(r"(.*?)[_-]repetition[_-](\d+)$", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class ColumnRoles:
+    """What the columns of a foreign run table are.
+
+    Attributes:
+        run_id: None where runs are to be numbered.
+        status: None where a run counts as done if it has any measure.
+        repetition: a column, or None.
+        repetition_in_run_id: whether run ids end in `_repetition_0` and the like.
+        factors, measures: columns in the order of the table.
+        extras: columns that are kept as they are.
+        notes: how roles were found that nobody told.
+    """
+
+    run_id: str | None
+    status: str | None
+    repetition: str | None
+    repetition_in_run_id: bool
+    factors: tuple[str, ...]
+    measures: tuple[str, ...]
+    extras: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    def repetition_of(self, run_id: str) -> int | None:
+        """Return the number in a run id such as `run_3_repetition_1`."""
+        found = _NUMBERED.match(run_id)
+        return int(found[2]) if found and self.repetition_in_run_id else None
+
+
+def roles_of(table: ForeignTable, said: ImportDescription) -> ColumnRoles:
+    """Find out what each column is.
+
+    Columns after the run's id and status are factors as long as their values repeat; the first that does not begins
+    the measures. So the earlier tools write them. What the user said comes first.
+
+    Raises:
+        AnalysisError: the user named a column that is not there.
+    """
+    _check_names(table, said)
+    left = [name for name in table.headings if name not in said.ignore]
+    told = {*(said.factors or ()), *(said.measures or ())}
+    free = [name for name in left if name not in told]
+    run_id = said.run_id or _named(free, _RUN_ID)
+    status = said.status or _named([name for name in free if name != run_id], _STATUS)
+    repetition = said.repetition or _named([name for name in free if name not in {run_id, status}], _REPETITION)
+    rest = [name for name in left if name not in {run_id, status, repetition}]
+    ids = table.column(run_id) if run_id else ()
+    numbered = repetition is None and bool(ids) and all(_NUMBERED.match(each) for each in ids)
+    found = [_NUMBERED.match(each) for each in ids] if numbered else []
+    repeated = [(each[1], each[2]) for each in found if each] or (
+        [(None, cell) for cell in table.column(repetition)] if repetition else []
+    )
+    factors = list(said.factors) if said.factors is not None else _guessed_factors(table, rest, said.measures, repeated)
+    measures, extras = _split_rest(table, [name for name in rest if name not in factors], said.measures)
+    notes = (
+        [] if said.factors is not None or not factors else ["factors were told from measures by their repeating values"]
+    )
+    return ColumnRoles(
+        run_id, status, repetition, numbered, tuple(factors), tuple(measures), tuple(extras), tuple(notes)
+    )
+
+
+def _check_names(table: ForeignTable, said: ImportDescription) -> None:
+    single = [name for name in (said.run_id, said.status, said.repetition) if name]
+    # A measure that the table lacks may come from a recipe.
+    for name in (*single, *(said.factors or ()), *said.ignore):
+        if name not in table.headings:
+            fix = did_you_mean(name, table.headings)
+            raise AnalysisError(f"there is no column {name!r}", where=table.path.name, fix=fix)
+
+
+def _named(headings: Sequence[str], known: Sequence[str]) -> str | None:
+    folded = {re.sub(r"[\s_-]", "", name.casefold()): name for name in reversed(headings)}
+    return next((folded[name] for name in known if name in folded), None)
+
+
+def _guessed_factors(
+    table: ForeignTable,
+    rest: Sequence[str],
+    measures: tuple[str, ...] | None,
+    repeated: Sequence[tuple[str | None, str]],
+) -> list[str]:
+    """Return the columns that hold treatments.
+
+    Args:
+        table: the run table.
+        rest: its columns, less the run's id and the like.
+        measures: those that the user named, or None.
+        repeated: for each run the name of its combination (None where it is not known), and which repetition it is.
+    """
+    count = len(table.rows)
+    factors: list[str] = []
+    for name in rest:
+        if name in table.unnamed or (measures is not None and name in measures):
+            continue
+        cells = table.column(name)
+        distinct = len(set(cells))
+        is_number = table.is_numeric(name)
+        if not all(cells) or (measures is None and split_heading(name)[1] is not None and distinct * 2 > count):
+            break
+        if distinct * 2 > count and (is_number or factors):
+            break
+        if is_number and repeated and _differs_between_repetitions(table, name, factors, repeated):
+            break
+        factors.append(name)
+    return factors
+
+
+def _differs_between_repetitions(
+    table: ForeignTable, name: str, factors: Sequence[str], repeated: Sequence[tuple[str | None, str]]
+) -> bool:
+    """Return whether a column differs between repetitions of a combination that is known without it: so it is measured.
+
+    Measured numbers repeat, too, where they are few or round.
+    """
+    treatments = zip(*(table.column(factor) for factor in factors), strict=True) if factors else [()] * len(repeated)
+    combinations = [(named,) if named else cells for cells, (named, _) in zip(treatments, repeated, strict=True)]
+    is_known = len({*zip(combinations, (which for _, which in repeated), strict=True)}) == len(repeated)
+    return is_known and len({*zip(combinations, table.column(name), strict=True)}) > len({*combinations})
+
+
+def _split_rest(
+    table: ForeignTable, rest: Sequence[str], measures: tuple[str, ...] | None
+) -> tuple[list[str], list[str]]:
+    """Return the measures and the extras: text that is not a measure by the user's word is kept as it is."""
+    if measures is not None:
+        return [name for name in rest if name in measures], [name for name in rest if name not in measures]
+    chosen = [name for name in rest if name not in table.unnamed and _is_measure(table, name)]
+    return chosen, [name for name in rest if name not in chosen]
+
+
+def _is_measure(table: ForeignTable, name: str) -> bool:
+    """Return whether a column is empty still, or has numbers in half of its cells at least: the others are slips."""
+    cells = [cell for cell in table.column(name) if cell]
+    if not cells or table.is_numeric(name) or table.is_boolean(name):
+        return True
+    numbers = [cell for cell in cells if re.fullmatch(r"[+-]?[0-9.,eE+-]+", cell)]
+    return 2 * len(numbers) >= len(cells)
+
 
 _TABLE = "run_table.csv"
 

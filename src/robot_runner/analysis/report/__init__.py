@@ -1,1 +1,1 @@
-"""The report of an experiment: what was done, what came of it, and how far it can be trusted, in one file."""
+"""The report of an experiment: what was done, what was found, and how far it can be trusted."""

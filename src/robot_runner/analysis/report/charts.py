@@ -10,13 +10,12 @@ import pandas as pd
 from robot_runner.analysis.figures.style import Look, looks
 from robot_runner.analysis.report.blocks import Chart
 from robot_runner.analysis.wording import counted
-from robot_runner.design.columns import RUN_ID
+from robot_runner.core.design.columns import RUN_ID
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from robot_runner.analysis.figures.courses import Course
-    from robot_runner.analysis.figures.phases import PhaseSpan
+    from robot_runner.analysis.figures.courses import Course, PhaseSpan
     from robot_runner.analysis.report.material import Material
 
 __all__ = ["course_chart", "points_chart"]

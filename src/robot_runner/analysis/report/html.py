@@ -15,7 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from robot_runner.analysis.report.blocks import Place
-from robot_runner.analysis.report.markup import csv_of, latex_of
+from robot_runner.analysis.report.markdown import csv_of, latex_of
 from robot_runner.analysis.report.names import SafeNames
 
 if TYPE_CHECKING:

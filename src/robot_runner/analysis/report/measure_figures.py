@@ -1,4 +1,4 @@
-"""The figures of one measure: its distribution, and how factors act together."""
+"""The figures of the measures and of the mission."""
 
 from __future__ import annotations
 
@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from robot_runner.analysis.figures.distribution import draw_distribution
-from robot_runner.analysis.figures.groups import Group
-from robot_runner.analysis.figures.interaction import Mean, draw_interaction
-from robot_runner.analysis.figures.quantiles import draw_quantiles
-from robot_runner.analysis.report.blocks import FigureBlock
+from robot_runner.analysis.figures.distribution import Group, draw_distribution, draw_quantiles
+from robot_runner.analysis.figures.effects import Mean, draw_interaction
+from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Section, Tone
 from robot_runner.analysis.report.material import JOINT, origin_in_words
+from robot_runner.analysis.report.mission_figures import mission_parts, trajectory_part
 from robot_runner.analysis.wording import counted
-from robot_runner.design.columns import RUN_ID
+from robot_runner.core.design.columns import RUN_ID
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,7 +22,10 @@ if TYPE_CHECKING:
     from robot_runner.analysis.report.material import Material
     from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics
 
-__all__ = ["distribution_figures", "interaction_figures", "quantile_figure"]
+__all__ = ["distribution_figures", "figures_section", "interaction_figures", "quantile_figure"]
+
+
+# The figures of one measure: its distribution, and how factors act together.
 
 _MOST_COMBINATIONS = 16
 _MOST_LINES = 8
@@ -147,3 +149,22 @@ def _interaction(material: Material, measure: MeasureStatistics, along: str, acr
             across=across,
         ),
     )
+
+
+def figures_section(material: Material) -> Section:
+    """Return the section."""
+    measures = [measure for measure in material.statistics.measures if measure.name in material.drawn]
+    blocks: list[Block] = [*mission_parts(material), *trajectory_part(material)]
+    distributions = [each for measure in measures for each in distribution_figures(material, measure)]
+    if distributions:
+        blocks.append(Part("distributions", "Measures by treatment", (Gallery(tuple(distributions)),)))
+    interactions = [each for measure in measures for each in interaction_figures(material, measure)]
+    if interactions:
+        blocks.append(Part("interactions", "Interactions of factors", (Gallery(tuple(interactions)),)))
+    others = len(material.statistics.measures) - len(measures)
+    if others:
+        words = f"{counted(others, 'more measure')} {'is' if others == 1 else 'are'} not drawn"
+        blocks.append(Paragraph(f"{words}: name those to draw by --measure.", Tone.NOTE))
+    if not blocks:
+        blocks.append(Paragraph("There is nothing to draw: no run is done.", Tone.WARNING))
+    return Section("figures", "Figures", tuple(blocks))

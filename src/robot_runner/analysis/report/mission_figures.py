@@ -1,4 +1,4 @@
-"""Sampled measures over the time of the mission: a chart for the page, and the paper's Fig. 4 for paper."""
+"""The ways that robots took, where a system kept them."""
 
 from __future__ import annotations
 
@@ -8,23 +8,97 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from robot_runner.analysis.figures.courses import Course, bin_width, course_of_run, mean_course
-from robot_runner.analysis.figures.mission import draw_mean_courses, draw_single_courses
-from robot_runner.analysis.figures.phases import PhaseSpan
+from robot_runner.analysis.figures.courses import Course, PhaseSpan, bin_width, course_of_run, mean_course
+from robot_runner.analysis.figures.missions import Way, draw_mean_courses, draw_single_courses, draw_trajectories
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Tone
 from robot_runner.analysis.report.charts import course_chart
 from robot_runner.analysis.report.material import origin_badges, origin_in_words
 from robot_runner.analysis.report.numbers import listed
-from robot_runner.analysis.report.sample_columns import SampledMeasure, sampled_measures
 from robot_runner.analysis.wording import counted
-from robot_runner.design.columns import RUN_ID
+from robot_runner.core.design.columns import RUN_ID
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from robot_runner.analysis.report.material import Material
+    from robot_runner.analysis.results import Results
+    from robot_runner.analysis.sample_files import SampleFile
 
-__all__ = ["Mission", "mission_parts"]
+__all__ = ["Mission", "SampledMeasure", "is_way", "mission_parts", "sampled_measures", "trajectory_part"]
+
+
+# Which columns of raw samples a report shows over the time of the mission.
+
+_MOST = 4
+_UNITS = {
+    "W": "W", "mW": "mW", "kW": "kW", "A": "A", "mA": "mA", "V": "V", "mV": "mV", "J": "J", "s": "s", "ms": "ms",
+    "m": "m", "mm": "mm", "Hz": "Hz", "kHz": "kHz", "MHz": "MHz", "percent": "%", "pct": "%", "C": "°C", "degC": "°C",
+    "K": "K", "rad": "rad", "deg": "°", "mps": "m/s", "radps": "rad/s", "B": "B", "MB": "MB", "MiB": "MiB",
+}  # fmt: skip
+_ACRONYMS = frozenset({"cpu", "gpu", "ram", "rss"})
+#: What columns are left out because others of the same file say the same in units that people read.
+_RAW = ("_raw", "_counts", "_ticks")
+
+
+@dataclass(frozen=True, slots=True)
+class SampledMeasure:
+    """One column of raw samples.
+
+    Attributes:
+        file: where it is.
+        column: its heading there, such as `power_W`.
+        title: what it is, as in `Power`.
+        unit: its unit; empty where the heading does not tell.
+        origin: `measured`, `simulated`, `estimated`, or None.
+    """
+
+    file: SampleFile
+    column: str
+    title: str
+    unit: str
+    origin: str | None
+
+    @property
+    def label(self) -> str:
+        """A heading for an axis, as in `Power (W)`."""
+        return f"{self.title} ({self.unit})" if self.unit else self.title
+
+
+def sampled_measures(results: Results) -> tuple[SampledMeasure, ...]:
+    """Return the columns of samples that are shown: of each file power if it has any, else its first columns."""
+    found: list[SampledMeasure] = []
+    for file in results.sample_files:
+        if not is_way(file.columns):
+            found += [_measure(results, file, column) for column in _leading(file.columns)]
+    return tuple(sorted(found, key=lambda each: each.unit != "W")[:_MOST])
+
+
+def is_way(columns: Sequence[str]) -> bool:
+    """Whether samples are places on a floor."""
+    return {"x_m", "y_m"} <= set(columns)
+
+
+def _leading(columns: Sequence[str]) -> list[str]:
+    readable = [column for column in columns if not column.endswith(_RAW)]
+    power = [column for column in readable if column.casefold().startswith("power")]
+    return power[:1] or readable[:2]
+
+
+def _measure(results: Results, file: SampleFile, column: str) -> SampledMeasure:
+    name, _, suffix = column.rpartition("_")
+    unit = _UNITS.get(suffix, "") if name else ""
+    words = (name if unit else column).replace("_", " ").split()
+    title = " ".join(word.upper() if word.casefold() in _ACRONYMS else word for word in words)
+    return SampledMeasure(file, column, title[:1].upper() + title[1:], unit, _origin(results, file.plugin))
+
+
+def _origin(results: Results, plugin: str) -> str | None:
+    published = results.published
+    origins = published.loc[(published["owner"] == plugin), "origin"].dropna().unique()
+    return ", ".join(sorted(map(str, origins))) or None
+
+
+# Sampled measures over the time of the mission: a chart for the page, and the paper's Fig. 4 for paper.
 
 #: More lines than that cannot be told apart in a column.
 _MOST_GROUPS = 6
@@ -192,3 +266,36 @@ def _means(mission: Mission) -> FigureBlock:
 
 def _marks(mission: Mission) -> str:
     return f"{' Dashed: events.' if mission.events else ''}{origin_in_words(mission.measure.origin)}"
+
+
+#: More ways than that hide each other.
+_TRAJECTORIES_MOST = 60
+
+
+def trajectory_part(material: Material) -> Iterator[Part]:
+    """Yield a part with a figure for each robot whose way was kept."""
+    figures = []
+    for file in material.results.sample_files:
+        runs = [run_id for run_id in material.done[RUN_ID] if run_id in file.paths]
+        if is_way(file.columns) and runs:
+            figures.append(_figure(material, file, runs))
+    if figures:
+        yield Part("trajectory", "The way of the robot", (Gallery(tuple(figures)),))
+
+
+def _figure(material: Material, file: SampleFile, runs: list[str]) -> FigureBlock:
+    shown = runs[:: -(-len(runs) // _TRAJECTORIES_MOST)]
+    samples = material.results.samples(
+        file.plugin, file=file.name, runs=shown, columns=["x_m", "y_m"], with_factors=False, with_phases=False
+    )
+    ways = [
+        Way(material.labels[str(run_id)], way["x_m"].to_numpy(dtype="float64"), way["y_m"].to_numpy(dtype="float64"))
+        for run_id, way in samples.groupby("run_id", observed=True)
+    ]
+    whose = "all runs that are done" if len(shown) == len(runs) else f"{len(shown)} of {counted(len(runs), 'run')}"
+    return FigureBlock(
+        f"trajectory {file.plugin}",
+        f"The way of the robot ({file.plugin}) by its odometry, {whose}. Circle: beginning; cross: end.",
+        f"{counted(len(ways), 'way')} seen from above.",
+        lambda: draw_trajectories(ways, order=material.order),
+    )

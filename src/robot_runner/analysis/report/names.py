@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from robot_runner.analysis.figures.files import file_name
+from robot_runner.analysis.figures.style import file_name
 
 __all__ = ["SafeNames"]
 

@@ -17,7 +17,7 @@ from robot_runner.analysis.report.numbers import (
     shown_interval,
     shown_number,
 )
-from robot_runner.design.analysis_plan import Correction
+from robot_runner.core.design.analysis_plan import Correction
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

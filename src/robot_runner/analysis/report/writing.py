@@ -10,19 +10,17 @@ from enum import Enum
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.figures.files import FigureFormat, figure_bytes
 from robot_runner.analysis.figures.pdf_worker import PdfWorker
-from robot_runner.analysis.report.document import report_document
+from robot_runner.analysis.figures.style import FigureFormat, figure_bytes
+from robot_runner.analysis.report.document import json_of_report, report_document
 from robot_runner.analysis.report.html import html_of
-from robot_runner.analysis.report.json_document import json_of_report
-from robot_runner.analysis.report.markdown import markdown_of
-from robot_runner.analysis.report.markup import csv_of, latex_of
+from robot_runner.analysis.report.markdown import csv_of, latex_of, markdown_of
 from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.report.names import SafeNames
 from robot_runner.analysis.results import Results, load_results
 from robot_runner.analysis.statistics.experiment import analyse
-from robot_runner.storage.layout import ExperimentFolder
-from robot_runner.storage.safe_write import storage_error, write_beside_and_rename
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

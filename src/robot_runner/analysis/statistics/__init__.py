@@ -1,1 +1,1 @@
-"""Descriptive statistics, assumption checks, the test that fits the design, effect sizes, power, drift."""
+"""Descriptive statistics, assumption checks, the test that fits the design, effect sizes, power."""

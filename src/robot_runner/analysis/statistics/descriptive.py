@@ -2,22 +2,35 @@
 
 from __future__ import annotations
 
+import warnings
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import stats
 
-from robot_runner.analysis.statistics.described import Description, Interval, Outlier
-from robot_runner.analysis.statistics.quiet import quiet
+from robot_runner.analysis.statistics.outcome import Description, Interval, Outlier
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
     from robot_runner.analysis.statistics.design import Group
 
-__all__ = ["bootstrap_interval", "describe"]
+__all__ = ["bootstrap_interval", "describe", "quiet"]
+
+
+# Computing without warnings where their cause shows in the result, and is told there.
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Keep libraries from warning, of values that hardly vary say: what they cannot compute is no finite number."""
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        yield
+
 
 #: A bootstrap draws from so few values hardly more than their ends: its intervals would be far too narrow.
 _LEAST_FOR_BOOTSTRAP = 5

@@ -11,7 +11,7 @@ import pandas as pd
 from robot_runner.analysis.run_frame import treatment_texts
 from robot_runner.analysis.statistics.outcome import DesignSummary
 from robot_runner.analysis.wording import counted, listed
-from robot_runner.design.columns import RUN_ID
+from robot_runner.core.design.columns import RUN_ID
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import optimize, special, stats
 
-from robot_runner.analysis.statistics.described import Interval
 from robot_runner.analysis.statistics.descriptive import bootstrap_interval
+from robot_runner.analysis.statistics.outcome import Interval
 from robot_runner.analysis.statistics.tested import EffectSize, Magnitude
 
 if TYPE_CHECKING:

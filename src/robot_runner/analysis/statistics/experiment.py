@@ -2,26 +2,189 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
-from robot_runner.analysis.statistics.correlations import correlations_of
-from robot_runner.analysis.statistics.described import NotComputed
+import numpy as np
+
+from robot_runner.analysis.statistics.choice import choose_test, normality, quantile_pairs
+from robot_runner.analysis.statistics.correlations import correlations_of, drift_of
+from robot_runner.analysis.statistics.descriptive import describe
 from robot_runner.analysis.statistics.design import design_of
-from robot_runner.analysis.statistics.hypotheses import judge
-from robot_runner.analysis.statistics.measure import measure_statistics
-from robot_runner.analysis.statistics.outcome import ExperimentStatistics
-from robot_runner.analysis.wording import counted
-from robot_runner.design.analysis_plan import Correction
-from robot_runner.errors import AnalysisError, did_you_mean
+from robot_runner.analysis.statistics.outcome import (
+    ExperimentStatistics,
+    HypothesisOutcome,
+    MeasureStatistics,
+    NotComputed,
+)
+from robot_runner.analysis.statistics.post_hoc import adjusted, compare_pairs
+from robot_runner.analysis.statistics.power import power_of
+from robot_runner.analysis.statistics.tests import carry_out
+from robot_runner.analysis.wording import counted, p_in_words
+from robot_runner.core.design.analysis_plan import Correction
+from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.errors import AnalysisError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from robot_runner.analysis.results import Results
-    from robot_runner.analysis.statistics.design import Design
-    from robot_runner.analysis.statistics.outcome import MeasureStatistics
+    from robot_runner.analysis.statistics.choice import Choice
+    from robot_runner.analysis.statistics.design import Design, MeasureData
+    from robot_runner.analysis.statistics.outcome import Description
+    from robot_runner.analysis.statistics.tested import AssumptionCheck, Effect, MeasureTest, PostHoc, Power
+    from robot_runner.core.design.analysis_plan import Hypothesis
 
-__all__ = ["analyse"]
+__all__ = ["analyse", "judge", "measure_statistics"]
+
+
+# Everything about one measure.
+
+_Found = TypeVar("_Found")
+
+#: Groups are described one by one up to this number; the table would not be read, and the bootstrap takes its time.
+_MOST_DESCRIBED = 200
+
+#: The square of a larger value, summed up, comes near the end of floating-point numbers.
+_LARGEST = 1e100
+
+
+class _Gathered:
+    """What could not be computed, noted on the way."""
+
+    def __init__(self) -> None:
+        self.missing: list[NotComputed] = []
+
+    def take(self, result: _Found | NotComputed) -> _Found | None:
+        """Return a result, or None after noting why there is none."""
+        if isinstance(result, NotComputed):
+            self.missing.append(result)
+            return None
+        return result
+
+
+def measure_statistics(
+    design: Design, name: str, *, alpha: float, correction: Correction, is_planned: bool
+) -> MeasureStatistics:
+    """Compute the statistics of one measure from the runs that are done."""
+    gathered = _Gathered()
+    column = design.results.columns[name]
+    data = design.data(name)
+    if data is None or not len(data.frame) or float(np.max(np.abs(data.values))) > _LARGEST:
+        why = "it is not a number." if data is None else "no run that is done has a value."
+        if data is not None and len(data.frame):
+            why = f"it has values beyond {_LARGEST:g}, which cannot be reckoned with."
+        gathered.missing.append(NotComputed(f"statistics of {name}", why))
+        return MeasureStatistics(name, column.unit, column.origin, is_planned, not_computed=tuple(gathered.missing))
+    choice = gathered.take(choose_test(data, alpha))
+    test = carry_out(data, choice, alpha) if choice else None
+    post_hoc = _compared(gathered, data, choice, test, alpha, correction)
+    residuals = choice.fit.residuals if choice else data.residuals()
+    return MeasureStatistics(
+        name,
+        column.unit,
+        column.origin,
+        is_planned,
+        overall=describe(data.described_groups([])[0]),
+        by_treatment=tuple(each for factor in data.factors for each in _described(gathered, data, (factor,))),
+        by_combination=_described(gathered, data, data.factors) if len(data.factors) > 1 else (),
+        assumptions=_assumptions(gathered, data, choice, alpha),
+        quantiles=quantile_pairs(residuals, tuple(data.frame[RUN_ID])),
+        test=test,
+        post_hoc=post_hoc,
+        drift=gathered.take(drift_of(data, alpha, column.unit)),
+        power=_power(gathered, data, alpha),
+        not_computed=tuple(dict.fromkeys(gathered.missing)),
+    )
+
+
+def _described(gathered: _Gathered, data: MeasureData, factors: tuple[str, ...]) -> tuple[Description, ...]:
+    groups = data.described_groups(factors)
+    if len(groups) > _MOST_DESCRIBED:
+        why = f"there are {len(groups):,} groups, more than {_MOST_DESCRIBED}."
+        gathered.missing.append(NotComputed(f"descriptions by {' x '.join(factors)}", why))
+        return ()
+    return tuple(map(describe, groups))
+
+
+def _power(gathered: _Gathered, data: MeasureData, alpha: float) -> Power | None:
+    if len(data.factors) > 1:
+        why = f"it is for one factor, and {len(data.factors)} are varied: power depends on the effects of all of them."
+        gathered.take(NotComputed("power", why))
+    if len(data.factors) != 1:
+        return None
+    return gathered.take(power_of(data.groups(data.factors), alpha, is_blocked=data.is_blocked))
+
+
+def _compared(
+    gathered: _Gathered,
+    data: MeasureData,
+    choice: Choice | None,
+    test: MeasureTest | None,
+    alpha: float,
+    correction: Correction,
+) -> tuple[PostHoc, ...]:
+    if choice is None or test is None:
+        return ()
+    post_hoc, missing = compare_pairs(data, choice, test, alpha, correction)
+    gathered.missing += missing
+    return post_hoc
+
+
+def _assumptions(
+    gathered: _Gathered, data: MeasureData, choice: Choice | None, alpha: float
+) -> tuple[AssumptionCheck, ...]:
+    """Return what the choice rests on, then the normality of each group."""
+    deciding = [gathered.take(check) for check in choice.checks] if choice else []
+    groups = data.groups(data.factors) if data.factors else []
+    if len(groups) > _MOST_DESCRIBED:
+        groups = []
+    of_groups = [gathered.take(normality(group.values, alpha, group.treatments)) for group in groups]
+    return tuple(check for check in (*deciding, *of_groups) if check is not None)
+
+
+# What came of the hypotheses that were fixed before the experiment.
+
+
+def judge(
+    hypotheses: Sequence[Hypothesis], measures: Sequence[MeasureStatistics], alpha: float, correction: Correction
+) -> tuple[HypothesisOutcome, ...]:
+    """Return the outcome of each hypothesis; p-values are adjusted for the number of hypotheses that were tested."""
+    by_name = {measure.name: measure for measure in measures}
+    effects = [_effect(hypothesis, by_name.get(hypothesis.measure)) for hypothesis in hypotheses]
+    tested = [effect.p_value for effect in effects if effect is not None and effect.p_value is not None]
+    after = iter(adjusted(tested, correction))
+    outcomes = []
+    for hypothesis, effect in zip(hypotheses, effects, strict=True):
+        if effect is None or effect.p_value is None:
+            why = _reason(hypothesis, by_name.get(hypothesis.measure))
+            outcomes.append(HypothesisOutcome(hypothesis, None, None, None, f"It could not be tested: {why}"))
+        else:
+            outcomes.append(_outcome(hypothesis, effect, effect.p_value, next(after), alpha))
+    return tuple(outcomes)
+
+
+def _effect(hypothesis: Hypothesis, measure: MeasureStatistics | None) -> Effect | None:
+    if measure is None or measure.test is None:
+        return None
+    return next((each for each in measure.test.effects if set(each.factors) == set(hypothesis.factors)), None)
+
+
+def _outcome(
+    hypothesis: Hypothesis, effect: Effect, p_value: float, adjusted_p_value: float, alpha: float
+) -> HypothesisOutcome:
+    is_supported = adjusted_p_value < alpha
+    verdict = "The data support it" if is_supported else "The data do not support it, which is no proof of the contrary"
+    conclusion = f"{verdict} ({p_in_words(adjusted_p_value)} after correction). {effect.conclusion}"
+    return HypothesisOutcome(hypothesis, p_value, adjusted_p_value, is_supported, conclusion)
+
+
+def _reason(hypothesis: Hypothesis, measure: MeasureStatistics | None) -> str:
+    if measure is None:
+        return f"there is no measure {hypothesis.measure}."
+    if measure.test is None:
+        return measure.not_computed[0].why if measure.not_computed else "there is no test."
+    return f"the test has no effect of {' x '.join(hypothesis.factors)}."
+
 
 _ALPHA = 0.05
 

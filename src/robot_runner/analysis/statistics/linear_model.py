@@ -1,4 +1,9 @@
-"""Linear models of a measure: analysis of variance (type II), residuals, and contrasts between treatments."""
+"""The aligned rank transform: analysis of variance without the assumption of normal residuals, interactions included.
+
+Source: Wobbrock, Findlater, Gergle and Higgins, The Aligned Rank Transform for Nonparametric Factorial Analyses Using
+Only ANOVA Procedures, CHI 2011. For each effect the values are aligned (stripped of all other effects), ranked, and
+analysed; only that effect is read off.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+from scipy import stats
 
-from robot_runner.analysis.statistics.quiet import quiet
+from robot_runner.analysis.statistics.descriptive import quiet
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -19,7 +25,21 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.statistics.design import MeasureData
 
-__all__ = ["LinearFit", "TermTest", "Terms", "coded_frame", "fit_linear", "formula_of", "terms_of"]
+__all__ = [
+    "LinearFit",
+    "TermTest",
+    "Terms",
+    "aligned",
+    "aligned_ranks",
+    "coded_frame",
+    "fit_aligned",
+    "fit_linear",
+    "formula_of",
+    "terms_of",
+]
+
+
+# Linear models of a measure: analysis of variance (type II), residuals, and contrasts between treatments.
 
 #: Interactions of more factors can hardly be interpreted, and use up the degrees of freedom.
 _MOST_FACTORS_IN_TERM = 3
@@ -247,3 +267,41 @@ def coded_frame(data: MeasureData, response: NDArray[np.float64] | None = None) 
 
 def _term(effect: Sequence[str], factors: Sequence[str]) -> str:
     return ":".join(f"C(f{factors.index(factor)}, Sum)" for factor in effect)
+
+
+#: Aligned values that differ by less than this, beside the largest, are ties that rounding has torn apart.
+_TIE = 1e-9
+
+
+def aligned(data: MeasureData, effect: Sequence[str]) -> NDArray[np.float64]:
+    """Return the values aligned for one effect: the residual of the combination's mean, plus the effect's estimate.
+
+    The estimate of an interaction is made of the means over all sets of its factors, with alternating signs.
+    """
+    values = pd.Series(data.values)
+    columns = data.frame
+
+    def mean_over(factors: Sequence[str]) -> NDArray[np.float64]:
+        if not factors:
+            return np.full(len(values), values.mean())
+        keys = [columns[factor].astype(str).to_numpy() for factor in factors]
+        return np.asarray(values.groupby(keys).transform("mean"), dtype=np.float64)
+
+    estimate = np.zeros(len(values))
+    for size in range(len(effect) + 1):
+        sign = (-1) ** (len(effect) - size)
+        for subset in combinations(effect, size):
+            estimate += sign * mean_over(subset)
+    return np.asarray(values - mean_over(data.factors) + estimate, dtype=np.float64)
+
+
+def aligned_ranks(data: MeasureData, effect: Sequence[str]) -> NDArray[np.float64]:
+    """Return the ranks of the values aligned for one effect; values that differ by rounding only are ties."""
+    values = aligned(data, effect)
+    step = _TIE * max(float(np.max(np.abs(values))), 1e-300)
+    return np.asarray(stats.rankdata(np.round(values / step)), dtype=np.float64)
+
+
+def fit_aligned(data: MeasureData, terms: Terms, effect: Sequence[str]) -> LinearFit:
+    """Fit the full model to the ranks of the values aligned for one effect."""
+    return fit_linear(data, terms, aligned_ranks(data, effect))

@@ -10,19 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import stats
 
-from robot_runner.analysis.statistics.aligned_ranks import aligned_ranks
-from robot_runner.analysis.statistics.carrying_out import mixed_model
-from robot_runner.analysis.statistics.described import Interval, NotComputed
-from robot_runner.analysis.statistics.descriptive import bootstrap_interval
-from robot_runner.analysis.statistics.effect_sizes import (
-    paired_d,
-    paired_rank_biserial,
-    two_group_effects,
-)
-from robot_runner.analysis.statistics.linear_model import fit_linear
-from robot_runner.analysis.statistics.quiet import quiet
+from robot_runner.analysis.statistics.descriptive import bootstrap_interval, quiet
+from robot_runner.analysis.statistics.effect_sizes import paired_d, paired_rank_biserial, two_group_effects
+from robot_runner.analysis.statistics.linear_model import aligned_ranks, fit_linear
+from robot_runner.analysis.statistics.outcome import Interval, NotComputed
 from robot_runner.analysis.statistics.tested import Comparison, PostHoc, TestMethod
-from robot_runner.design.analysis_plan import Correction
+from robot_runner.analysis.statistics.tests import mixed_model
+from robot_runner.core.design.analysis_plan import Correction
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import brentq
 
-from robot_runner.analysis.statistics.described import NotComputed
-from robot_runner.analysis.statistics.quiet import quiet
+from robot_runner.analysis.statistics.descriptive import quiet
+from robot_runner.analysis.statistics.outcome import NotComputed
 from robot_runner.analysis.statistics.tested import Power, RepetitionsNeeded
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from robot_runner.analysis.statistics.described import Interval
-    from robot_runner.design.analysis_plan import Correction
+    from robot_runner.analysis.statistics.outcome import Interval
+    from robot_runner.core.design.analysis_plan import Correction
 
 __all__ = [
     "AssumptionCheck",

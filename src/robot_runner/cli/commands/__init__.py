@@ -30,6 +30,21 @@ COMMANDS = {
     "try": "Try a profiler without an experiment.",
 }
 
+#: The rooms of the commands that are not the core's own.
+_ROOMS = {
+    "compare": "analysis",
+    "convert": "legacy",
+    "explain": "replication",
+    "export": "analysis",
+    "fit-power-model": "meters",
+    "import": "analysis",
+    "pack": "replication",
+    "replicate": "replication",
+    "report": "analysis",
+    "simulate": "simulator",
+    "verify": "replication",
+}
+
 
 def module_of(command: str) -> str:
     """Return the module that implements a command.
@@ -38,4 +53,5 @@ def module_of(command: str) -> str:
         >>> module_of("continue")  # a word of Python, so its module has another name
         'robot_runner.cli.commands.continue_'
     """
-    return f"{__name__}.{command.replace('-', '_')}{'_' if iskeyword(command) else ''}"
+    room = _ROOMS.get(command, "cli")
+    return f"robot_runner.{room}.commands.{command.replace('-', '_')}{'_' if iskeyword(command) else ''}"

@@ -8,21 +8,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.cli.arguments import add_config, add_json, add_set
-from robot_runner.cli.console import UserConsole, output, print_json, quiet_loading, shown_path
+from robot_runner.cli.console import UserConsole, output, print_facts, print_json, quiet_loading, shown_path
 from robot_runner.cli.design_words import columns_as_json, design_as_json, in_words, measures_in_words, order_in_words
-from robot_runner.cli.facts import print_facts
 from robot_runner.cli.findings import as_json, print_findings, tally
 from robot_runner.cli.guard import REFUSED
-from robot_runner.config.overrides import parse_assignments
-from robot_runner.dialects.preparation import prepare
+from robot_runner.cli.parser import add_config, add_json, add_set
+from robot_runner.core.config.loader import parse_assignments
+from robot_runner.legacy.loading import prepare
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
     from robot_runner.cli.parser import Parser
-    from robot_runner.config.experiment import Experiment
-    from robot_runner.config.preparation import Preparation
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.config.preparation import Preparation
 
 __all__ = ["add_arguments", "execute"]
 

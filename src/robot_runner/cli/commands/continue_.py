@@ -5,18 +5,18 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from robot_runner.cli.arguments import add_set, add_target
 from robot_runner.cli.console import shown_path
-from robot_runner.cli.target import folder_of_target
-from robot_runner.errors import ExecutionError
-from robot_runner.execution.status import ExperimentStatus, read_status
-from robot_runner.storage.control import Command, send_command
+from robot_runner.cli.parser import add_set, add_target
+from robot_runner.cli.planning import folder_of_target
+from robot_runner.core.errors import ExecutionError
+from robot_runner.core.execution.status import ExperimentStatus, read_status
+from robot_runner.core.storage.lock import Command, send_command
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
     from robot_runner.cli.parser import Parser
-    from robot_runner.storage.layout import ExperimentFolder
+    from robot_runner.core.storage.layout import ExperimentFolder
 
 __all__ = ["add_arguments", "execute"]
 

@@ -13,23 +13,21 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from robot_runner.cli.aligned import Column, aligned, width_of
-from robot_runner.cli.console import UserConsole, output, shown_path
-from robot_runner.cli.execution import Execution, execute_on_screen, read_or_not
-from robot_runner.cli.facts import print_facts
-from robot_runner.cli.screens.outcome import print_verdict, whereabouts
+from robot_runner.cli.console import Column, UserConsole, aligned, output, print_facts, shown_path, width_of
+from robot_runner.cli.executing import Execution, execute_on_screen, read_or_not
+from robot_runner.cli.screens.ending import print_verdict, whereabouts
 from robot_runner.cli.templating import template, write_new_file
-from robot_runner.cli.wording import shown_value
-from robot_runner.config.preparation import prepare_or_refuse
-from robot_runner.errors import LinkError, StorageError
-from robot_runner.links.connect import SIMULATED, link_findings
+from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.errors import LinkError, StorageError
+from robot_runner.core.links.connect import SIMULATED, link_findings
+from robot_runner.core.words import shown_value
 
 if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Mapping, Sequence
 
     from robot_runner.cli.parser import Parser
-    from robot_runner.execution.notices import ExperimentFinished
+    from robot_runner.core.execution.notices import ExperimentFinished
 
 __all__ = ["add_arguments", "execute"]
 

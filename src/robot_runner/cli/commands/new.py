@@ -6,8 +6,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robot_runner.cli.console import output
-from robot_runner.cli.facts import print_facts
+from robot_runner.cli.console import output, print_facts
 from robot_runner.cli.parser import UsageError
 from robot_runner.cli.templating import template, write_new_file
 

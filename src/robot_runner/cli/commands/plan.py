@@ -6,23 +6,37 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robot_runner.cli.aligned import Column, aligned, fitting
-from robot_runner.cli.arguments import add_config, add_json, add_set
-from robot_runner.cli.console import UserConsole, output, print_json, quiet_loading
-from robot_runner.cli.design_words import columns_as_json, design_as_json, in_words, measures_in_words, run_as_json
-from robot_runner.cli.facts import print_facts
+from robot_runner.cli.console import (
+    Column,
+    UserConsole,
+    aligned,
+    fitting,
+    output,
+    print_facts,
+    print_json,
+    quiet_loading,
+)
+from robot_runner.cli.design_words import (
+    columns_as_json,
+    design_as_json,
+    in_words,
+    measures_in_words,
+    run_as_json,
+    run_cells,
+    run_columns,
+)
 from robot_runner.cli.findings import show_findings
+from robot_runner.cli.parser import add_config, add_json, add_set
 from robot_runner.cli.planning import Plan, plan_of
-from robot_runner.cli.run_columns import run_cells, run_columns
-from robot_runner.cli.wording import counted
-from robot_runner.config.overrides import parse_assignments
+from robot_runner.core.config.loader import parse_assignments
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
     from robot_runner.cli.parser import Parser
-    from robot_runner.design.run_table import PlannedRun
-    from robot_runner.design.run_table_model import RunTableModel
+    from robot_runner.core.design.run_table import PlannedRun
+    from robot_runner.core.design.run_table_model import RunTableModel
 
 __all__ = ["add_arguments", "execute"]
 

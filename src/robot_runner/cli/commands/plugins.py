@@ -11,20 +11,19 @@ from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
 
-from robot_runner.cli.arguments import add_json
-from robot_runner.cli.console import UserConsole, output, print_json
-from robot_runner.cli.facts import print_facts, print_folded
+from robot_runner.cli.console import UserConsole, output, print_facts, print_folded, print_json
 from robot_runner.cli.findings import as_json, print_findings
-from robot_runner.errors import Finding, PluginError
-from robot_runner.plugins.registry import GROUPS, InstalledPlugin, installed_plugins
+from robot_runner.cli.parser import add_json
+from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.plugin import GROUPS, InstalledPlugin, installed_plugins
 
 if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Sequence
 
     from robot_runner.cli.parser import Parser
-    from robot_runner.events.measure import Measure
-    from robot_runner.plugins.api.plugin import Plugin
+    from robot_runner.core.events.measure import Measure
+    from robot_runner.core.plugin import Plugin
 
 __all__ = ["add_arguments", "execute"]
 

@@ -10,24 +10,23 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robot_runner.cli.arguments import add_config, add_set
 from robot_runner.cli.console import no_byte_code, output
-from robot_runner.cli.execution import execute_on_screen, read_or_not
+from robot_runner.cli.executing import execute_on_screen, read_or_not
 from robot_runner.cli.findings import show_findings
 from robot_runner.cli.guard import REFUSED
-from robot_runner.cli.screens.outcome import print_outcome
-from robot_runner.cli.screens.prompts import terminal_input
-from robot_runner.config.overrides import parse_assignments
-from robot_runner.dialects.preparation import prepare
-from robot_runner.execution.changes import config_changes
-from robot_runner.execution.resumption import Resumption
+from robot_runner.cli.parser import add_config, add_set
+from robot_runner.cli.screens.ending import print_outcome
+from robot_runner.cli.screens.plain import terminal_input
+from robot_runner.core.config.loader import parse_assignments
+from robot_runner.core.execution.recovery import Resumption, config_changes
+from robot_runner.legacy.loading import prepare
 
 if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Sequence
 
     from robot_runner.cli.parser import Parser
-    from robot_runner.config.experiment import Experiment
+    from robot_runner.core.config.experiment import Experiment
 
 __all__ = ["add_arguments", "execute"]
 

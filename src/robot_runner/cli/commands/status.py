@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
 
-from robot_runner.cli.arguments import add_json, add_set, add_target
-from robot_runner.cli.console import UserConsole, output, print_json, shown_path
-from robot_runner.cli.facts import print_facts
-from robot_runner.cli.findings import as_json
-from robot_runner.cli.odd import print_odd
-from robot_runner.cli.target import folder_of_target
-from robot_runner.cli.wording import counted
-from robot_runner.execution.status import ExperimentStatus, read_status
+from robot_runner.cli.console import UserConsole, output, print_facts, print_json, shown_path
+from robot_runner.cli.findings import as_json, print_odd
+from robot_runner.cli.parser import add_json, add_set, add_target
+from robot_runner.cli.planning import folder_of_target
+from robot_runner.core.execution.status import ExperimentStatus, read_status
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from argparse import Namespace

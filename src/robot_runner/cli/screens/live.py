@@ -12,11 +12,17 @@ from rich.table import Table
 from rich.text import Text
 
 from robot_runner.cli.findings import print_findings
+from robot_runner.cli.screens.plain import (
+    RunRows,
+    closing,
+    forget_typed,
+    opening,
+    request,
+    terminal_input,
+    treatments_in_words,
+)
 from robot_runner.cli.screens.progress import Progress
-from robot_runner.cli.screens.prompts import closing, forget_typed, opening, request, terminal_input
-from robot_runner.cli.screens.rows import RunRows, treatments_in_words
-from robot_runner.cli.wording import counted, one_line, shown_duration
-from robot_runner.execution.notices import (
+from robot_runner.core.execution.notices import (
     AttemptFinished,
     AttemptStarted,
     ExperimentStarted,
@@ -24,6 +30,7 @@ from robot_runner.execution.notices import (
     Notice,
     WaitingForUser,
 )
+from robot_runner.core.words import counted, one_line, shown_duration
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,7 +39,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from robot_runner.cli.console import UserConsole
-    from robot_runner.config.experiment import Experiment
+    from robot_runner.core.config.experiment import Experiment
 
 __all__ = ["LiveScreen"]
 

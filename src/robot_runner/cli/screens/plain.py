@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
+import termios
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
+from rich.cells import cell_len
+from rich.text import Text
+
+from robot_runner.cli.console import Column, aligned, fitting, shown_path
+from robot_runner.cli.design_words import run_cells, run_columns
 from robot_runner.cli.findings import print_findings
 from robot_runner.cli.screens.progress import Progress
-from robot_runner.cli.screens.prompts import closing, forget_typed, opening, request, terminal_input
-from robot_runner.cli.screens.rows import treatments_in_words
-from robot_runner.cli.wording import one_line, shown_duration, shown_value
-from robot_runner.execution.notices import (
+from robot_runner.core.design.columns import REPETITION, numbered_run_id
+from robot_runner.core.execution.notices import (
     AttemptFinished,
     AttemptStarted,
     ExperimentStarted,
@@ -17,17 +24,140 @@ from robot_runner.execution.notices import (
     Notice,
     WaitingForUser,
 )
-from robot_runner.execution.task import AttemptStatus
+from robot_runner.core.execution.task import AttemptStatus
+from robot_runner.core.words import counted, one_line, shown_duration, shown_treatment, shown_value
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from typing import Self
 
     from robot_runner.cli.console import UserConsole
-    from robot_runner.config.experiment import Experiment
-    from robot_runner.execution.task import RunOutcome, RunTask
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.design.run_table_model import RunTableModel
+    from robot_runner.core.execution.task import RunOutcome, RunTask
 
-__all__ = ["PlainScreen"]
+__all__ = [
+    "PlainScreen",
+    "RunRows",
+    "closing",
+    "forget_typed",
+    "heading_of",
+    "opening",
+    "request",
+    "terminal_input",
+    "treatments_in_words",
+]
+
+
+# Finished runs as rows of a table that grows: run, treatments, measures, and how long it took.
+
+#: A measure in four significant digits needs as much, with sign and exponent.
+_MEASURE = 9
+_TOOK = 11
+_INDENT = "  "
+
+
+def heading_of(measure: str, unit: str) -> str:
+    """Return the heading of a measure's column.
+
+    Example:
+        >>> heading_of("Energy", "J"), heading_of("Errors", "1")
+        ('Energy (J)', 'Errors')
+    """
+    return f"{measure} ({unit})" if unit not in {"", "1"} else measure
+
+
+def treatments_in_words(task: RunTask, model: RunTableModel) -> str:
+    """Return what a run varies, as `Task=Video, Repetition=3`."""
+    parts = [f"{name}={shown_treatment(treatment)}" for name, treatment in task.combination.items()]
+    if model.repetitions > 1:
+        parts.append(f"{REPETITION}={task.repetition}")
+    return ", ".join(parts)
+
+
+class RunRows:
+    """Makes the rows for the runs of one experiment.
+
+    Args:
+        experiment: whose runs they are.
+        measures: the units of the measure columns, by name.
+        run_count: how many runs there are, for the width of their ids.
+    """
+
+    def __init__(self, experiment: Experiment, measures: Mapping[str, str], run_count: int) -> None:
+        self._model = experiment.model
+        self._measures = tuple(measures)
+        self._what = run_columns(experiment.model, numbered_run_id(run_count))
+        headings = [heading_of(name, unit) for name, unit in measures.items()]
+        self._yields = [Column(heading, max(_MEASURE, cell_len(heading)), is_number=True) for heading in headings]
+        self._yields.append(Column("took", _TOOK, is_number=True))
+
+    def header(self, width: int) -> Text:
+        """Return the headings."""
+        columns = self._fitting(width)
+        return Text(_INDENT + aligned(columns, [column.heading for column in columns]), style="bold")
+
+    def row(self, finished: AttemptFinished, width: int) -> Text:
+        """Return the row of an attempt that has ended."""
+        columns = self._fitting(width)
+        task, outcome = finished.task, finished.outcome
+        what = run_cells(self._model, task.run_id, task.combination, task.repetition)
+        if outcome.status is AttemptStatus.DONE:
+            published = (outcome.measures.get(name) for name in self._measures)
+            values = [shown_value(each.value if each else None) for each in published]
+            return Text(_INDENT + aligned(columns, [*what, *values, shown_duration(outcome.seconds)]))
+        reason = one_line(str(outcome.failure)) if outcome.status is AttemptStatus.FAILED else "interrupted"
+        again = "" if finished.is_last else f"attempt {task.attempt}, tried again: "
+        head = aligned(columns[: len(what)], what)
+        style = "red" if finished.is_last else "yellow"
+        return Text(f"{_INDENT}{head}  ✗ {again}{reason}", style=style)
+
+    def _fitting(self, width: int) -> list[Column]:
+        columns = [*self._what, *self._yields]
+        return columns[: fitting(columns, width - len(_INDENT))]
+
+
+# What a screen says beside its rows: how an experiment begins, and what SEMI asks of the user.
+
+
+def terminal_input() -> int | None:
+    """Return the descriptor on which somebody can press ENTER, or None where nobody sits."""
+    with suppress(AttributeError, OSError, ValueError):
+        if sys.stdin.isatty():
+            return sys.stdin.fileno()
+    return None
+
+
+def forget_typed(descriptor: int | None) -> None:
+    """Forget what was typed before it was asked for: an ENTER during a run must not start the next one."""
+    if descriptor is not None:
+        with suppress(termios.error):
+            termios.tcflush(descriptor, termios.TCIFLUSH)
+
+
+def opening(started: ExperimentStarted) -> list[str]:
+    """Return what is said when an experiment starts."""
+    before = f", {started.done_count:,} of them done before" if started.done_count else ""
+    runs = f"{counted(started.run_count, 'run')}{before}, seed {started.seed}"
+    lines = [f"{started.experiment_name}: {runs}, results in {shown_path(started.folder)}"]
+    if started.overrides:
+        parts = ", ".join(f"{name}={value}" for name, value in started.overrides.items())
+        lines.append(f"set by hand, and recorded as a deviation from the config: {parts}")
+    return lines
+
+
+def closing(run_id: str) -> str:
+    """Return what is said once the user has interrupted."""
+    return f"Interrupted: closing {run_id} (its robot is stopped, its profilers too). Ctrl-C again kills it at once."
+
+
+def request(waiting: WaitingForUser, *, by_key: bool) -> str:
+    """Return what the user is asked for between two runs."""
+    command = f"robot-runner continue {shlex.quote(shown_path(waiting.folder))}"
+    run = f"run {waiting.next_run_number} of {waiting.run_count}"
+    if by_key:
+        return f"Press ENTER to start {run}, or in another terminal: {command}"
+    return f"Waiting before {run}. To go on: {command}"
 
 
 class PlainScreen:

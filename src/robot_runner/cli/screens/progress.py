@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from robot_runner.execution.notices import (
+from robot_runner.core.execution.notices import (
     AttemptFinished,
     AttemptStarted,
     ExperimentFinished,
@@ -13,13 +13,13 @@ from robot_runner.execution.notices import (
     RunRecord,
     WaitingForUser,
 )
-from robot_runner.execution.task import AttemptStatus
+from robot_runner.core.execution.task import AttemptStatus
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from robot_runner.execution.notices import Notice
-    from robot_runner.execution.task import RunTask
+    from robot_runner.core.execution.notices import Notice
+    from robot_runner.core.execution.task import RunTask
 
 __all__ = ["CurrentRun", "Progress"]
 

@@ -6,14 +6,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from robot_runner.plugins.systems.basic_turtlebot3.plugin import BasicTurtlebot3
+    from robot_runner.ros.turtlebot3.basic_turtlebot3 import BasicTurtlebot3
 
 __all__ = [
     "BasicTurtlebot3",
 ]
 
 _HOMES = {
-    "BasicTurtlebot3": "robot_runner.plugins.systems.basic_turtlebot3.plugin",
+    "BasicTurtlebot3": "robot_runner.ros.turtlebot3.basic_turtlebot3",
 }
 
 

@@ -1,0 +1,40 @@
+"""Write an experiment's results for other tools: Parquet files, and a data package that describes everything."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robot_runner.cli.console import output, print_facts, print_json, shown_path
+from robot_runner.cli.parser import add_json, add_set, add_target
+from robot_runner.cli.planning import folder_of_target
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    from robot_runner.cli.parser import Parser
+
+__all__ = ["add_arguments", "execute"]
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add what the command takes."""
+    add_target(parser)
+    add_set(parser)
+    parser.add_argument("--to", metavar="FOLDER", help="where to; export/ in the experiment's folder if left out")
+    add_json(parser)
+
+
+def execute(arguments: Namespace) -> int:
+    """Write the files, and name them."""
+    from robot_runner.analysis.results import load_results  # noqa: PLC0415 - takes a second to import
+
+    results = load_results(folder_of_target(arguments.target, arguments.set).root)
+    files = results.export(Path(arguments.to) if arguments.to else None)
+    if arguments.json:
+        print_json({"files": list(map(str, files))})
+        return 0
+    console = output()
+    console.print(results.name, style="bold")
+    print_facts(console, [("Data package", shown_path(files[-1])), ("Files", f"{len(files)} in {files[-1].parent}")])
+    return 0

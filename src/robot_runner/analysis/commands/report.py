@@ -1,0 +1,94 @@
+"""Write the report of an experiment: what was done, what came of it, how far it can be trusted.
+
+HTML is one file that needs nothing beside it. Tables (CSV, LaTeX) and figures (SVG, PDF, PNG) are written beside it. An
+experiment that is not over, or that failed in part, has a report too. Nothing but the folder is needed.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robot_runner.cli.console import output, print_facts, shown_path
+from robot_runner.cli.parser import UsageError, add_set, add_target
+from robot_runner.cli.planning import folder_of_target
+from robot_runner.core.errors import did_you_mean
+from robot_runner.core.words import counted
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    from robot_runner.analysis.figures.style import FigureFormat
+    from robot_runner.analysis.report.writing import WrittenReport
+    from robot_runner.cli.parser import Parser
+
+__all__ = ["add_arguments", "execute"]
+
+_FORMATS = ("html", "md", "json")
+_FIGURES = ("svg", "pdf", "png")
+_NO_FIGURES = "none"
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add what the command takes."""
+    add_target(parser)
+    add_set(parser)
+    parser.add_argument("--format", metavar="FORMAT", default="html", help="html, md or json (%(default)s)")
+    parser.add_argument("--output", metavar="FOLDER", help="where to write it; report/ in the experiment's folder")
+    parser.add_argument(
+        "--figures",
+        metavar="KINDS",
+        default=",".join(_FIGURES),
+        help="which files to make of each figure: some of svg,pdf,png, or none (%(default)s)",
+    )
+    parser.add_argument(
+        "--measure",
+        metavar="NAME",
+        action="append",
+        help="analyse this measure only; may be given several times",
+    )
+    parser.add_argument(
+        "--alpha", metavar="LEVEL", type=float, help="the level of significance (that of the config's plan, or 0.05)"
+    )
+
+
+def execute(arguments: Namespace) -> int:
+    """Write the report, and print where it is."""
+    kind = _one_of(_FORMATS, arguments.format, "--format")
+    figures = _figures(arguments.figures)
+    folder = folder_of_target(arguments.target, arguments.set).root
+    from robot_runner.analysis.report.writing import ReportFormat, write_report  # noqa: PLC0415 - slow, and an extra
+
+    written = write_report(
+        folder,
+        ReportFormat(kind),
+        output=Path(arguments.output).expanduser() if arguments.output else None,
+        figures=figures,
+        measures=arguments.measure,
+        alpha=arguments.alpha,
+    )
+    _print(written)
+    return 0
+
+
+def _print(written: WrittenReport) -> None:
+    facts = [("Report", shown_path(written.document.resolve()))]
+    for name, paths in (("Tables", written.tables), ("Figures", written.figures)):
+        if paths:
+            facts.append((name, f"{counted(len(paths), 'file')} in {shown_path(paths[0].parent.resolve())}/"))
+    print_facts(output(), facts)
+
+
+def _one_of(known: tuple[str, ...], word: str, option: str) -> str:
+    if word not in known:
+        raise UsageError(f"there is no {option} {word!r}", where="robot-runner report", fix=did_you_mean(word, known))
+    return word
+
+
+def _figures(text: str) -> tuple[FigureFormat, ...]:
+    words = [] if text == _NO_FIGURES else [word.strip() for word in text.split(",")]
+    for word in words:
+        _one_of(_FIGURES, word, "--figures")
+    from robot_runner.analysis.figures.style import FigureFormat  # noqa: PLC0415 - slow, and an extra
+
+    return tuple(FigureFormat(word) for word in dict.fromkeys(words))

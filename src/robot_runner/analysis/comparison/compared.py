@@ -1,0 +1,193 @@
+"""What comparing two experiments yields: plain data, with what could not be computed and why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.analysis.comparison.equivalence import Bound
+    from robot_runner.analysis.statistics.outcome import Interval, NotComputed
+
+__all__ = ["Agreement", "Comparison", "Difference", "MeasureComparison", "Side", "Verdict"]
+
+
+class Verdict(Enum):
+    """What the data say of a difference.
+
+    EQUIVALENT: it lies within the bound that was stated; DIFFERENT: it is not explained by chance; UNDECIDED: the runs
+    do not suffice to say either.
+    """
+
+    EQUIVALENT = "equivalent"
+    DIFFERENT = "different"
+    UNDECIDED = "undecided"
+
+    @classmethod
+    def of_all(cls, verdicts: Sequence[Verdict]) -> Verdict:
+        """Return the verdict of several together: equivalent if all are, different if one is.
+
+        Example:
+            >>> Verdict.of_all([Verdict.EQUIVALENT, Verdict.UNDECIDED])
+            <Verdict.UNDECIDED: 'undecided'>
+        """
+        if cls.DIFFERENT in verdicts:
+            return cls.DIFFERENT
+        return cls.EQUIVALENT if verdicts and set(verdicts) == {cls.EQUIVALENT} else cls.UNDECIDED
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One of the two experiments.
+
+    Attributes:
+        name: what it is called here; the two have different ones.
+        experiment: its own name.
+        runs: how many runs are done.
+    """
+
+    name: str
+    experiment: str
+    folder: Path
+    runs: int
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One measure of the runs of one combination, second experiment less first.
+
+    Attributes:
+        treatments: which combination, by factor; empty for all runs together.
+        first_n, second_n: how many runs have a value; of pairs, how many pairs.
+        difference: of the means, in the unit of the measure.
+        interval: confidence interval of it at 1 - alpha.
+        narrow_interval: at 1 - 2 alpha: it lies within the bound exactly where the two are equivalent, if the bound is
+            in the unit of the measure.
+        relative: the difference in percent of the first mean.
+        p_value: of a t-test that there is none (Welch's, or of pairs); `adjusted_p_value` after Holm, for the number of
+            combinations.
+        bound: what would not matter, in the unit of the measure; None where no bound was stated.
+        equivalence_p_value: the larger one of the two one-sided tests.
+        not_computed: why there is no verdict by numbers; empty where there is one.
+    """
+
+    treatments: Mapping[str, str]
+    first_n: int
+    second_n: int
+    first_mean: float | None = None
+    second_mean: float | None = None
+    first_sd: float | None = None
+    second_sd: float | None = None
+    difference: float | None = None
+    interval: Interval | None = None
+    narrow_interval: Interval | None = None
+    relative: float | None = None
+    p_value: float | None = None
+    adjusted_p_value: float | None = None
+    bound: float | None = None
+    equivalence_p_value: float | None = None
+    verdict: Verdict = Verdict.UNDECIDED
+    not_computed: str = ""
+
+    @property
+    def label(self) -> str:
+        """The combination in words."""
+        return " / ".join(self.treatments.values()) or "all runs"
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """How far apart a run of the second experiment may lie from one of the first (Bland and Altman, 1986).
+
+    Attributes:
+        pairs: by combination: the values of the first and the second.
+        are_natural: whether the pairs belong together (the same run, or paired by the user); otherwise runs of one
+            combination were put beside each other in the order of their repetitions.
+        bias: mean difference.
+        lower, upper: limits of agreement: bias less and plus 1.96 standard deviations of the differences.
+        error: mean absolute percentage error in percent: of pairs if they are natural, else of the combinations' means;
+            None where a value of the first is 0.
+    """
+
+    pairs: Mapping[str, Sequence[tuple[float, float]]]
+    are_natural: bool
+    bias: float
+    lower: float | None
+    upper: float | None
+    error: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class MeasureComparison:
+    """One measure of two experiments.
+
+    Attributes:
+        first_name, second_name: its name in each.
+        unit: in the first.
+        first_origin, second_origin: where the values come from.
+        bound: as stated.
+        differences: one a combination.
+        verdict: of all combinations together.
+        not_computed: what could not be compared and why.
+    """
+
+    first_name: str
+    second_name: str
+    unit: str
+    first_origin: str | None
+    second_origin: str | None
+    bound: Bound | None
+    differences: tuple[Difference, ...]
+    agreement: Agreement | None
+    verdict: Verdict
+    conclusion: str
+    not_computed: tuple[NotComputed, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """What the measure is called here: both names where they differ."""
+        return self.first_name if self.first_name == self.second_name else f"{self.first_name} and {self.second_name}"
+
+    @property
+    def label(self) -> str:
+        """The name with the unit."""
+        return f"{self.name} ({self.unit})" if self.unit not in {"", "1"} else self.name
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Two experiments compared.
+
+    Attributes:
+        alpha: the level of significance.
+        factors: those that both have, by which runs are matched.
+        measures: one each.
+        differing: circumstances that differ: what, in the first, in the second.
+        notes: what a reader has to know, such as combinations that only one of them has.
+    """
+
+    first: Side
+    second: Side
+    alpha: float
+    factors: tuple[str, ...]
+    is_paired: bool
+    measures: tuple[MeasureComparison, ...]
+    differing: tuple[tuple[str, str, str], ...]
+    notes: tuple[str, ...]
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict of all measures together."""
+        return Verdict.of_all([measure.verdict for measure in self.measures])
+
+    def measure(self, name: str) -> MeasureComparison:
+        """Return what was found of one measure, by its name in the first experiment.
+
+        Raises:
+            KeyError: it was not compared.
+        """
+        return {each.first_name: each for each in self.measures}[name]

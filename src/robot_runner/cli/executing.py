@@ -1,0 +1,99 @@
+"""An experiment executed before the eyes of a user."""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from robot_runner.cli.console import is_live_terminal, output
+from robot_runner.cli.findings import show_error
+from robot_runner.cli.guard import INTERRUPTED, SOME_FAILED, let_go_of_stdout
+from robot_runner.cli.screens.live import LiveScreen
+from robot_runner.cli.screens.plain import PlainScreen
+from robot_runner.core.errors import RobotRunnerError
+from robot_runner.core.execution.orchestrator import execute_experiment
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from robot_runner.cli.screens.progress import Progress
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.errors import Finding
+    from robot_runner.core.execution.notices import ExperimentFinished
+    from robot_runner.core.execution.recovery import Resumption
+
+__all__ = ["Execution", "Screen", "execute_on_screen", "read_or_not", "screen_for"]
+
+
+# Which screen fits where the output goes.
+
+Screen = LiveScreen | PlainScreen
+
+
+def screen_for(experiment: Experiment, *, plain: bool) -> Screen:
+    """Return the live screen on a terminal, and plain lines elsewhere or where they are asked for."""
+    kind = LiveScreen if is_live_terminal(sys.stdout) and not plain else PlainScreen
+    return kind(output(), experiment, time.monotonic)
+
+
+@dataclass(frozen=True, slots=True)
+class Execution:
+    """How an experiment was executed.
+
+    Attributes:
+        finished: how it ended; None where it could not go on.
+        progress: what the screen saw of it.
+        was_shown_live: whether the table of its runs stands on the terminal.
+    """
+
+    finished: ExperimentFinished | None
+    progress: Progress
+    was_shown_live: bool
+
+    @property
+    def exit_code(self) -> int:
+        """0 where everything that was asked for is done, 1 where some run failed, 130 where the user ended it."""
+        if self.finished is None:
+            return SOME_FAILED
+        if self.finished.interrupted:
+            return INTERRUPTED
+        return SOME_FAILED if self.finished.failed_count or self.finished.stopped_by_policy else 0
+
+
+def execute_on_screen(
+    experiment: Experiment, findings: Sequence[Finding] = (), *, plain: bool, resumption: Resumption | None = None
+) -> Execution:
+    """Execute an experiment and show it while it is executed.
+
+    Args:
+        experiment: what to execute.
+        findings: what validation had to say.
+        plain: whether plain lines are asked for.
+        resumption: what to execute again, and whether to go on though something changed.
+
+    Raises:
+        RobotRunnerError: it cannot start.
+    """
+    screen = screen_for(experiment, plain=plain)
+    finished = None
+    try:
+        with screen:
+            finished = execute_experiment(experiment, screen, findings=findings, resumption=resumption)
+    except RobotRunnerError as error:
+        if not screen.progress.has_begun:
+            raise
+        show_error(error)  # it was not refused: it could not go on
+    return Execution(finished, screen.progress, was_shown_live=isinstance(screen, LiveScreen))
+
+
+@contextmanager
+def read_or_not() -> Iterator[None]:
+    """While the end is told: that nobody reads it changes nothing of how the experiment went."""
+    try:
+        yield
+        sys.stdout.flush()
+    except OSError:  # a closed pipe, or a terminal that is gone
+        let_go_of_stdout()

@@ -1,0 +1,95 @@
+"""The end of an experiment, told: what is done, where it is, what looked odd, what to do next."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from robot_runner.cli.console import UserConsole, print_facts, shown_path
+from robot_runner.cli.findings import print_odd
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.words import counted, shown_duration
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from robot_runner.cli.screens.progress import Progress
+    from robot_runner.core.execution.notices import ExperimentFinished
+
+__all__ = ["print_outcome", "print_verdict", "whereabouts"]
+
+_UNMEASURED = {"simulated": "simulated, not measured", "estimated": "estimated, not measured"}
+
+
+def print_outcome(console: UserConsole, finished: ExperimentFinished, progress: Progress, *, command: str) -> None:
+    """Print how an experiment ended.
+
+    Args:
+        console: where to.
+        finished: how it ended.
+        progress: what the screen saw of it.
+        command: what executes it again.
+    """
+    print_verdict(console, finished, progress)
+    following = _next(finished, progress, command)
+    print_facts(console, [*whereabouts(finished, progress), ("Next", following)])
+
+
+def print_verdict(console: UserConsole, finished: ExperimentFinished, progress: Progress) -> None:
+    """Print how many runs are done, why others failed, and what looked odd."""
+    console.print()
+    console.print(_verdict(finished, progress), style=f"bold {_colour(finished)}")
+    print_odd(console, failures=finished.failures, findings=finished.findings, run_ids=progress.run_ids)
+
+
+def whereabouts(finished: ExperimentFinished, progress: Progress) -> list[tuple[str, str]]:
+    """Return where the results are, and which of them were not measured."""
+    facts = [("Results", shown_path(finished.run_table))]
+    runs = ExperimentFolder.found_at(finished.folder).runs
+    if runs.is_dir() and any(runs.iterdir()):
+        facts.append(("", f"{shown_path(runs)}/<run>/ has what the run printed, and its raw data"))
+    return facts + [("Origin", line) for line in _origins(progress.origins)]
+
+
+def _colour(finished: ExperimentFinished) -> str:
+    if finished.failed_count:
+        return "red"
+    return "yellow" if finished.todo_count else "green"
+
+
+def _verdict(finished: ExperimentFinished, progress: Progress) -> str:
+    total = finished.done_count + finished.failed_count + finished.todo_count
+    if finished.done_count == total and not progress.run_ids:
+        return f"{_everything(total)} done before: nothing was executed."
+    if finished.done_count == total:
+        return f"{_everything(total)} done ({shown_duration(finished.seconds)})."
+    why = "Interrupted: " if finished.interrupted else "Stopped by on_failure: " if finished.stopped_by_policy else ""
+    return (
+        f"{why}{finished.done_count:,} of {counted(total, 'run')} done, {finished.failed_count:,} failed, "
+        f"{finished.todo_count:,} to do ({shown_duration(finished.seconds)})."
+    )
+
+
+def _story_of_failure(finished: ExperimentFinished) -> Path:
+    folder = ExperimentFolder.found_at(finished.folder)
+    log = folder.log(finished.failed[0])
+    return log if log.exists() else folder.journal  # it may have failed before its process could print
+
+
+def _everything(total: int) -> str:
+    return "The one run is" if total == 1 else f"All {total:,} runs are"
+
+
+def _origins(origins: Mapping[str, Mapping[str, None]]) -> list[str]:
+    return [f"{', '.join(names)}: {_UNMEASURED[origin]}" for origin, names in origins.items() if origin in _UNMEASURED]
+
+
+def _next(finished: ExperimentFinished, progress: Progress, command: str) -> str:
+    if finished.failed_count:
+        left = f"{finished.failed_count:,} failed, {finished.todo_count:,} to do"
+        return f"look at {shown_path(_story_of_failure(finished))}, then execute what is left ({left}): {command}"
+    if finished.todo_count:
+        return f"go on with the {counted(finished.todo_count, 'run')} that are left: {command}"
+    if not progress.run_ids:
+        return f"to execute it anew beside these results: {command} --set experiment_name=..."
+    return "open run_table.csv in R, pandas or a spreadsheet; run_table.schema.json tells what each column means"

@@ -1,0 +1,297 @@
+"""Threads that a config starts while it is loaded: a process that has them cannot be forked safely."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import shutil
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.config.experiment import experiment_folder
+from robot_runner.core.config.loader import place_in, raised_in
+from robot_runner.core.config.parameters import (
+    PARAMETERS,
+    PARAMETERS_BY_NAME,
+    REQUIRED,
+    Parameter,
+    Parameters,
+    RunProcess,
+)
+from robot_runner.core.design.run_table import RunTable
+from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError
+from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
+from robot_runner.core.plugin import Circumstances, Plugin
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from robot_runner.core.config.loader import LoadedConfig
+    from robot_runner.core.events.measure import MeasureColumns
+
+__all__ = [
+    "check_analysis",
+    "check_disk_space",
+    "check_names",
+    "check_plugins",
+    "check_results_path",
+    "check_threads",
+    "create_model",
+    "gather_plugins",
+    "read_parameters",
+]
+
+
+# The analysis plan: that it is about factors and measures that the experiment has.
+
+
+def check_analysis(parameters: Parameters, model: RunTableModel | None, columns: MeasureColumns) -> list[Finding]:
+    """Return which names of the plan the run table does not have."""
+    if parameters.analysis is None or model is None:
+        return []
+    return list(parameters.analysis.findings([factor.name for factor in model.factors], columns.names))
+
+
+# Misspelt attributes and callbacks: a name that is nearly one of ours was meant to be it.
+
+#: How alike two names are before one is taken for a slip of the other (1.0: equal).
+_ALIKE = 0.85
+
+
+def check_names(loaded: LoadedConfig) -> list[Finding]:
+    """Return a finding for each public name of the config that nearly is a parameter or a callback."""
+    names = {name for parent in type(loaded.config).__mro__[:-1] for name in _names_of(parent)}
+    names |= set(vars(loaded.config)) if hasattr(loaded.config, "__dict__") else set()
+    parameters = [*PARAMETERS_BY_NAME, "plugins"]
+    callbacks = [*EVENTS_BY_CALLBACK, "create_run_table"]
+    findings = []
+    for name in sorted(names):
+        if name.startswith("_") or name in parameters or name in callbacks:
+            continue
+        is_method = callable(getattr(loaded.config, name, None))
+        meant = _nearly(name, callbacks if is_method else parameters)
+        if meant is not None and meant not in names - _inherited(loaded.config):
+            findings.append(_misspelt(loaded, name, meant, is_method=is_method))
+    return findings
+
+
+def _names_of(parent: type) -> set[str]:
+    # A name that is annotated and never given a value is misspelt as easily as one that is.
+    return set(vars(parent)) | set(vars(parent).get("__annotations__", {}))
+
+
+def _inherited(config: object) -> set[str]:
+    own = _names_of(type(config))
+    return {name for parent in type(config).__mro__[1:] for name in _names_of(parent)} - own
+
+
+def _nearly(name: str, known: list[str]) -> str | None:
+    match = difflib.get_close_matches(name.casefold(), known, n=1, cutoff=_ALIKE)
+    return match[0] if match else None
+
+
+def _misspelt(loaded: LoadedConfig, name: str, meant: str, *, is_method: bool) -> Finding:
+    what = "no event is called" if is_method else "there is no static parameter"
+    return Finding.error(
+        f"{loaded.where}.{name}",
+        f"{what} {name!r}",
+        f"Did you mean {meant!r}? Otherwise begin the name with '_'.",
+    )
+
+
+# Type and range of every static parameter.
+
+
+def read_parameters(loaded: LoadedConfig) -> tuple[Parameters | None, list[Finding]]:
+    """Return the static parameters, or None where one of them is missing or malformed, and the findings."""
+    values: dict[str, Any] = {}
+    findings: list[Finding] = []
+    for parameter in PARAMETERS:
+        value = getattr(loaded.config, parameter.name, parameter.default)
+        if value is REQUIRED:
+            findings.append(_missing(loaded, parameter))
+        elif not parameter.accepts(value):
+            findings.append(_malformed(loaded, parameter, value))
+        else:
+            values[parameter.name] = parameter.normalise(value)
+    return (None if findings else Parameters(**values)), findings
+
+
+def _missing(loaded: LoadedConfig, parameter: Parameter) -> Finding:
+    return Finding.error(
+        f"{loaded.where}.{parameter.name}",
+        "this static parameter is missing",
+        f"Give it a value: it must be {parameter.expected}.",
+    )
+
+
+def _malformed(loaded: LoadedConfig, parameter: Parameter, value: object) -> Finding:
+    return Finding.error(
+        f"{loaded.where}.{parameter.name}",
+        f"it is {value!r}, of type {type(value).__name__}",
+        f"It must be {parameter.expected}.",
+    )
+
+
+# The plugins that a config asks for: that they are plugins, can be told apart, and find what they need.
+
+
+def gather_plugins(loaded: LoadedConfig) -> tuple[tuple[Plugin, ...], list[Finding]]:
+    """Return the plugins of the config: those in `plugins`, then those that an import line activated."""
+    findings: list[Finding] = []
+    plugins = list(_listed(loaded, findings))
+    for activated in loaded.activated:
+        if not any(isinstance(plugin, activated) for plugin in plugins):
+            plugins += _instantiated(loaded, activated, findings)
+    return tuple(plugins), [*findings, *_equal_names(loaded, plugins)]
+
+
+def check_plugins(plugins: Iterable[Plugin], model: RunTableModel | None, robot: Any) -> list[Finding]:
+    """Return what each plugin finds missing."""
+    factors = {factor.name: factor.treatments for factor in model.factors} if model else {}
+    circumstances = Circumstances(
+        robot=robot if isinstance(robot, str) else None, factors=factors, plugins=tuple(plugins)
+    )
+    findings: list[Finding] = []
+    for plugin in plugins:
+        try:
+            findings += plugin.check(circumstances)
+        except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
+            findings.append(_failed_check(plugin, error))
+    return findings
+
+
+def _listed(loaded: LoadedConfig, findings: list[Finding]) -> Iterable[Plugin]:
+    where = f"{loaded.where}.plugins"
+    listed = getattr(loaded.config, "plugins", ())
+    if not isinstance(listed, list | tuple):
+        findings.append(
+            Finding.error(where, f"it is {listed!r}", "Give a list, such as [BasicTurtlebot3(), PsUtil()].")
+        )
+        return
+    for plugin in listed:
+        if isinstance(plugin, Plugin):
+            yield plugin
+        elif isinstance(plugin, type) and issubclass(plugin, Plugin):
+            name = plugin.__name__
+            findings.append(Finding.error(where, f"{name} is a class, not a plugin", f"Write {name}()."))
+        else:
+            fix = "Give instances of System or Profiler (robot_runner.plugins)."
+            findings.append(Finding.error(where, f"{plugin!r} is no plugin", fix))
+
+
+def _instantiated(loaded: LoadedConfig, activated: type[Plugin], findings: list[Finding]) -> list[Plugin]:
+    try:
+        return [activated()]
+    except (TypeError, RobotRunnerError) as error:
+        name = activated.__name__
+        place = place_in(loaded.source.path, error)
+        problem = f"{name} cannot be activated by its import alone: {error}"
+        findings.append(
+            Finding.error(place, problem, f"List it in `plugins` instead, with its parameters: {name}(...).")
+        )
+        return []
+
+
+def _equal_names(loaded: LoadedConfig, plugins: list[Plugin]) -> list[Finding]:
+    names = [plugin.name.casefold() for plugin in plugins]
+    return [
+        Finding.error(
+            f"{loaded.where}.plugins",
+            f"{names.count(folded)} plugins are named {plugin.name!r}",
+            f"Give each a name of its own: {type(plugin).__name__}(name=...).",
+        )
+        for index, (plugin, folded) in enumerate(zip(plugins, names, strict=True))
+        if names.count(folded) > 1 and names.index(folded) == index
+    ]
+
+
+def _failed_check(plugin: Plugin, error: Exception) -> Finding:
+    if isinstance(error, RobotRunnerError):
+        return Finding.error(error.where or plugin.name, error.problem, error.fix)
+    problem = f"its check raised {type(error).__name__}: {error}"
+    return Finding.error(plugin.name, problem, "Tell the plugin's author; update or leave out the plugin.")
+
+
+# The results folder: that it can be made or written, found out without touching it.
+
+#: What Robot Runner itself keeps of a run: its records in the journal, its row, its log.
+_BYTES_PER_RUN = 4096
+
+
+def check_results_path(loaded: LoadedConfig, parameters: Parameters) -> list[Finding]:
+    """Return why the experiment's folder could not be made."""
+    where = f"{loaded.where}.results_output_path"
+    try:
+        existing = _nearest_existing(experiment_folder(parameters, loaded).root)
+    except (OSError, RuntimeError) as error:
+        return [Finding.error(where, f"{parameters.results_output_path} cannot be resolved: {error}", "Name a folder.")]
+    if not existing.is_dir():
+        return [Finding.error(where, f"{existing} is no folder", "Name a folder, or move this file away.")]
+    if not os.access(existing, os.W_OK | os.X_OK):
+        fix = "Mend its permissions, or name another folder: --set results_output_path=..."
+        return [Finding.error(where, f"{existing} cannot be written", fix)]
+    return []
+
+
+def check_disk_space(
+    loaded: LoadedConfig, parameters: Parameters, plugins: Sequence[Plugin], runs: int
+) -> list[Finding]:
+    """Return a finding where the disk is too small for what the plugins say that they will keep."""
+    needed = runs * (_BYTES_PER_RUN + sum(plugin.bytes_per_run for plugin in plugins))
+    try:
+        folder = _nearest_existing(experiment_folder(parameters, loaded).root)
+        free = shutil.disk_usage(folder).free
+    except (OSError, RuntimeError):  # found by the check of the path
+        return []
+    if free >= needed:
+        return []
+    where = f"{loaded.where}.results_output_path"
+    problem = f"{runs:,} runs will keep about {needed / 1e6:,.2f} MB, and {free / 1e6:,.2f} MB are free in {folder}"
+    return [Finding.error(where, problem, "Make room, or name a folder on another disk: --set results_output_path=...")]
+
+
+def _nearest_existing(folder: Path) -> Path:
+    return next(path for path in (folder, *folder.parents) if path.exists())
+
+
+# The run table's model, as the config makes it.
+
+
+def create_model(loaded: LoadedConfig) -> tuple[RunTableModel | None, list[Finding]]:
+    """Have the config create its run table; returns the model, or None and the findings that refuse it."""
+    create = getattr(loaded.config, "create_run_table", None)
+    where = f"{loaded.where}.create_run_table"
+    if not callable(create):
+        fix = "Define create_run_table(self) and return a RunTableModel."
+        return None, [Finding.error(where, "the config does not define it", fix)]
+    try:
+        with raised_in(loaded.source.path, "in create_run_table"):
+            created = create()
+    except ConfigError as error:
+        return None, list(error.findings)
+    model = created.model if isinstance(created, RunTable) else created
+    if isinstance(model, RunTableModel):
+        return model, list(model.warnings)
+    problem = f"it returned {_shown(created)}"
+    return None, [Finding.error(where, problem, "Return the RunTableModel (`return run_table`).")]
+
+
+def _shown(created: object) -> str:
+    text = repr(created)
+    return text if len(text) <= 60 else f"{text[:57]}..."  # noqa: PLR2004 - one line of a terminal
+
+
+def check_threads(loaded: LoadedConfig, parameters: Parameters) -> list[Finding]:
+    """Return a warning where runs would be forked from a process in which the config has started threads."""
+    if not loaded.threads or parameters.run_process is not RunProcess.FORK:
+        return []
+    names = ", ".join(loaded.threads)
+    return [
+        Finding.warning(
+            loaded.where,
+            f"loading it started threads that go on ({names}); a run that is forked meanwhile may hang",
+            "Start them in start_run, or choose run_process = RunProcess.SPAWN.",
+        )
+    ]

@@ -1,0 +1,285 @@
+"""From a config file to a config object, with what it subscribed and which plugins its imports activated."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import threading
+import traceback
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType, ModuleType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.config.parameters import PARAMETERS_BY_NAME
+from robot_runner.core.config.source import ConfigSource, activating_imports, read_source
+from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, did_you_mean, nearest
+from robot_runner.core.events.manager import RequestedSubscription, recorded_subscriptions
+from robot_runner.core.storage.table_columns import OWN_SPELLING, TableSpelling
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
+    from robot_runner.core.plugin import Plugin
+    from robot_runner.core.storage.layout import ExperimentFolder
+
+__all__ = [
+    "LoadedConfig",
+    "apply_overrides",
+    "execute_source",
+    "importable",
+    "load_config",
+    "local_modules_among",
+    "own_parameters",
+    "parse_assignments",
+    "place_in",
+    "raised_in",
+    "threads_since",
+]
+
+
+# Static parameters set from the command line: `--set robot=simulated`.
+
+_SIMPLE_TYPES = (bool, int, float, str, Path)
+_BOOLEANS = {"true": True, "false": False, "yes": True, "no": False, "1": True, "0": False}
+
+
+def parse_assignments(assignments: Iterable[str]) -> dict[str, str]:
+    """Return the names and texts of `name=value` assignments; a later one replaces an earlier.
+
+    Raises:
+        ConfigError: one of them is no assignment.
+    """
+    parsed: dict[str, str] = {}
+    for assignment in assignments:
+        name, equals, value = assignment.partition("=")
+        if not equals or not name.strip():
+            raise ConfigError(
+                f"{assignment!r} is no assignment",
+                where="--set",
+                fix="Write --set name=value, as in --set robot=simulated.",
+            )
+        parsed[name.strip()] = value
+    return parsed
+
+
+def apply_overrides(config_class: type, overrides: Mapping[str, str]) -> dict[str, Any]:
+    """Set static parameters of a config class, each read as the type that the parameter has.
+
+    Returns:
+        The values that were set, by name.
+
+    Raises:
+        ConfigError: a parameter is not known or its text cannot be read; all findings at once.
+    """
+    values: dict[str, Any] = {}
+    findings: list[Finding] = []
+    for name, text in overrides.items():
+        try:
+            values[name] = _read(config_class, name, text)
+        except ConfigError as error:
+            findings += error.findings
+    if findings:
+        raise ConfigError.of_findings(findings)
+    for name, value in values.items():
+        setattr(config_class, name, value)
+    return values
+
+
+def own_parameters(config_class: type) -> dict[str, Any]:
+    """Return the config's own attributes of a simple type, which can be set like the known ones."""
+    return {
+        name: value
+        for parent in reversed(config_class.__mro__)
+        for name, value in vars(parent).items()
+        if not name.startswith("_") and isinstance(value, _SIMPLE_TYPES) and name not in PARAMETERS_BY_NAME
+    }
+
+
+def _read(config_class: type, name: str, text: str) -> Any:
+    own = own_parameters(config_class)
+    where = f"--set {name}={text}"
+    if name in PARAMETERS_BY_NAME:
+        parameter = PARAMETERS_BY_NAME[name]
+        read, expected = parameter.from_text, parameter.expected
+    elif name in own:
+        kind = type(own[name])
+        read, expected = _reader(kind), f"a value of type {kind.__name__}"
+    else:
+        raise ConfigError(
+            f"there is no static parameter {name!r}", where=where, fix=did_you_mean(name, [*PARAMETERS_BY_NAME, *own])
+        )
+    try:
+        return read(text)
+    except (ValueError, KeyError) as error:
+        raise ConfigError(f"{text!r} cannot be read", where=where, fix=f"It must be {expected}.") from error
+
+
+def _reader(kind: type) -> Any:
+    return (lambda text: _BOOLEANS[text.casefold()]) if kind is bool else kind
+
+
+_MODULE_NAME = "robot_runner_config"
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedConfig:
+    """A config file that was executed and whose class was instantiated.
+
+    Attributes:
+        config: the instance of the config class.
+        subscriptions: what it subscribed explicitly.
+        activated: the plugins that import lines such as `import plugins.profilers.Ina219` asked for.
+        overrides: the static parameters that were set from outside, by name.
+        local_modules: the modules beside the config file that it imported.
+        findings: what was found while it was loaded.
+        folder: where everything of the experiment is kept, where the static parameters do not say it alone.
+        spelling: how its run table's file spells headings and statuses.
+        threads: the threads that it started while it was loaded and that go on.
+        lacking: what it needs of the machine, and the machine has not.
+    """
+
+    source: ConfigSource
+    config: Any
+    subscriptions: tuple[RequestedSubscription, ...]
+    activated: tuple[type[Plugin], ...]
+    overrides: Mapping[str, str]
+    local_modules: tuple[Path, ...]
+    findings: tuple[Finding, ...] = ()
+    folder: ExperimentFolder | None = None
+    spelling: TableSpelling = OWN_SPELLING
+    threads: tuple[str, ...] = ()
+    lacking: tuple[Finding, ...] = ()
+
+    @property
+    def where(self) -> str:
+        """The file and class, for findings."""
+        return f"{self.source.path.name}, {self.source.class_name}"
+
+
+def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({})) -> LoadedConfig:
+    """Execute a config file and instantiate its config class.
+
+    Raises:
+        ConfigError: the file cannot be read, parsed or executed, has no config class, or a parameter that is to be
+            set does not exist.
+    """
+    source = read_source(path)
+    with (
+        importable(source.path.parent),
+        activating_imports() as activated,
+        recorded_subscriptions() as subscriptions,
+        raised_in(source.path, "while it was loaded"),
+    ):
+        before, threads_before = set(sys.modules), set(threading.enumerate())
+        module = execute_source(source)
+        config_class = getattr(module, source.class_name)
+        values = apply_overrides(config_class, overrides)
+        config = config_class()
+        for name, value in values.items():
+            if name in getattr(config, "__dict__", {}):
+                setattr(config, name, value)
+        local_modules = local_modules_among(source.path, set(sys.modules) - before)
+        threads = threads_since(threads_before)
+    return LoadedConfig(
+        source=source,
+        config=config,
+        subscriptions=tuple(subscriptions),
+        activated=tuple(activated),
+        overrides=dict(overrides),
+        local_modules=local_modules,
+        threads=threads,
+    )
+
+
+@contextmanager
+def raised_in(path: Path, when: str) -> Iterator[None]:
+    """Turn what the code of a config file raises into a ConfigError that names the line.
+
+    Raises:
+        ConfigError: something was raised.
+    """
+    try:
+        yield
+    except RobotRunnerError as error:
+        raise ConfigError.of_findings(_placed(path, error)) from error
+    except (Exception, SystemExit) as error:
+        raise ConfigError(
+            f"it raised {type(error).__name__} {when}: {error}",
+            where=place_in(path, error),
+            fix=_fix_of(error) or "Mend this line.",
+        ) from error
+
+
+def place_in(path: Path, error: BaseException) -> str:
+    """Return the last line of the file `path` that `error` passed through, as `file:line`."""
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename) == path]
+    return f"{path}:{lines[-1]}" if lines else str(path)
+
+
+def _placed(path: Path, error: RobotRunnerError) -> tuple[Finding, ...]:
+    place = place_in(path, error)
+    return tuple(
+        replace(
+            finding, where=finding.where if _says_where(path, finding) else f"{place}, {finding.where}".rstrip(", ")
+        )
+        for finding in error.findings
+    )
+
+
+def _says_where(path: Path, finding: Finding) -> bool:
+    return finding.where.startswith(("--set", str(path)))
+
+
+def _fix_of(error: BaseException) -> str:
+    if isinstance(error, ModuleNotFoundError) and error.name:
+        return f"Install the package that brings {error.name!r}, or mend the name."
+    if isinstance(error, AttributeError) and error.name and error.obj is not None:
+        near = nearest(error.name, dir(error.obj))
+        return f"Did you mean {near!r}?" if near else ""
+    return ""
+
+
+@contextmanager
+def importable(folder: Path) -> Iterator[None]:
+    """Let modules in this folder be imported.
+
+    The folder stays importable: callbacks may import their neighbours when they are called.
+    """
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+    yield
+
+
+def execute_source(source: ConfigSource) -> ModuleType:
+    """Execute a config file as a module of its own.
+
+    Raises:
+        ConfigError: it cannot be imported; what its code raises is raised as it is.
+    """
+    spec = importlib.util.spec_from_file_location(_MODULE_NAME, source.path)
+    if spec is None or spec.loader is None:
+        raise ConfigError("it cannot be imported", where=str(source.path), fix="Give it a name that ends in .py.")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[_MODULE_NAME] = module
+    exec(compile(source.text, str(source.path), "exec"), module.__dict__)  # noqa: S102 - a config file is code
+    return module
+
+
+def threads_since(before: set[threading.Thread]) -> tuple[str, ...]:
+    """Return the names of the threads that there are now and were not `before`."""
+    return tuple(sorted(thread.name for thread in set(threading.enumerate()) - before))
+
+
+def local_modules_among(config: Path, names: set[str]) -> tuple[Path, ...]:
+    """Return the files of those imported modules that stand beside or below the config file."""
+    files = {getattr(sys.modules.get(name), "__file__", None) for name in names}
+    paths = {Path(file) for file in files if file}
+    return tuple(
+        sorted(
+            path
+            for path in paths
+            if path != config and config.parent in path.parents and "site-packages" not in path.parts
+        )
+    )

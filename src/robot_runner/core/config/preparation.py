@@ -1,0 +1,213 @@
+"""The robot link, and the ROS that the experiment requires."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from robot_runner.core.config.checks import (
+    check_analysis,
+    check_disk_space,
+    check_names,
+    check_plugins,
+    check_results_path,
+    check_threads,
+    create_model,
+    gather_plugins,
+    read_parameters,
+)
+from robot_runner.core.config.experiment import Experiment, event_manager_for, experiment_folder
+from robot_runner.core.config.loader import LoadedConfig, load_config
+from robot_runner.core.errors import ConfigError, Finding, LinkError
+from robot_runner.core.events.manager import EventManager
+from robot_runner.core.events.measure import MeasureColumns, resolve_columns
+from robot_runner.core.links.connect import is_simulated, link_findings
+from robot_runner.core.links.host import LOCAL
+from robot_runner.core.links.robot import RobotName
+from robot_runner.ros.required_ros import check_required_ros
+from robot_runner.ros.ros_environment import AUTO, find_ros, found_robot
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from robot_runner.core.config.parameters import Parameters
+    from robot_runner.core.design.run_table_model import RunTableModel
+    from robot_runner.core.plugin import Plugin
+
+__all__ = ["Loader", "Preparation", "check_robot", "choose_robot", "prepare", "prepare_or_refuse"]
+
+
+_CLIENTS = {"ros1": 1, "ros2": 2}
+
+
+def choose_robot(loaded: LoadedConfig) -> list[Finding]:
+    """Put what is found in the place of `robot = "auto"`, so that every run and the manifest name the same.
+
+    Returns:
+        what was chosen and why, or that nothing is there to choose.
+    """
+    if getattr(loaded.config, "robot", None) != AUTO:
+        return []
+    try:
+        found = found_robot()
+    except LinkError as error:
+        return [Finding.error(f"{loaded.where}.robot", error.problem, error.fix)]
+    loaded.config.robot = found.name
+    problem = f"robot is 'auto', and {found.name!r} was chosen: {found.reason}"
+    return [Finding.warning(f"{loaded.where}.robot", problem, f"Write robot = {found.name!r} to be sure of it.")]
+
+
+def check_robot(loaded: LoadedConfig, parameters: Parameters, plugins: Sequence[Plugin] = ()) -> list[Finding]:
+    """Return what stands between the experiment and its robot."""
+    if parameters.robot == AUTO:
+        return []  # nothing was found, which is a finding already
+    findings = list(link_findings(parameters.robot))
+    if is_simulated(parameters.robot):
+        return findings  # the embedded robot needs no ROS
+    try:
+        name = None if parameters.robot is None else RobotName.parse(parameters.robot)
+    except LinkError:
+        return findings
+    findings += _other_generation(name)
+    return [*findings, *check_required_ros(loaded.where, parameters, name, sorted(set(_hosts(plugins)), key=str))]
+
+
+def _other_generation(name: RobotName | None) -> list[Finding]:
+    """Return that the other generation's packages stand in the way: both call their message packages the same."""
+    sourced, needed = find_ros(), None if name is None else _CLIENTS.get(name.link)
+    if sourced is None or needed is None or sourced.version == needed:
+        return []
+    problem = f"robot is {name.link!r}, and ROS {sourced.version} is sourced in this shell" if name else ""
+    fix = f"Start robot-runner from a shell in which ROS {needed} is sourced, and no other."
+    return [Finding.error("robot", problem, fix)]
+
+
+def _hosts(plugins: Sequence[Plugin]) -> Iterator[tuple[str, Path | None]]:
+    """Yield the robot's computers that plugins name, each with its ssh config."""
+    for plugin in plugins:
+        host = getattr(plugin, "host", None)
+        if isinstance(host, str) and host != LOCAL:
+            yield host, getattr(plugin, "ssh_config", None)
+
+
+# From a config file to an experiment, or to everything that stands in its way; nothing is touched.
+
+#: From a config file and what is set from outside to a config object; raises ConfigError.
+Loader = Callable[[Path, Mapping[str, str]], LoadedConfig]
+
+
+@dataclass(frozen=True, slots=True)
+class Preparation:
+    """What came of reading a config file.
+
+    Attributes:
+        experiment: ready to be executed, or None where a finding refuses it.
+        findings: everything that was found, errors first.
+    """
+
+    experiment: Experiment | None
+    findings: tuple[Finding, ...]
+
+
+def prepare(
+    path: Path,
+    overrides: Mapping[str, str] = MappingProxyType({}),
+    load: Loader = load_config,
+    *,
+    is_for_here: bool = True,
+) -> Preparation:
+    """Load and validate a config file; all findings at once, and nothing on disk is touched.
+
+    Args:
+        path: the config file.
+        overrides: static parameters to set, by name.
+        load: how the file becomes a config object.
+        is_for_here: whether it is to be executed on this machine; if not, nobody asks what the machine has.
+    """
+    try:
+        loaded = load(path, overrides)
+    except ConfigError as error:
+        return Preparation(None, error.findings)
+    findings = [*loaded.findings, *check_names(loaded), *(choose_robot(loaded) if is_for_here else ())]
+    parameters, parameter_findings = read_parameters(loaded)
+    plugins, plugin_findings = gather_plugins(loaded)
+    model, model_findings = create_model(loaded)
+    findings += [*parameter_findings, *plugin_findings, *model_findings]
+    events = _subscribe(loaded, plugins, findings)
+    columns = _columns(model, plugins, findings)
+    if parameters is not None:
+        findings += [*check_analysis(parameters, model, columns), *check_threads(loaded, parameters)]
+    if is_for_here:
+        findings += _check_machine(loaded, parameters, plugins, model)
+    ordered = tuple(sorted(findings, key=lambda finding: not finding.is_error))
+    if any(finding.is_error for finding in ordered) or parameters is None or model is None:
+        return Preparation(None, ordered)
+    return Preparation(_experiment(loaded, parameters, plugins, events, model, columns), ordered)
+
+
+def _check_machine(
+    loaded: LoadedConfig, parameters: Parameters | None, plugins: tuple[Plugin, ...], model: RunTableModel | None
+) -> Iterator[Finding]:
+    yield from loaded.lacking
+    yield from check_plugins(plugins, model, getattr(loaded.config, "robot", None))
+    if parameters is not None:
+        runs = len(model.plan()) if model is not None else 0
+        yield from check_robot(loaded, parameters, plugins)
+        yield from check_results_path(loaded, parameters)
+        yield from check_disk_space(loaded, parameters, plugins, runs)
+
+
+def prepare_or_refuse(
+    path: Path, overrides: Mapping[str, str] = MappingProxyType({}), load: Loader = load_config
+) -> Experiment:
+    """Load and validate a config file, as `prepare` does.
+
+    Raises:
+        ConfigError: it is refused; carries every finding.
+    """
+    preparation = prepare(path, overrides, load)
+    if preparation.experiment is None:
+        raise ConfigError.of_findings(preparation.findings)
+    return preparation.experiment
+
+
+def _subscribe(loaded: LoadedConfig, plugins: tuple[Plugin, ...], findings: list[Finding]) -> EventManager:
+    try:
+        return event_manager_for(loaded, plugins)
+    except ConfigError as error:
+        findings += error.findings
+        return EventManager()
+
+
+def _columns(model: RunTableModel | None, plugins: tuple[Plugin, ...], findings: list[Finding]) -> MeasureColumns:
+    measures = {plugin.name: tuple(plugin.measures) for plugin in plugins}
+    columns, column_findings = resolve_columns(model.data_columns if model else None, measures)
+    findings += column_findings
+    return columns
+
+
+def _experiment(
+    loaded: LoadedConfig,
+    parameters: Parameters,
+    plugins: tuple[Plugin, ...],
+    events: EventManager,
+    model: RunTableModel,
+    columns: MeasureColumns,
+) -> Experiment:
+    return Experiment(
+        config_path=loaded.source.path,
+        class_name=loaded.source.class_name,
+        config=loaded.config,
+        parameters=parameters,
+        plugins=plugins,
+        events=events,
+        model=model,
+        columns=columns,
+        overrides=loaded.overrides,
+        local_modules=loaded.local_modules,
+        folder=experiment_folder(parameters, loaded),
+        spelling=loaded.spelling,
+    )

@@ -1,0 +1,189 @@
+"""The import lines of the paper's Listing 1: `import plugins.profilers.Ina219` activates the plugin.
+
+The modules exist only while a config file is loaded; a package named `plugins` beside the config file comes first.
+"""
+
+from __future__ import annotations
+
+import ast
+import sys
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import ConfigError, nearest
+from robot_runner.core.plugin import GROUPS, find_plugin
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+    from types import ModuleType
+
+    from robot_runner.core.plugin import Plugin
+
+__all__ = ["CONFIG_CLASS", "ConfigSource", "activating_imports", "read_source", "read_tree"]
+
+
+# A config file as text: read, parsed, and searched for the class that describes the experiment.
+
+CONFIG_CLASS = "RobotRunnerConfig"
+_CONFIG_BASE = "ExperimentConfig"
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigSource:
+    """A config file that parses and has a config class.
+
+    Attributes:
+        path: absolute.
+        class_name: the class that describes the experiment.
+    """
+
+    path: Path
+    text: str
+    class_name: str
+
+
+def read_source(path: Path) -> ConfigSource:
+    """Read and parse a config file; nothing of it is executed.
+
+    Raises:
+        ConfigError: there is no such file, it cannot be read or parsed, or it has no config class.
+    """
+    text, tree = read_tree(path)
+    return ConfigSource(path.resolve(), text, _config_class(path, tree))
+
+
+def read_tree(path: Path) -> tuple[str, ast.Module]:
+    """Return the text of a Python file and its syntax tree.
+
+    Raises:
+        ConfigError: there is no such file, or it cannot be read or parsed.
+    """
+    text = _read(path)
+    try:
+        return text, ast.parse(text, filename=str(path))
+    except SyntaxError as error:
+        raise ConfigError(
+            f"it is not Python: {error.msg}: {(error.text or '').strip()!r}",
+            where=f"{path}:{error.lineno or 0}",
+            fix="Mend the syntax of this line (or of the one before it).",
+        ) from error
+    except ValueError as error:
+        raise ConfigError(f"it is not Python: {error}", where=str(path), fix="Name a Python file.") from error
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise ConfigError("there is no such file", where=str(path), fix=_other_file(path)) from error
+    except IsADirectoryError as error:
+        raise ConfigError("it is a folder", where=str(path), fix="Name the config file in it.") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError("it is not text in UTF-8", where=str(path), fix="Name a Python file.") from error
+    except OSError as error:
+        raise ConfigError(
+            f"it cannot be read: {error.strerror}", where=str(path), fix="Mend its permissions."
+        ) from error
+
+
+def _other_file(path: Path) -> str:
+    names = [each.name for each in path.parent.glob("*.py")] if path.parent.is_dir() else []
+    near = nearest(path.name, names)
+    if near:
+        return f"Did you mean {path.parent / near}?"
+    return "Name an existing file, or make one with `robot-runner new`."
+
+
+def _config_class(path: Path, tree: ast.Module) -> str:
+    classes = [node for node in tree.body if isinstance(node, ast.ClassDef)]
+    names = [node.name for node in classes]
+    if CONFIG_CLASS in names:
+        return CONFIG_CLASS
+    derived = [node.name for node in classes if any(_name_of(base) == _CONFIG_BASE for base in node.bases)]
+    if len(derived) == 1:
+        return derived[0]
+    if derived:
+        raise ConfigError(
+            f"it has {len(derived)} config classes: {', '.join(derived)}",
+            where=str(path),
+            fix=f"Name the one that is to be executed {CONFIG_CLASS}.",
+        )
+    near = nearest(CONFIG_CLASS, names)
+    raise ConfigError(
+        f"it has no class named {CONFIG_CLASS}",
+        where=str(path),
+        fix=f"Rename the class {near} to {CONFIG_CLASS}."
+        if near
+        else f"Describe the experiment in a class {CONFIG_CLASS}.",
+    )
+
+
+def _name_of(base: ast.expr) -> str:
+    match base:
+        case ast.Name(id=name) | ast.Attribute(attr=name):
+            return name
+        case _:
+            return ""
+
+
+_ROOT = "plugins"
+
+
+@contextmanager
+def activating_imports() -> Iterator[list[type[Plugin]]]:
+    """Let `import plugins.<kind>.<name>` import an installed plugin; yields the classes that were imported so."""
+    activated: list[type[Plugin]] = []
+    finder = _PluginFinder(activated)
+    sys.meta_path.append(finder)
+    try:
+        yield activated
+    finally:
+        sys.meta_path.remove(finder)
+        for name in [name for name, module in sys.modules.items() if _is_stand_in(module)]:
+            del sys.modules[name]
+
+
+def _is_stand_in(module: ModuleType | None) -> bool:
+    spec = getattr(module, "__spec__", None)
+    return isinstance(getattr(spec, "loader", None), _StandInLoader)
+
+
+class _PluginFinder(MetaPathFinder):
+    def __init__(self, activated: list[type[Plugin]]) -> None:
+        self._activated = activated
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Offer `plugins`, `plugins.<kind>` and `plugins.<kind>.<name>`."""
+        del path, target
+        root, _, rest = fullname.partition(".")
+        kind, _, name = rest.partition(".")
+        if root != _ROOT or (kind and kind not in GROUPS) or "." in name:
+            return None
+        return ModuleSpec(fullname, _StandInLoader(self._activated, kind, name), is_package=not name)
+
+
+class _StandInLoader(Loader):
+    def __init__(self, activated: list[type[Plugin]], kind: str, name: str) -> None:
+        self._activated = activated
+        self._kind = kind
+        self._name = name
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType | None:
+        """Leave the making of the module to Python."""
+        del spec
+        return None
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Put the plugin's class into its module, and remember that it was asked for."""
+        if not self._name:
+            return
+        plugin = find_plugin(self._kind, self._name).load()
+        setattr(module, self._name, plugin)
+        if plugin not in self._activated:
+            self._activated.append(plugin)

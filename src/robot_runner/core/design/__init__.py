@@ -1,0 +1,1 @@
+"""Design of experiments: factors, combinations, exclusions, repetitions, order. Pure: nothing reads or writes."""

@@ -1,0 +1,74 @@
+"""The names that the run table takes for itself, and what any other column may be called."""
+
+from __future__ import annotations
+
+import unicodedata
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import Finding
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["REPETITION", "RUN_ID", "STAMP_COLUMNS", "STATUS", "name_findings", "numbered_run_id", "reserved_names"]
+
+RUN_ID = "run_id"
+STATUS = "status"
+REPETITION = "Repetition"
+
+#: When each event of a run was emitted, in the order of the events (paper, Fig. 2 and 3).
+STAMP_COLUMNS = (
+    "before_run_at",
+    "start_run_at",
+    "start_measurement_at",
+    "launch_mission_at",
+    "stop_measurement_at",
+    "stop_run_at",
+    "populate_run_data_at",
+    "continue_at",
+)
+
+#: Control characters, line and paragraph separators, and lone surrogates (which UTF-8 cannot hold).
+_UNFIT_CATEGORIES = frozenset({"Cc", "Zl", "Zp", "Cs"})
+
+_TAKEN = (RUN_ID, STATUS, "attempt", *STAMP_COLUMNS)
+
+
+def numbered_run_id(number: int) -> str:
+    """Return the id of the run in this place (from 1) of a planned run table, as in the paper's Fig. 3."""
+    return f"r_{number}"
+
+
+def reserved_names(repetitions: int) -> tuple[str, ...]:
+    """Return the column names that no factor and no measure may have, whatever the case of their letters."""
+    return (*_TAKEN, REPETITION) if repetitions > 1 else _TAKEN
+
+
+def name_findings(name: object, *, kind: str, repetitions: int = 1) -> Iterator[Finding]:
+    """Say what keeps `name` from heading a column.
+
+    Args:
+        name: what was given as the name.
+        kind: what it is the name of, as in `factor`.
+        repetitions: how often each combination is repeated; from two on, `Repetition` is taken.
+
+    Yields:
+        An error finding for each problem.
+    """
+    where = f"{kind} {name!r}"
+    if not isinstance(name, str):
+        yield Finding.error(where, f"the name is of type {type(name).__name__}", "Give a string.")
+    elif not name.strip():
+        yield Finding.error(where, "the name is empty", "Give it a name.")
+    elif name != name.strip():
+        yield Finding.error(where, "the name begins or ends with a blank", f"Write {name.strip()!r}.")
+    elif odd := [character for character in name if unicodedata.category(character) in _UNFIT_CATEGORIES]:
+        yield Finding.error(where, f"the name holds {odd[0]!r}, which no heading can hold", "Leave it out.")
+    elif name.casefold() in {taken.casefold() for taken in reserved_names(repetitions)}:
+        yield Finding.error(where, "the run table has a column of that name already", _other_name(name))
+
+
+def _other_name(name: str) -> str:
+    if name.casefold() == REPETITION.casefold():
+        return "Choose another name, or leave out repetitions= and vary it as a factor."
+    return "Choose another name."

@@ -1,0 +1,269 @@
+"""One treatment for each factor, and all of them together: the full factorial, held in columns."""
+
+from __future__ import annotations
+
+import re
+from array import array
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from itertools import chain, islice, repeat
+from math import prod
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.columns import name_findings
+from robot_runner.core.errors import DesignError, Finding, nearest
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Iterator, Sequence
+
+__all__ = [
+    "MAX_TREATMENTS",
+    "Combination",
+    "Factor",
+    "combinations_of",
+    "full_factorial",
+    "index_array",
+    "treatment_findings",
+    "treatment_text",
+    "treatments_are_equal",
+]
+
+
+# What a treatment looks like in the run table, and what keeps a value from being one.
+
+_ADDRESS = re.compile(r" at 0x[0-9A-Fa-f]+")
+
+
+def treatment_text(treatment: Any) -> str:
+    """Return how a treatment is written in the run table: its `str()`.
+
+    For a float that is exact (Python writes the shortest text that gives the same number back).
+    """
+    return str(treatment)
+
+
+def treatments_are_equal(one: Any, other: Any) -> bool:
+    """Return whether two values are equal; a bool equals no number, as True is another treatment than 1."""
+    if isinstance(one, bool) is not isinstance(other, bool):
+        return False
+    try:
+        return bool(one == other)
+    except (TypeError, ValueError):  # an array compares element by element and has no truth value
+        return False
+
+
+def treatment_findings(where: str, treatments: Sequence[Any]) -> Iterator[Finding]:
+    """Say which values cannot be treatments of one factor, alone or beside each other.
+
+    Args:
+        where: the factor that they belong to.
+        treatments: the values, in order.
+
+    Yields:
+        An error finding for each value that could not be recognised in the run table.
+    """
+    by_text: dict[str, Any] = {}
+    by_value: dict[tuple[type, Hashable], Any] = {}
+    for treatment in treatments:
+        text = _text_or_finding(where, treatment)
+        if isinstance(text, Finding):
+            yield text
+        elif text in by_text:
+            yield _same_text(where, by_text[text], treatment, text)
+        else:
+            by_text[text] = treatment
+            yield from _same_value(where, by_value, treatment)
+
+
+def _text_or_finding(where: str, treatment: Any) -> str | Finding:
+    kind = type(treatment).__name__
+    try:
+        text = treatment_text(treatment)
+    except Exception as error:  # noqa: BLE001 - a user's __str__ may raise anything
+        problem = f"a treatment of type {kind} has no text: its str() raised {type(error).__name__}: {error}"
+        return Finding.error(where, problem, "Mend the __str__ of its class.")
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        problem = f"treatment {text!r} holds {text[error.start : error.end]!r}, which UTF-8 cannot hold"
+        return Finding.error(where, problem, "Leave it out.")
+    if not isinstance(treatment, str) and _ADDRESS.search(text):
+        problem = f"treatment {text} shows a memory address, so it could not be recognised when resuming"
+        return Finding.error(where, problem, f"Give its class a __str__ ({kind}).")
+    if isinstance(treatment, set | frozenset) and len(treatment) > 1:
+        problem = f"treatment {text} is a set: its elements are written in another order by each process"
+        return Finding.error(where, problem, "Give a tuple or a sorted list.")
+    return text
+
+
+def _same_text(where: str, earlier: Any, later: Any, text: str) -> Finding:
+    if type(earlier) is type(later):
+        return _given_twice(where, later)
+    return Finding.error(
+        where,
+        f"treatments {earlier!r} and {later!r} would both be written {text!r} in the run table",
+        "Change one of them so that they look different.",
+    )
+
+
+def _same_value(where: str, by_value: dict[tuple[type, Hashable], Any], treatment: Any) -> Iterator[Finding]:
+    try:
+        earlier = by_value.setdefault((type(treatment), treatment), treatment)
+    except TypeError:  # not hashable: its text has told it from the others
+        return
+    if earlier is not treatment:
+        yield _given_twice(where, treatment)
+
+
+def _given_twice(where: str, treatment: Any) -> Finding:
+    return Finding.error(
+        where,
+        f"treatment {treatment!r} is given twice",
+        "Remove one; repetitions=2 executes each combination twice.",
+    )
+
+
+# A factor: what is varied, and the treatments that it takes.
+
+#: More than this is taken for an endless iterable.
+MAX_TREATMENTS = 1_000_000
+
+_SHOWN = 10
+_COMPARED = 1000  # comparing takes some 0.1 ms a treatment
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class Factor:
+    """What is varied in an experiment, with its treatments in the order in which they are to be executed.
+
+    Attributes:
+        name: the column of the run table.
+        treatments: the values, of any type; an object is written as its `str()` and comes back as the object.
+        texts: how each treatment is written in the run table.
+
+    Raises:
+        DesignError: the name or a treatment cannot be; `findings` lists everything that was found.
+
+    Example:
+        >>> Factor("Repetition", range(1, 4)).treatments
+        (1, 2, 3)
+    """
+
+    name: str
+    treatments: tuple[Any, ...]
+    texts: tuple[str, ...] = field(repr=False, compare=False)
+    _positions: Mapping[str, int] = field(repr=False, compare=False)
+
+    def __init__(self, name: str, treatments: Iterable[Any]) -> None:
+        where = f"factor {name!r}"
+        listed, findings = _listed(where, treatments)
+        findings = [*name_findings(name, kind="factor"), *findings, *treatment_findings(where, listed)]
+        if findings:
+            raise DesignError.of_findings(findings)
+        texts = tuple(map(treatment_text, listed))
+        object.__setattr__(self, "name", name)
+        object.__setattr__(self, "treatments", listed)
+        object.__setattr__(self, "texts", texts)
+        object.__setattr__(self, "_positions", {text: place for place, text in enumerate(texts)})
+
+    def __hash__(self) -> int:
+        return hash(self.name)  # treatments need not be hashable
+
+    def position_of(self, value: Any) -> int | None:
+        """Return the place of the treatment that `value` means, or None.
+
+        The same type and text come first, then equality, where exactly one treatment is equal. True is never 1.
+        """
+        place = self.position_of_text(treatment_text(value))
+        if place is not None and type(self.treatments[place]) is type(value):
+            return place
+        equal = [place for place, treatment in enumerate(self.treatments) if treatments_are_equal(treatment, value)]
+        same_type = [place for place in equal if type(self.treatments[place]) is type(value)]
+        candidates = same_type or equal
+        return candidates[0] if len(candidates) == 1 else None
+
+    def position_of_text(self, text: str) -> int | None:
+        """Return the place of the treatment that is written exactly so, or None."""
+        return self._positions.get(text)
+
+    def suggestion(self, value: Any) -> str:
+        """Return a fix for a value that is no treatment: the nearest one, or a list of all."""
+        near = nearest(treatment_text(value), self.texts) if len(self.texts) <= _COMPARED else None
+        if near is not None:
+            return f"Did you mean {self.treatments[self._positions[near]]!r}?"
+        shown = ", ".join(map(repr, self.treatments[:_SHOWN]))
+        more = len(self.treatments) - _SHOWN
+        return f"Choose one of: {shown}{f' and {more} more' if more > 0 else ''}."
+
+
+def _listed(where: str, treatments: object) -> tuple[tuple[Any, ...], list[Finding]]:
+    kind = type(treatments).__name__
+    if isinstance(treatments, str | bytes | Mapping) or not isinstance(treatments, Iterable):
+        problem = f"the treatments are {treatments!r}, which is of type {kind}"
+        return (), [Finding.error(where, problem, "Give a list.")]
+    if isinstance(treatments, set | frozenset):
+        problem = "the treatments are a set, which has another order in each process"
+        return (), [Finding.error(where, problem, "Give a list.")]
+    listed = tuple(islice(treatments, MAX_TREATMENTS + 1))
+    if not listed:
+        return (), [Finding.error(where, "it has no treatments", "Give at least one.")]
+    if len(listed) > MAX_TREATMENTS:
+        problem = f"it has more than {MAX_TREATMENTS:,} treatments"
+        return (), [Finding.error(where, problem, "Give fewer; an endless iterable cannot be planned.")]
+    return listed, []
+
+
+class Combination(Mapping[str, Any]):
+    """One treatment for each factor, by the factor's name. Read-only.
+
+    Example:
+        >>> Combination({"Task": 0, "Speed": 1}, ("Video", 0.2))["Speed"]
+        0.2
+    """
+
+    __slots__ = ("_places", "_treatments")
+
+    def __init__(self, places: Mapping[str, int], treatments: tuple[Any, ...]) -> None:
+        self._places = places
+        self._treatments = treatments
+
+    def __getitem__(self, factor: str) -> Any:
+        return self._treatments[self._places[factor]]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __repr__(self) -> str:
+        return repr(dict(self))
+
+    def __str__(self) -> str:
+        return ", ".join(f"{name}={treatment!r}" for name, treatment in self.items())
+
+
+def index_array(largest: int, values: Any = ()) -> array[int]:
+    """Return an array of whole numbers from 0 to `largest`, in as few bytes each as that takes."""
+    code = next(code for code, bits in (("B", 8), ("H", 16), ("I", 32), ("Q", 64)) if largest < 1 << bits)
+    return array(code, values)
+
+
+def full_factorial(factors: Sequence[Factor]) -> tuple[array[int], ...]:
+    """Return, for each factor, the place of its treatment in each combination; the first factor is the slowest."""
+    columns = []
+    for place, factor in enumerate(factors):
+        count = len(factor.treatments)
+        stretch = prod(len(faster.treatments) for faster in factors[place + 1 :])
+        times = prod(len(slower.treatments) for slower in factors[:place])
+        once = index_array(count - 1, chain.from_iterable(map(repeat, range(count), repeat(stretch))))
+        columns.append(once * times)
+    return tuple(columns)
+
+
+def combinations_of(factors: Sequence[Factor], columns: Sequence[array[int]]) -> Iterator[Combination]:
+    """Yield the combination of each row of `columns`, which hold the places of treatments."""
+    places = {factor.name: place for place, factor in enumerate(factors)}
+    treatments = [map(factor.treatments.__getitem__, column) for factor, column in zip(factors, columns, strict=True)]
+    for row in zip(*treatments, strict=True):
+        yield Combination(places, row)

@@ -1,0 +1,154 @@
+"""A design whose runs are listed one by one, with their ids: what no factorial of factors and exclusions describes."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from robot_runner.core.design.factor import Combination, index_array
+from robot_runner.core.design.run_table import PlannedRun, RunOrder, RunTable
+from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.core.errors import DesignError, Finding
+
+if TYPE_CHECKING:
+    from array import array
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from robot_runner.core.design.factor import Factor
+
+__all__ = ["ListedRun", "ListedRunTableModel"]
+
+_RUN_ID = re.compile(r"\w[\w.-]{0,59}")  # it names the run's folder
+
+
+@dataclass(frozen=True, slots=True)
+class ListedRun:
+    """One run of a listed design.
+
+    Attributes:
+        run_id: names the run in the table and its folder.
+        treatments: the treatment of each factor, by the factor's name.
+        repetition: which repetition of the combination it is, from 1.
+
+    Example:
+        >>> ListedRun("run_0", {"Task": "Video"}).repetition
+        1
+    """
+
+    run_id: str
+    treatments: Mapping[str, Any]
+    repetition: int = 1
+
+
+class ListedRunTableModel(RunTableModel):
+    """A design that was made elsewhere: its runs stand in the order in which they are listed.
+
+    Example:
+        >>> from robot_runner.core.design.factor import Factor
+        >>> runs = [ListedRun("run_0", {"Task": "Video"}), ListedRun("run_1", {"Task": "Network"})]
+        >>> [run.run_id for run in ListedRunTableModel([Factor("Task", ["Video", "Network"])], runs).plan()]
+        ['run_0', 'run_1']
+    """
+
+    def __init__(
+        self,
+        factors: Sequence[Factor],
+        runs: Sequence[ListedRun],
+        *,
+        data_columns: Sequence[str] = (),
+        warnings: Sequence[Finding] = (),
+        order: RunOrder | None = None,
+    ) -> None:
+        """Check the whole design.
+
+        Args:
+            factors: what is varied; there may be none, where the same thing is repeated.
+            runs: the runs, in the order of execution.
+            data_columns: the measures that the run table has columns for.
+            warnings: findings that do not refuse the design.
+            order: how the runs were put in the order in which they are listed.
+
+        Raises:
+            DesignError: it cannot be; `findings` lists everything that was found.
+        """
+        findings = [*_run_findings(runs), *_column_findings(factors, data_columns)]
+        if findings:
+            raise DesignError.of_findings(findings)
+        # Not by the factorial's own way of making them, which lists every combination there could be.
+        vars(self).update(
+            factors=tuple(factors), repetitions=1, data_columns=tuple(data_columns), warnings=tuple(warnings)
+        )
+        self.runs: Final = tuple(runs)
+        self._combinations = tuple(_places(factor, runs) for factor in factors)
+        self._order = order or RunOrder()
+        self._planned = None
+
+    def plan(self, seed: int | None = None) -> RunTable:
+        """Return the run table; the order is as listed, whatever the seed."""
+        del seed
+        if self._planned is None:
+            self._planned = _ListedRunTable(self, self._combinations, self._order)
+        return self._planned
+
+
+class _ListedRunTable(RunTable):
+    def __init__(self, model: ListedRunTableModel, combinations: tuple[array[int], ...], order: RunOrder) -> None:
+        counted = combinations or (index_array(0, [0] * len(model.runs)),)  # without factors, all runs are the same
+        super().__init__(model, counted, RunOrder(seed=order.seed))
+        self._combinations = combinations
+        self.order = order
+        self._runs = model.runs
+
+    @property
+    def run_ids(self) -> Sequence[str]:
+        """The ids of the runs."""
+        return [run.run_id for run in self._runs]
+
+    def repetition_numbers(self) -> array[int]:
+        """Return which repetition of its combination each run is, from 1."""
+        return index_array(max(run.repetition for run in self._runs), (run.repetition for run in self._runs))
+
+    def _run(self, place: int) -> PlannedRun:
+        listed = self._runs[place]
+        treatments = tuple(
+            factor.treatments[column[place]]
+            for factor, column in zip(self.model.factors, self._combinations, strict=True)
+        )
+        return PlannedRun(listed.run_id, place + 1, Combination(self._places, treatments), listed.repetition)
+
+
+def _places(factor: Factor, runs: Sequence[ListedRun]) -> array[int]:
+    # Runs share the objects that the factor has: what is the same object needs no comparing.
+    known = {id(treatment): place for place, treatment in enumerate(factor.treatments)}
+
+    def place_of(value: Any) -> int:
+        place = known.get(id(value))
+        if place is None:
+            place = factor.position_of(value)
+        if place is None:
+            raise DesignError(
+                f"{value!r} is no treatment", where=f"factor {factor.name!r}", fix=factor.suggestion(value)
+            )
+        return place
+
+    return index_array(len(factor.treatments) - 1, (place_of(run.treatments[factor.name]) for run in runs))
+
+
+def _run_findings(runs: Sequence[ListedRun]) -> Iterator[Finding]:
+    if not runs:
+        yield Finding.error("run table", "it has no runs", "List at least one, or exclude fewer.")
+    for run_id, count in Counter(run.run_id.casefold() for run in runs).items():
+        if count > 1:
+            yield Finding.error("run table", f"{count} runs have the id {run_id!r}", "Give each an id of its own.")
+    for run in runs:
+        if not _RUN_ID.fullmatch(run.run_id):
+            fix = "Use letters, digits, '_', '-' and '.' (60 at most): it names the run's folder."
+            yield Finding.error("run table", f"a run cannot have the id {run.run_id!r}", fix)
+
+
+def _column_findings(factors: Sequence[Factor], data_columns: Sequence[str]) -> Iterator[Finding]:
+    for name, count in Counter([*(factor.name for factor in factors), *data_columns]).items():
+        if count > 1:
+            yield Finding.error("run table", f"{count} columns are called {name!r}", "Rename all but one.")

@@ -1,0 +1,260 @@
+"""The run-table model: what an experiment varies, how often, and in which order."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from itertools import compress
+from math import prod
+from typing import TYPE_CHECKING, Any, Final
+
+from robot_runner.core.design.columns import REPETITION, name_findings
+from robot_runner.core.design.exclusions import apply_exclusions
+from robot_runner.core.design.factor import Factor, full_factorial
+from robot_runner.core.design.run_table import RunOrder, RunTable
+from robot_runner.core.errors import DesignError, Finding, did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from robot_runner.core.design.exclusions import Exclusion
+
+__all__ = ["MAX_RUNS", "RunTableModel", "design_findings", "order_findings"]
+
+
+# What keeps factors, repetitions, columns and order from making a design: each check lists all that it finds.
+
+#: More runs than this are taken for a slip: at one second a run they would take four months.
+MAX_RUNS = 10_000_000
+
+
+def design_findings(
+    factors: object, repetitions: object, data_columns: object, shuffle: object, seed: object, blocks: object
+) -> Iterator[Finding]:
+    """Say everything that is wrong with a design, its exclusions left aside.
+
+    Args:
+        factors: what is to be a sequence of factors.
+        repetitions: what is to be how often each combination is executed.
+        data_columns: what is to be the names of the measures' columns, or None.
+        shuffle: what is to be whether the order is randomised.
+        seed: what is to be the seed, or None.
+        blocks: what is to be what runs are kept together by, or None.
+
+    Yields:
+        An error finding for each problem.
+    """
+    known = tuple(factor for factor in factors if isinstance(factor, Factor)) if isinstance(factors, Sequence) else ()
+    repeated = repetitions if isinstance(repetitions, int) else 1
+    yield from _factor_findings(factors)
+    yield from _repetition_findings(repetitions, known)
+    yield from _data_column_findings(data_columns, known, repeated)
+    if not isinstance(shuffle, bool):
+        problem = f"it is {shuffle!r}, which is of type {type(shuffle).__name__}"
+        yield Finding.error("shuffle", problem, "Give True or False.")
+    yield from order_findings(seed, blocks, known, repeated)
+    yield from _size_findings(known, repeated)
+
+
+def _factor_findings(factors: object) -> Iterator[Finding]:
+    kind = type(factors).__name__
+    if not isinstance(factors, Sequence):
+        yield Finding.error("factors", f"it is {factors!r}, which is of type {kind}", "Give a list of Factor(...).")
+        return
+    if not factors:
+        yield Finding.error("factors", "there are none", "Give at least one Factor(...).")
+    seen: set[str] = set()
+    for place, factor in enumerate(factors):
+        if not isinstance(factor, Factor):
+            problem = f"it is {factor!r}, which is of type {type(factor).__name__}"
+            yield Finding.error(f"factors[{place}]", problem, "Give a Factor(name, treatments).")
+        elif factor.name in seen:
+            yield Finding.error(f"factors[{place}]", f"factor {factor.name!r} is given twice", "Rename or remove it.")
+        else:
+            seen.add(factor.name)
+
+
+def _repetition_findings(repetitions: object, factors: Sequence[Factor]) -> Iterator[Finding]:
+    if isinstance(repetitions, bool) or not isinstance(repetitions, int):
+        problem = f"it is {repetitions!r}, which is of type {type(repetitions).__name__}"
+        yield Finding.error("repetitions", problem, "Give a whole number from 1.")
+    elif repetitions < 1:
+        yield Finding.error("repetitions", f"it is {repetitions}", "Give a whole number from 1.")
+    else:
+        for factor in factors:
+            yield from name_findings(factor.name, kind="factor", repetitions=repetitions)
+
+
+def _data_column_findings(columns: object, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+    if columns is None:
+        return
+    if not isinstance(columns, Sequence) or isinstance(columns, str | bytes):
+        problem = f"it is {columns!r}, which is of type {type(columns).__name__}"
+        yield Finding.error("data_columns", problem, "Give a list of names, or leave it out for all measures.")
+        return
+    names_of_factors = {factor.name for factor in factors}
+    seen = set()
+    for place, name in enumerate(columns):
+        where = f"data_columns[{place}]"
+        yield from name_findings(name, kind="data column", repetitions=repetitions)
+        if not isinstance(name, str):
+            continue
+        if name in seen:
+            yield Finding.error(where, f"column {name!r} is given twice", "Remove one.")
+        if name in names_of_factors:
+            yield Finding.error(where, f"{name!r} is the name of a factor", "Rename the factor or the measure.")
+        seen.add(name)
+
+
+def order_findings(seed: object, blocks: object, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+    """Say what is wrong with the seed and the blocks."""
+    is_seed = seed is None or (isinstance(seed, int) and not isinstance(seed, bool) and seed >= 0)
+    if not is_seed:  # random.Random takes -1 for 1, so that two seeds would give one order
+        problem = f"it is {seed!r}, which is of type {type(seed).__name__}"
+        yield Finding.error("seed", problem, "Give a whole number from 0, or leave it out.")
+    if blocks is None:
+        return
+    known = [factor.name for factor in factors]
+    if repetitions > 1:
+        known.append(REPETITION)
+    name = blocks.name if isinstance(blocks, Factor) else blocks
+    if name not in known:
+        yield Finding.error("blocks", f"there is nothing called {name!r} to make blocks of", _blocks_fix(name, known))
+
+
+def _size_findings(factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+    runs = prod(len(factor.treatments) for factor in factors) * repetitions
+    if runs > MAX_RUNS:
+        problem = f"the design has {runs:,} runs before exclusions; {MAX_RUNS:,} is the most"
+        yield Finding.error("factors", problem, "Give fewer treatments or repetitions.")
+
+
+def _blocks_fix(name: object, known: Iterable[str]) -> str:
+    if name == REPETITION:
+        return "Give repetitions=2 or more, or name a factor."
+    return did_you_mean(str(name), known)
+
+
+class RunTableModel:
+    """The plan of all runs: the full factorial less the exclusions, each combination repeated, in some order.
+
+    Runs are in the order as written (the first factor changes slowest; all combinations once, then all again),
+    or randomised with `shuffle`. `blocks` keeps runs together: `"Repetition"` makes a block of each repetition of
+    all combinations, the name of a factor makes one of each of its treatments. Blocks stay in the order as written;
+    `shuffle` randomises within them.
+
+    Attributes:
+        factors: what is varied.
+        repetitions: how often each combination is executed; from two on the table has a column `Repetition`.
+        data_columns: the measures that the run table has columns for; None stands for all measures of all plugins.
+        warnings: findings that do not refuse the design, as on exclusions that remove nothing.
+
+    Example:
+        >>> model = RunTableModel(
+        ...     [Factor("Task", ["Computation", "Video", "Network"]), Factor("Speed", [0.1, 0.2])],
+        ...     exclude_combinations=[{"Task": "Network", "Speed": 0.2}],
+        ...     repetitions=3,
+        ...     data_columns=["Energy"],
+        ... )
+        >>> len(model.plan())
+        15
+    """
+
+    def __init__(
+        self,
+        factors: Iterable[Factor],
+        exclude_combinations: Sequence[Exclusion] = (),
+        repetitions: int = 1,
+        data_columns: Sequence[str] | None = None,
+        shuffle: bool = False,
+        seed: int | None = None,
+        blocks: str | Factor | None = None,
+    ) -> None:
+        """Check the whole design.
+
+        Raises:
+            DesignError: it cannot be; `findings` lists everything that was found.
+        """
+        listed = _as_tuple(factors)
+        findings = list(design_findings(listed, repetitions, data_columns, shuffle, seed, blocks))
+        if any(finding.where.startswith("factors") for finding in findings):
+            raise DesignError.of_findings(findings)  # without factors there is nothing to exclude from
+        columns = full_factorial(listed)
+        exclusions = apply_exclusions(listed, columns, exclude_combinations)
+        findings += exclusions.errors
+        if findings:
+            raise DesignError.of_findings(findings) from exclusions.cause
+        self.factors: Final = listed
+        self.repetitions: Final = repetitions
+        self.data_columns: Final = None if data_columns is None else tuple(data_columns)
+        self.warnings: Final[tuple[Finding, ...]] = exclusions.warnings
+        self._combinations = tuple(array(column.typecode, compress(column, exclusions.keep)) for column in columns)
+        self._order = _ordered(RunOrder(shuffle=shuffle), seed, blocks)
+        self._planned: RunTable | None = None
+
+    @property
+    def shuffle(self) -> bool:
+        """Whether the order is randomised."""
+        return self._order.shuffle
+
+    @property
+    def seed(self) -> int:
+        """What a randomised order comes from: given, or drawn when the model was made."""
+        return self._order.seed
+
+    @property
+    def seed_is_given(self) -> bool:
+        """Whether the user chose the seed."""
+        return self._order.seed_is_given
+
+    @property
+    def blocks(self) -> str | None:
+        """What runs are kept together by: `Repetition`, the name of a factor, or None."""
+        return self._order.blocks
+
+    def create_experiment_run_table(self) -> RunTable:
+        """Make the run table in the present order (the paper's call; returning the model itself does the same)."""
+        return self.plan()
+
+    def randomize_runs_order(self, seed: int | None = None, blocks: str | Factor | None = None) -> RunTable:
+        """Randomise the order of the runs, within `blocks` where given, from `seed` or from one that is drawn.
+
+        Raises:
+            DesignError: the seed or the blocks cannot be.
+        """
+        findings = list(order_findings(seed, blocks, self.factors, self.repetitions))
+        if findings:
+            raise DesignError.of_findings(findings)
+        self._order = _ordered(replace(self._order, shuffle=True), seed, blocks)
+        return self.plan()
+
+    def take_seed(self, seed: int) -> None:
+        """Take the seed of an experiment that is executed again, in place of the one that is given or was drawn."""
+        self._order = replace(self._order, seed=seed)
+        self._planned = None
+
+    def plan(self, seed: int | None = None) -> RunTable:
+        """Return the run table; the model does not change.
+
+        Args:
+            seed: takes the place of a seed that was drawn, so that an experiment goes on in its recorded order. A
+                seed that the user gave stays.
+        """
+        order = self._order if seed is None or self.seed_is_given else replace(self._order, seed=seed)
+        if self._planned is None or self._planned.order != order:
+            self._planned = RunTable(self, self._combinations, order)
+        return self._planned
+
+
+def _as_tuple(factors: Any) -> Any:
+    """Return the factors as a tuple, or what was given where the checks are to refuse it."""
+    return tuple(factors) if isinstance(factors, Iterable) and not isinstance(factors, str | bytes) else factors
+
+
+def _ordered(order: RunOrder, seed: int | None, blocks: str | Factor | None) -> RunOrder:
+    if seed is not None:
+        order = replace(order, seed=seed, seed_is_given=True)
+    if blocks is not None:
+        order = replace(order, blocks=blocks.name if isinstance(blocks, Factor) else blocks)
+    return order

@@ -1,0 +1,227 @@
+"""What a callback is told: the experiment, the run, and the way to hand something back."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast, runtime_checkable
+
+from robot_runner.core.events.measure import MeasureValue, Origin, PublishedMeasure
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from robot_runner.core.errors import Finding
+
+__all__ = ["Clock", "Closable", "ExperimentContext", "Resources", "RobotRunnerContext", "RunBroker", "SystemClock"]
+
+
+# The clock that a run lives by: the machine's own, or that of a simulated robot.
+
+
+@runtime_checkable
+class Clock(Protocol):
+    """Time as the robot lives it: a mission that sleeps on it works on a real and on a simulated robot."""
+
+    def now(self) -> float:
+        """Return the seconds since some fixed moment; never goes back."""
+        ...
+
+    def sleep(self, seconds: float) -> None:
+        """Let this many seconds of the clock go by; negative counts as zero."""
+        ...
+
+
+class SystemClock:
+    """The monotonic clock of this machine."""
+
+    def now(self) -> float:
+        """Return the seconds of the machine's monotonic clock."""
+        return time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        """Block the calling thread for this many real seconds."""
+        if seconds > 0:
+            time.sleep(seconds)
+
+
+# What several plugins of one run share: opened once, closed in reverse order when the run ends.
+
+
+class Closable(Protocol):
+    """Anything that is closed once it is no longer needed."""
+
+    def close(self) -> None:
+        """Let go of what is held."""
+        ...
+
+
+R = TypeVar("R", bound=Closable)
+
+
+class Resources:
+    """The links and devices that a run has opened, by key.
+
+    Example:
+        >>> class Line:
+        ...     def close(self) -> None:
+        ...         print("closed")
+        >>> with_line = Resources()
+        >>> with_line.open("serial", Line) is with_line.open("serial", Line)
+        True
+        >>> with_line.close()
+        closed
+    """
+
+    def __init__(self) -> None:
+        self._opened: dict[str, Closable] = {}
+        self._closing = ExitStack()
+
+    def open(self, key: str, opener: Callable[[], R]) -> R:
+        """Return what was opened under `key`, opening it first if it was not; it is closed with the run."""
+        if key not in self._opened:
+            opened = opener()
+            self._opened[key] = opened
+            self._closing.callback(opened.close)
+        return cast("R", self._opened[key])
+
+    def close(self) -> None:
+        """Close everything in reverse order; what one of them raises is raised after all were closed."""
+        self._opened.clear()
+        self._closing.close()
+
+
+class RunBroker(Protocol):
+    """Where a run's context passes things on to: the event manager's side of a context."""
+
+    def publish(self, owner: str, name: str, value: object, origin: Origin) -> None:
+        """Take a measure through the one gate."""
+        ...
+
+    def share(self, owner: str, values: Mapping[str, object]) -> None:
+        """Pass key-value pairs on to whoever hears the following events."""
+        ...
+
+    def warn(self, owner: str, problem: str, fix: str) -> None:
+        """Record a warning finding about this run."""
+        ...
+
+    def note_clock(self, owner: str, facts: Mapping[str, object]) -> None:
+        """Keep how another computer's clock stood to the run's."""
+        ...
+
+    @property
+    def measures(self) -> Mapping[str, PublishedMeasure]:
+        """What was published so far, by column of the run table."""
+        ...
+
+    @property
+    def shared(self) -> Mapping[str, Mapping[str, object]]:
+        """The key-value pairs shared so far, by plugin."""
+        ...
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """The warnings recorded so far."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExperimentContext:
+    """What the callbacks of `before_experiment` and `after_experiment` are told.
+
+    Attributes:
+        experiment_name: as in the config.
+        experiment_folder: where everything of this experiment is kept.
+        robot: how the robot is reached (`"simulated"`, ...), or None where the config names none.
+        seed: the seed of the experiment, from which the runs' order and the runs' own seeds come.
+    """
+
+    experiment_name: str
+    experiment_folder: Path
+    robot: str | None = None
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotRunnerContext(ExperimentContext):
+    """What the callbacks of a run's events are told, and their way to hand something back.
+
+    Attributes:
+        run_id: the run's id in the run table, such as `r_1`.
+        run_number: its place in the order of execution, from 1.
+        run_count: how many runs the experiment has.
+        attempt: how often this run has been tried, this time included, from 1.
+        combination: the treatment of each factor, by the factor's name.
+        repetition: which repetition of the combination this is, from 1.
+        run_seed: a seed for this run alone, the same each time that it is executed.
+        clock: the clock to sleep on; on a simulated robot it is the simulation's.
+        resources: links and devices that the run's plugins share.
+        owner: who this context was made for: a plugin's name, or `config`.
+        run_path: where the run's folder is once something is kept in it; ask for `run_folder` to keep something.
+    """
+
+    run_id: str
+    run_number: int
+    run_count: int
+    attempt: int
+    combination: Mapping[str, Any]
+    repetition: int
+    run_seed: int
+    run_path: Path
+    clock: Clock
+    resources: Resources
+    owner: str
+    broker: RunBroker = field(repr=False)
+
+    @property
+    def run_folder(self) -> Path:
+        """The run's folder; made when first asked for."""
+        self.run_path.mkdir(parents=True, exist_ok=True)
+        return self.run_path
+
+    @property
+    def raw_data_folder(self) -> Path:
+        """The folder that is reserved for the owner's raw data; made when first asked for."""
+        folder = self.run_path / self.owner
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
+
+    @property
+    def measures(self) -> Mapping[str, MeasureValue]:
+        """The measures published so far in this run, by column of the run table."""
+        return MappingProxyType({name: published.value for name, published in self.broker.measures.items()})
+
+    @property
+    def plugin_data(self) -> Mapping[str, Mapping[str, object]]:
+        """The key-value pairs that plugins shared so far in this run, by the plugin's name."""
+        return self.broker.shared
+
+    def publish(self, name: str, value: object, *, origin: Origin = Origin.MEASURED) -> None:
+        """Publish a measure of this run; None says that there is no value.
+
+        Raises:
+            MeasureError: the name was not declared, the type is wrong, or the number is not finite.
+        """
+        self.broker.publish(self.owner, name, value, origin)
+
+    def share(self, **values: object) -> None:
+        """Pass key-value pairs on to whoever hears the following events (`plugin_data`), and to the screen.
+
+        Values are to be plain: numbers, strings, booleans, None, or lists and mappings of them.
+        """
+        self.broker.share(self.owner, values)
+
+    def warn(self, problem: str, *, fix: str = "") -> None:
+        """Say that something about this run is doubtful; it is shown at the end and kept with the run."""
+        self.broker.warn(self.owner, problem, fix)
+
+    def note_clock(self, facts: Mapping[str, object]) -> None:
+        """Say how another computer's clock stood to the run's, as `ClockRecord.facts` tells it.
+
+        It is kept in the journal, run by run, and summed up for each computer in the manifest.
+        """
+        self.broker.note_clock(self.owner, facts)

@@ -1,0 +1,350 @@
+"""The event manager: the broker between those who publish and those who hear (paper, II.C)."""
+
+from __future__ import annotations
+
+import inspect
+from collections import defaultdict
+from collections.abc import Callable
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import ConfigError, did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Iterator
+
+__all__ = [
+    "CLOSED_BY",
+    "EVENTS_BY_CALLBACK",
+    "ORCHESTRATED_EVENTS",
+    "RUN_EVENTS",
+    "Callback",
+    "CallbackFailure",
+    "Emission",
+    "EventManager",
+    "EventSubscriptionController",
+    "OwnerKind",
+    "RequestedSubscription",
+    "RobotRunnerEvents",
+    "Subscriber",
+    "checked_subscriber",
+    "place_of",
+    "recorded_subscriptions",
+]
+
+
+# The events of an experiment and their order (paper, Fig. 2): the one table that says who hears what where.
+
+
+class RobotRunnerEvents(Enum):
+    """The key moments of an experiment, in the order in which they come.
+
+    A method of a config or a plugin that is named like an event hears it (`callback_name`).
+    """
+
+    BEFORE_EXPERIMENT = "before_experiment"
+    BEFORE_RUN = "before_run"
+    START_RUN = "start_run"
+    START_MEASUREMENT = "start_measurement"
+    LAUNCH_MISSION = "launch_mission"
+    STOP_MEASUREMENT = "stop_measurement"
+    STOP_RUN = "stop_run"
+    POPULATE_RUN_DATA = "populate_run_data"
+    CONTINUE = "continue"
+    AFTER_EXPERIMENT = "after_experiment"
+
+    #: Each member is there once; the enumeration's own would hash its name, in Python, at each look into a dictionary.
+    __hash__ = object.__hash__
+
+    @property
+    def callback_name(self) -> str:
+        """The method that hears this event; `continue` is a word of Python, so its method is `continue_experiment`."""
+        return "continue_experiment" if self is RobotRunnerEvents.CONTINUE else self.value
+
+    @property
+    def is_closing(self) -> bool:
+        """Whether it closes what another event opened, and so reaches its subscribers in reverse order."""
+        return self in _CLOSING
+
+    @property
+    def belongs_to_run(self) -> bool:
+        """Whether there is a run that it is about (and a time-stamp column in the run table)."""
+        return self not in {RobotRunnerEvents.BEFORE_EXPERIMENT, RobotRunnerEvents.AFTER_EXPERIMENT}
+
+
+#: Heard in the run's own process, in this order.
+RUN_EVENTS = (
+    RobotRunnerEvents.START_RUN,
+    RobotRunnerEvents.START_MEASUREMENT,
+    RobotRunnerEvents.LAUNCH_MISSION,
+    RobotRunnerEvents.STOP_MEASUREMENT,
+    RobotRunnerEvents.STOP_RUN,
+    RobotRunnerEvents.POPULATE_RUN_DATA,
+)
+
+#: Heard in the orchestrating process.
+ORCHESTRATED_EVENTS = (
+    RobotRunnerEvents.BEFORE_EXPERIMENT,
+    RobotRunnerEvents.BEFORE_RUN,
+    RobotRunnerEvents.CONTINUE,
+    RobotRunnerEvents.AFTER_EXPERIMENT,
+)
+
+#: What an opening event starts, the event beside it stops, whatever fails in between.
+CLOSED_BY = {
+    RobotRunnerEvents.START_RUN: RobotRunnerEvents.STOP_RUN,
+    RobotRunnerEvents.START_MEASUREMENT: RobotRunnerEvents.STOP_MEASUREMENT,
+}
+
+_CLOSING = frozenset(CLOSED_BY.values())
+
+#: Which event a method hears, by the method's name.
+EVENTS_BY_CALLBACK = {event.callback_name: event for event in RobotRunnerEvents}
+
+
+# Who hears what: a callback is checked against its event when it is subscribed, not in the middle of a run.
+
+Callback = Callable[..., Any]
+
+
+class OwnerKind(IntEnum):
+    """Who hears an event, in the order in which they hear it; closing events go the other way."""
+
+    SYSTEM = 0
+    PROFILER = 1
+    CONFIG = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Subscriber:
+    """One callback that hears one event.
+
+    Attributes:
+        owner: the plugin's name, or `config`.
+        takes_context: whether the callback has a parameter for the context; it may leave it out.
+    """
+
+    event: RobotRunnerEvents
+    owner: str
+    kind: OwnerKind
+    callback: Callback
+    takes_context: bool
+
+    def call(self, context: object) -> Any:
+        """Call the callback, with the context if it takes one."""
+        return self.callback(context) if self.takes_context else self.callback()
+
+
+@dataclass(frozen=True, slots=True)
+class RequestedSubscription:
+    """A subscription as a config asked for it through the `EventSubscriptionController`."""
+
+    event: RobotRunnerEvents
+    callback: Callback
+
+
+_requested: ContextVar[list[RequestedSubscription] | None] = ContextVar("requested", default=None)
+
+
+@contextmanager
+def recorded_subscriptions() -> Iterator[list[RequestedSubscription]]:
+    """Record what is subscribed through the `EventSubscriptionController` while a config is loaded."""
+    requests: list[RequestedSubscription] = []
+    token = _requested.set(requests)
+    try:
+        yield requests
+    finally:
+        _requested.reset(token)
+
+
+class EventSubscriptionController:
+    """The paper's way to subscribe (Listing 1), from a config's `__init__`.
+
+    A method that is named like an event hears it without being subscribed; subscribing it as well changes
+    nothing. Several callbacks may hear one event: they are called in the order in which they subscribed.
+    """
+
+    @staticmethod
+    def subscribe_to_single_event(event: RobotRunnerEvents, callback: Callback) -> None:
+        """Have `callback` called at `event`.
+
+        Raises:
+            ConfigError: `event` is no event, `callback` cannot be called with a context, or no config is being loaded.
+        """
+        requests = _requested.get()
+        if requests is None:
+            raise ConfigError(
+                "events can be subscribed to only while Robot Runner loads the config",
+                where="EventSubscriptionController",
+                fix="Subscribe in the config's __init__ and start it with `robot-runner run`.",
+            )
+        checked_subscriber(event, callback, owner="config", kind=OwnerKind.CONFIG)
+        requests.append(RequestedSubscription(event, callback))
+
+    @classmethod
+    def subscribe_to_multiple_events(cls, subscriptions: Iterable[tuple[RobotRunnerEvents, Callback]]) -> None:
+        """Subscribe several callbacks, each given as `(event, callback)`.
+
+        Raises:
+            ConfigError: as `subscribe_to_single_event`, or an element is no such pair.
+        """
+        for subscription in subscriptions:
+            if not isinstance(subscription, tuple) or len(subscription) != 2:  # noqa: PLR2004 - a pair
+                raise ConfigError(
+                    f"{subscription!r} is no pair of an event and a callback",
+                    where="EventSubscriptionController.subscribe_to_multiple_events",
+                    fix="Write (RobotRunnerEvents.LAUNCH_MISSION, self.launch_mission).",
+                )
+            cls.subscribe_to_single_event(*subscription)
+
+
+def checked_subscriber(event: object, callback: object, *, owner: str, kind: OwnerKind) -> Subscriber:
+    """Return the subscriber after a look at the event and at the callback's signature.
+
+    Raises:
+        ConfigError: there is no such event, or the callback takes neither nothing nor a context.
+    """
+    if not isinstance(event, RobotRunnerEvents):
+        raise ConfigError(
+            f"{event!r} is no event",
+            where=owner,
+            fix=did_you_mean(str(event), [known.name for known in RobotRunnerEvents]),
+        )
+    if not callable(callback):
+        raise ConfigError(
+            f"the callback of {event.name} is {callback!r}, which cannot be called",
+            where=owner,
+            fix=f"Give a method such as self.{event.callback_name}.",
+        )
+    return Subscriber(event, owner, kind, callback, takes_context=_takes_context(event, callback, owner))
+
+
+def _takes_context(event: RobotRunnerEvents, callback: Callback, owner: str) -> bool:
+    try:
+        signature = inspect.signature(callback)
+    except (TypeError, ValueError):  # written in C, without a signature: the context is what an event gives
+        return True
+    for arguments in ((object(),), ()):
+        try:
+            signature.bind(*arguments)
+        except TypeError:
+            continue
+        return bool(arguments)
+    raise ConfigError(
+        f"{event.callback_name}{signature} cannot be called with a context",
+        where=f"{owner}, {place_of(callback)}",
+        fix=f"Write def {event.callback_name}(self, context).",
+    )
+
+
+def place_of(callback: Callback) -> str:
+    """Return the file and line where a callback is defined, as far as Python knows."""
+    code = getattr(inspect.unwrap(callback), "__code__", None)
+    return f"{code.co_filename}:{code.co_firstlineno}" if code else repr(callback)
+
+
+def methods_of(subject: object) -> Iterator[tuple[RobotRunnerEvents, Callback]]:
+    """Yield the methods of `subject` that are named like an event, in the order of the events."""
+    for name, event in EVENTS_BY_CALLBACK.items():
+        method = getattr(subject, name, None)
+        if callable(method):
+            yield event, method
+
+
+@dataclass(frozen=True, slots=True)
+class CallbackFailure:
+    """A callback that raised."""
+
+    event: RobotRunnerEvents
+    owner: str
+    error: BaseException
+
+
+@dataclass(frozen=True, slots=True)
+class Emission:
+    """What came of emitting one event.
+
+    Attributes:
+        returned: what each callback returned, with its owner, in the order of the calls.
+        reached: the owners whose callback was called, the one that failed included.
+        failures: the callbacks that raised: one at most, unless the event is a closing one.
+    """
+
+    returned: tuple[tuple[str, Any], ...]
+    reached: tuple[str, ...]
+    failures: tuple[CallbackFailure, ...]
+
+
+class EventManager:
+    """Knows who hears each event and calls them in order: systems, profilers, config; closing events in reverse.
+
+    Example:
+        >>> from robot_runner.core.events.manager import RobotRunnerEvents
+        >>> manager = EventManager()
+        >>> heard = []
+        >>> manager.subscribe(RobotRunnerEvents.START_RUN, heard.append, owner="config", kind=OwnerKind.CONFIG)
+        >>> manager.emit(RobotRunnerEvents.START_RUN, lambda owner: f"context of {owner}").reached
+        ('config',)
+        >>> heard
+        ['context of config']
+    """
+
+    def __init__(self) -> None:
+        self._subscribers: defaultdict[RobotRunnerEvents, list[Subscriber]] = defaultdict(list)
+
+    def subscribe(self, event: RobotRunnerEvents, callback: Callback, *, owner: str, kind: OwnerKind) -> None:
+        """Have `callback` called at `event`; the same callback twice is heard once.
+
+        Raises:
+            ConfigError: the callback's signature does not fit.
+        """
+        heard = self._subscribers[event]
+        if any(subscriber.owner == owner and subscriber.callback == callback for subscriber in heard):
+            return
+        subscriber = checked_subscriber(event, callback, owner=owner, kind=kind)
+        heard.append(subscriber)
+        heard.sort(key=lambda each: each.kind)  # stable: within a kind, the order of subscribing
+
+    def subscribe_methods(self, subject: object, *, owner: str, kind: OwnerKind) -> None:
+        """Subscribe every method of `subject` that is named like an event.
+
+        Raises:
+            ConfigError: the signature of one of them does not fit.
+        """
+        for event, method in methods_of(subject):
+            self.subscribe(event, method, owner=owner, kind=kind)
+
+    def subscribers(self, event: RobotRunnerEvents) -> list[Subscriber]:
+        """Return who hears `event`, in the order in which they are called."""
+        heard = self._subscribers.get(event, [])
+        return heard[::-1] if event.is_closing else heard
+
+    def emit(
+        self,
+        event: RobotRunnerEvents,
+        context_for: Callable[[str], object],
+        *,
+        but_not: Collection[str] = (),
+    ) -> Emission:
+        """Call whoever hears `event`, except for what belongs to the owners in `but_not`.
+
+        The first callback that raises ends the emission, except for a closing event: then all are called.
+        """
+        returned: list[tuple[str, Any]] = []
+        reached: list[str] = []
+        failures: list[CallbackFailure] = []
+        for subscriber in self.subscribers(event):
+            owner = subscriber.owner
+            if owner in but_not:
+                continue
+            reached.append(owner)
+            try:
+                returned.append((owner, subscriber.call(context_for(owner))))
+            except BaseException as error:  # noqa: BLE001 - also sys.exit and Ctrl-C must not skip the closing
+                failures.append(CallbackFailure(event, owner, error))
+                if not event.is_closing:
+                    break
+        return Emission(tuple(returned), tuple(reached), tuple(failures))

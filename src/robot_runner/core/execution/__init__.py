@@ -1,0 +1,1 @@
+"""Runs, the processes that carry them, the progress manager and the orchestrator."""

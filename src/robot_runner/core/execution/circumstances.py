@@ -1,0 +1,173 @@
+"""What the manifest says of the clocks of other computers: for each one, over all runs."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import ExecutionError
+from robot_runner.core.execution.recovery import config_files
+from robot_runner.core.plugin import installed_plugins
+from robot_runner.core.storage.journal import utc_now
+from robot_runner.core.storage.manifest import describe_host, describe_software
+from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.ros.ros_environment import describe_ros
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.plugin import Plugin
+
+__all__ = ["keep_config", "manifest_of", "note_clock", "resumed_manifest"]
+
+
+# What is written down beside the results, so that others can judge and repeat them.
+
+
+def manifest_of(experiment: Experiment) -> dict[str, Any]:
+    """Return the manifest of an experiment that is executed for the first time."""
+    model = experiment.model
+    by_hand = experiment.folder.run_table.exists()
+    return {
+        "experiment_name": experiment.parameters.experiment_name,
+        "config": {"file": experiment.config_path.name, "class": experiment.class_name},
+        # What was set from outside the config file: whoever repeats the experiment has to know.
+        "deviations": dict(experiment.overrides),
+        "robot": experiment.parameters.robot,
+        "design": {
+            "source": "run_table.csv" if by_hand else "config",
+            "factors": {factor.name: list(factor.texts) for factor in model.factors},
+            "repetitions": model.repetitions,
+            "shuffle": model.shuffle,
+            "blocks": model.blocks,
+        },
+        "seed": model.seed,
+        "seed_is_given": model.seed_is_given,
+        # What was fixed for the analysis before the first run: statistics tell it from what is exploratory.
+        "analysis": _analysis(experiment),
+        "authors": [author.as_mapping() for author in experiment.parameters.authors],
+        "licence": experiment.parameters.licence,
+        "citation": experiment.parameters.citation,
+        # Where this experiment executes a package again: which one, and what was changed on purpose.
+        "replication": dict(experiment.replication) if experiment.replication else None,
+        "plugins": [_described(plugin) for plugin in experiment.plugins],
+        "host": describe_host(),
+        "ros": describe_ros(),
+        "software": describe_software(),
+        "executions": [_execution(experiment)],
+    }
+
+
+def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[str, Any]:
+    """Return the manifest of an experiment that goes on.
+
+    Raises:
+        ExecutionError: the folder holds another experiment.
+    """
+    if "executions" not in manifest or "seed" not in manifest:
+        raise ExecutionError(
+            "its manifest is not one of ours",
+            where=str(experiment.folder.manifest),
+            fix="Choose another experiment_name or results_output_path.",
+        )
+    manifest["executions"].append(_execution(experiment))
+    if _analysis(experiment) != manifest.get("analysis"):
+        manifest.setdefault("analysis_changes", []).append({"at": utc_now(), "analysis": _analysis(experiment)})
+    return manifest
+
+
+def keep_config(experiment: Experiment) -> None:
+    """Copy the config file and the local modules that it imported, as executed; changed ones replace earlier copies.
+
+    Earlier copies are kept beside, numbered in the order in which they were executed.
+
+    Raises:
+        StorageError: the copy cannot be written.
+    """
+    kept = experiment.folder.config
+    files = config_files(experiment)
+    try:
+        if kept.exists() and all(_is_same(source, target) for source, target in files.items()):
+            return
+        if kept.exists():
+            kept.rename(_free(experiment.folder.earlier_configs))
+        for source, target in files.items():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, target)
+    except OSError as error:
+        raise storage_error(kept, "written", error) from error
+
+
+def _is_same(source: Path, target: Path) -> bool:
+    return target.exists() and source.read_bytes() == target.read_bytes()
+
+
+def _free(folder: Path) -> Path:
+    folder.mkdir(exist_ok=True)
+    return folder / str(1 + sum(1 for _ in folder.iterdir()))
+
+
+def _analysis(experiment: Experiment) -> dict[str, Any] | None:
+    plan = experiment.parameters.analysis
+    return plan.as_mapping() if plan else None
+
+
+def _execution(experiment: Experiment) -> dict[str, Any]:
+    return {"started_at": utc_now(), "pid": os.getpid(), "deviations": dict(experiment.overrides)}
+
+
+def _described(plugin: Plugin) -> dict[str, Any]:
+    kind = type(plugin)
+    # A stranger's entry point may have another name than its class: then only the class is known.
+    named = [each for each in installed_plugins() if each.name == kind.__name__]
+    announced = next((each for each in named if each.load() is kind), None)
+    return {
+        "name": plugin.name,
+        "class": f"{kind.__module__}:{kind.__qualname__}",
+        "package": announced.package if announced else None,
+        "version": announced.version if announced else None,
+        "measures": [measure.name for measure in plugin.measures],
+    }
+
+
+def note_clock(manifest: dict[str, Any], facts: Mapping[str, Any]) -> None:
+    """Bring the manifest's `clocks` up to date with how a computer's clock stood to ours before and after one run.
+
+    The manifest sums up, so that it does not grow with the number of runs; the journal keeps each run's facts.
+
+    Args:
+        manifest: what is changed.
+        facts: as a run reports them: `host`; `before` and `after`, each with `wall_offset` and `round_trip` in s;
+            `uncertainty` in s; `drift` in parts of one.
+
+    Example:
+        >>> manifest = {}
+        >>> before = {"wall_offset": 1.5, "round_trip": 0.002}
+        >>> note_clock(manifest, {"host": "pi", "before": before, "after": None, "uncertainty": 0.001, "drift": None})
+        >>> manifest["clocks"]["pi"]["runs"], manifest["clocks"]["pi"]["largest_offset_s"]
+        (1, 1.5)
+    """
+    offsets = [each for each in (facts["before"], facts["after"]) if each is not None]
+    ahead = [each["wall_offset"] for each in offsets]
+    known = manifest.setdefault("clocks", {}).get(facts["host"])
+    so_far = known or {
+        "runs": 0,
+        "first_offset_s": ahead[0],
+        "smallest_offset_s": ahead[0],
+        "largest_offset_s": ahead[0],
+        "largest_round_trip_s": 0.0,
+        "largest_uncertainty_s": 0.0,
+        "last_drift": None,
+    }
+    manifest["clocks"][facts["host"]] = so_far | {
+        "runs": so_far["runs"] + 1,
+        "smallest_offset_s": min(so_far["smallest_offset_s"], *ahead),
+        "largest_offset_s": max(so_far["largest_offset_s"], *ahead),
+        "last_offset_s": ahead[-1],
+        "largest_round_trip_s": max(so_far["largest_round_trip_s"], *(each["round_trip"] for each in offsets)),
+        "largest_uncertainty_s": max(so_far["largest_uncertainty_s"], facts["uncertainty"]),
+        "last_drift": so_far["last_drift"] if facts["drift"] is None else facts["drift"],
+    }

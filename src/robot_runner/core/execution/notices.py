@@ -1,0 +1,158 @@
+"""What the orchestrator tells whoever watches: the terminal, a test, a page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.core.errors import Finding
+    from robot_runner.core.execution.task import RunOutcome, RunTask
+
+__all__ = [
+    "AttemptFinished",
+    "AttemptStarted",
+    "ExperimentFinished",
+    "ExperimentStarted",
+    "InterruptionNoticed",
+    "Notice",
+    "Observer",
+    "RunRecord",
+    "SilentObserver",
+    "WaitingForUser",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentStarted:
+    """The first run is about to be executed.
+
+    Attributes:
+        run_count: all runs of the table; `done_count` of them were done before.
+        columns: the measure columns with their units.
+    """
+
+    experiment_name: str
+    folder: Path
+    run_count: int
+    done_count: int
+    seed: int
+    columns: Mapping[str, str]
+    overrides: Mapping[str, str]
+    findings: Sequence[Finding] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class AttemptStarted:
+    """An attempt at a run begins."""
+
+    task: RunTask
+
+
+@dataclass(frozen=True, slots=True)
+class RunRecord:
+    """Something happened in the run: an event, a measure, key-value pairs, a finding, a failure."""
+
+    run_id: str
+    kind: str
+    fields: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class AttemptFinished:
+    """An attempt at a run has ended; `is_last` unless the run is tried again."""
+
+    task: RunTask
+    outcome: RunOutcome
+    is_last: bool
+
+
+@dataclass(frozen=True, slots=True)
+class WaitingForUser:
+    """SEMI: the next run starts once the user says so."""
+
+    folder: Path
+    next_run_number: int
+    run_count: int
+
+
+@dataclass(frozen=True, slots=True)
+class InterruptionNoticed:
+    """The user asked for the end: the run is being closed; asked once more, it is killed."""
+
+    run_id: str
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentFinished:
+    """The experiment has ended.
+
+    Attributes:
+        done_count, failed_count, todo_count: the state of the run table.
+        failed: the ids of the runs that failed.
+        interrupted: whether the user asked for the end.
+        stopped_by_policy: whether a failed run ended it (`on_failure` STOP).
+        findings: what looked odd.
+        seconds: real time.
+    """
+
+    folder: Path
+    run_table: Path
+    done_count: int
+    failed_count: int
+    todo_count: int
+    failed: Sequence[str]
+    interrupted: bool
+    stopped_by_policy: bool
+    failures: Sequence[str] = ()
+    findings: Sequence[Finding] = field(default_factory=tuple)
+    seconds: float = 0.0
+
+
+Notice = (
+    ExperimentStarted
+    | AttemptStarted
+    | RunRecord
+    | AttemptFinished
+    | WaitingForUser
+    | InterruptionNoticed
+    | ExperimentFinished
+)
+
+
+class Observer(Protocol):
+    """Watches an experiment. What it raises ends nothing: a screen may fail, the experiment goes on."""
+
+    @property
+    def refresh_interval(self) -> float | None:
+        """How often `refresh` wants to be called, in seconds; None for never."""
+        ...
+
+    @property
+    def user_input(self) -> int | None:
+        """The descriptor on which the user says to go on by a line (SEMI), or None where nobody sits there."""
+        ...
+
+    def notice(self, notice: Notice) -> None:
+        """Take a notice."""
+        ...
+
+    def refresh(self) -> None:
+        """Bring a live screen up to date."""
+        ...
+
+
+class SilentObserver:
+    """Watches and says nothing."""
+
+    refresh_interval: float | None = None
+    user_input: int | None = None
+
+    def notice(self, notice: Notice) -> None:
+        """Pass over a notice."""
+
+    def refresh(self) -> None:
+        """Do nothing: there is no screen."""

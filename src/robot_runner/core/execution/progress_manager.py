@@ -1,0 +1,270 @@
+"""The progress manager: the one writer of the journal and the run table (paper, II.C)."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+from robot_runner.core.errors import ExecutionError, Finding
+from robot_runner.core.execution.circumstances import keep_config, manifest_of, note_clock, resumed_manifest
+from robot_runner.core.execution.recovery import (
+    RecoveredTable,
+    Resumption,
+    config_changes,
+    recover_table,
+    selected_places,
+)
+from robot_runner.core.execution.task import AttemptStatus, RunOutcome, RunTask, seed_of_run
+from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.journal import Journal, utc_now
+from robot_runner.core.storage.layout import keep_log, keep_refused, put_earlier_attempt_away
+from robot_runner.core.storage.lock import ExperimentLock
+from robot_runner.core.storage.manifest import read_manifest, write_manifest
+from robot_runner.core.storage.run_table_rows import write_run_table
+from robot_runner.core.storage.safe_write import fsync_folder, storage_error
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from robot_runner.core.config.experiment import Experiment
+
+__all__ = ["PendingRun", "ProgressManager"]
+
+#: The run table is brought up to date at most so often that this share of the time goes into writing it, so that
+#: the cost of recording a run does not grow with the number of runs. The journal has every run at once.
+_SHARE_FOR_TABLE = 1 / 50
+
+#: What a run reports that is kept in the journal; measures are kept with the end of the attempt.
+_KEPT = frozenset({"event", "shared", "finding", "refused", "failure", "clock"})
+
+
+@dataclass(frozen=True, slots=True)
+class PendingRun:
+    """A run that is still to be executed: its place in the run table, from 0."""
+
+    run_id: str
+    place: int
+
+    @property
+    def number(self) -> int:
+        """The place in the order of execution, from 1."""
+        return self.place + 1
+
+
+class ProgressManager:
+    """Holds an experiment's folder while it is executed. A context manager: on leaving, everything is on the disk.
+
+    Raises:
+        RobotRunnerError: on entering: somebody else executes the experiment, the folder cannot be written, or the
+            run table that is there cannot be read or differs from the plan.
+    """
+
+    def __init__(self, experiment: Experiment, resumption: Resumption) -> None:
+        self._experiment = experiment
+        self._folder = experiment.folder
+        self._resumption = resumption
+        self._failed: dict[str, str] = {}
+        self._findings: list[Finding] = []
+        self._resources = ExitStack()
+        self._table_written = 0.0
+        self._table_cost = 0.0
+        self._table_is_stale = False
+
+    def __enter__(self) -> Self:
+        with ExitStack() as opened:
+            self._make_folder()
+            opened.enter_context(ExperimentLock(self._folder.lock))
+            self._manifest = self._load_manifest()
+            recovered = recover_table(self._experiment, self._manifest, accept_changes=self._resumption.accept_changes)
+            self._selected = selected_places(recovered.rows, self._resumption)
+            self._take(recovered)
+            if recovered.unfinished is not None:  # the orchestrator died: what the run printed is still its log
+                keep_log(self._folder, recovered.unfinished)
+                self._left_behind.add(recovered.unfinished)
+            self._journal = opened.enter_context(Journal(self._folder.journal))
+            keep_config(self._experiment)
+            write_manifest(self._folder.manifest, self._manifest)
+            recovered.write_schema(self._folder.schema)
+            self._write_table()
+            self._resources = opened.pop_all()
+        seed, runs = self.seed, self.run_count
+        self.note("experiment_started", flush=True, name=self._manifest["experiment_name"], seed=seed, runs=runs)
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        with self._resources:
+            if self._table_is_stale:
+                self._write_table()
+
+    @property
+    def seed(self) -> int:
+        """The experiment's seed, as recorded when it was first executed."""
+        return int(self._manifest["seed"])
+
+    @property
+    def run_count(self) -> int:
+        """How many runs the table has."""
+        return len(self._rows)
+
+    @property
+    def done_count(self) -> int:
+        """How many runs are done."""
+        return self._rows.count(RunStatus.DONE)
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """The ids of the runs that failed."""
+        return tuple(self._failed)
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """Why each failed run failed, one line each."""
+        return tuple(f"{run_id}: {reason}" for run_id, reason in self._failed.items())
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What looked odd in the table on disk and in the runs."""
+        return tuple(self._findings)
+
+    def pending(self) -> Iterator[PendingRun]:
+        """Yield the runs to execute, in order: those to do, those that failed, those asked for again."""
+        for place in self._selected:
+            yield PendingRun(self._rows.run_id(place), place)
+
+    def task_of(self, run: PendingRun) -> RunTask:
+        """Return the attempt at a run that was begun last."""
+        return RunTask(
+            run_id=run.run_id,
+            run_number=run.number,
+            run_count=self.run_count,
+            attempt=self._attempts[run.run_id],
+            combination=self._rows.combination(run.place),
+            repetition=self._rows.repetition(run.place),
+            experiment_seed=self.seed,
+            run_seed=seed_of_run(self.seed, run.run_id),
+        )
+
+    def begin(self, run: PendingRun) -> RunTask:
+        """Begin another attempt at a run; what an earlier attempt left is kept elsewhere."""
+        earlier = self._attempts[run.run_id]
+        self._attempts[run.run_id] += 1
+        if run.run_id in self._left_behind:
+            put_earlier_attempt_away(self._folder, run.run_id, earlier)
+        if self._rows.status(run.place) is not RunStatus.TODO:
+            self._rows.clear(run.run_id)
+        self._left_behind.add(run.run_id)
+        self._rows.record(run.run_id, status=RunStatus.RUNNING)
+        self._failed.pop(run.run_id, None)
+        self.note("attempt_started", run=run.run_id, attempt=self._attempts[run.run_id])
+        self._refresh_table()
+        return self.task_of(run)
+
+    def record(self, task: RunTask, kind: str, fields: dict[str, Any]) -> None:
+        """Keep what a run reports while it is executed."""
+        if kind in _KEPT:
+            self._journal.append(kind, run=task.run_id, attempt=task.attempt, **fields)
+        if kind == "clock":
+            note_clock(self._manifest, fields)
+        if kind == "refused":
+            keep_refused(self._folder, task.run_id, fields)
+        if kind == "event" and fields["event"] == "continue" and "continue_at" in self._rows.stamps:
+            self._rows.record(task.run_id, stamps={"continue_at": fields["at"]})
+            self._refresh_table()
+
+    def record_outcome(self, task: RunTask, outcome: RunOutcome, *, is_last: bool) -> None:
+        """Keep how an attempt went; it is on the disk when this returns."""
+        keep_log(self._folder, task.run_id)
+        self._journal.append(
+            "attempt_finished", flush=True, run=task.run_id, attempt=task.attempt, is_last=is_last, **_plain(outcome)
+        )
+        self._findings += [*outcome.findings, *self._missing_measures(task, outcome)]
+        if outcome.status is AttemptStatus.FAILED and is_last:
+            self._failed[task.run_id] = str(outcome.failure)
+        if self._table.take_outcome(task.run_id, outcome):
+            # From here on the schema tells the types: without it a text such as "1" would come back as a number.
+            self._table.write_schema(self._folder.schema)
+        self._refresh_table()
+
+    def note(self, kind: str, *, flush: bool = False, **fields: Any) -> None:
+        """Keep something that is not about a run."""
+        self._journal.append(kind, flush=flush, **fields)
+
+    def bring_table_up_to_date(self) -> None:
+        """Write the run table as it stands: a callback of `after_experiment` may read it."""
+        if self._table_is_stale:
+            self._write_table()
+
+    def finish(self, *, interrupted: bool) -> None:
+        """Bring everything that people read up to date: the experiment has ended."""
+        self.bring_table_up_to_date()
+        self._table.write_schema(self._folder.schema)
+        self._manifest["executions"][-1]["finished_at"] = utc_now()
+        write_manifest(self._folder.manifest, self._manifest)
+        counts = {"done": self.done_count, "failed": len(self._failed), "runs": self.run_count}
+        self.note("experiment_finished", flush=True, interrupted=interrupted, **counts)
+
+    def _make_folder(self) -> None:
+        try:
+            self._folder.runs.mkdir(parents=True, exist_ok=True)
+            self._left_behind = {path.name for path in self._folder.runs.iterdir()}
+            fsync_folder(self._folder.root)
+        except OSError as error:
+            raise storage_error(self._folder.root, "made", error) from error
+
+    def _load_manifest(self) -> dict[str, Any]:
+        if self._folder.manifest.exists():
+            if not self._resumption.accept_changes and (changes := config_changes(self._experiment)):
+                raise ExecutionError.of_findings(changes)
+            return resumed_manifest(self._experiment, read_manifest(self._folder.manifest))
+        return manifest_of(self._experiment)
+
+    def _take(self, recovered: RecoveredTable) -> None:
+        self._table = recovered
+        self._rows = recovered.rows
+        self._attempts = Counter(recovered.attempts)
+        self._failed.update(recovered.failed)
+        self._findings += recovered.findings
+
+    def _missing_measures(self, task: RunTask, outcome: RunOutcome) -> list[Finding]:
+        if outcome.status is not AttemptStatus.DONE:
+            return []
+        return [
+            Finding.warning(f"{task.run_id}, {column.owner}", f"{column.name} has no value", _missing_fix(column.owner))
+            for column in self._experiment.columns.in_table
+            if outcome.measures.get(column.name) is None or outcome.measures[column.name].value is None
+        ]
+
+    def _refresh_table(self) -> None:
+        self._table_is_stale = True
+        if time.monotonic() - self._table_written > self._table_cost / _SHARE_FOR_TABLE:
+            self._write_table()
+
+    def _write_table(self) -> None:
+        started = time.monotonic()
+        write_run_table(self._folder.run_table, self._rows)
+        # After the rename: a run that is in the table and not yet known to be is taken from the journal once more.
+        self._journal.append("table_written")
+        self._table_written = time.monotonic()
+        self._table_cost = self._table_written - started
+        self._table_is_stale = False
+
+
+def _plain(outcome: RunOutcome) -> dict[str, Any]:
+    measures = {
+        name: {"value": measure.value, "owner": measure.owner, "origin": measure.origin.value}
+        for name, measure in outcome.measures.items()
+    }
+    return {
+        "status": outcome.status.value,
+        "seconds": round(outcome.seconds, 6),
+        "stamps": dict(outcome.stamps),
+        "measures": measures,
+        "failure": str(outcome.failure) if outcome.failure else None,
+    }
+
+
+def _missing_fix(owner: str) -> str:
+    return "Return it from populate_run_data." if owner == "config" else "Look at the log of the run."

@@ -1,0 +1,220 @@
+"""One run: its six events, what they open, and the closing of it, whatever fails in between."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Callable, Collection, Mapping
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import MeasureError, RobotRunnerError
+from robot_runner.core.events.context import Resources, RobotRunnerContext
+from robot_runner.core.events.manager import CLOSED_BY, CallbackFailure, Emission, RobotRunnerEvents
+from robot_runner.core.events.measure import CONFIG_OWNER, MeasureBroker, Origin
+from robot_runner.core.execution.interruption import InterruptGate, RunInterrupted
+from robot_runner.core.links.connect import is_simulated, open_clock
+from robot_runner.core.storage.journal import utc_now
+
+if TYPE_CHECKING:
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.events.context import Clock
+    from robot_runner.core.execution.task import Report, RunTask
+
+__all__ = ["execute_run", "failure_fields", "publish_returned", "run_contexts"]
+
+
+def execute_run(experiment: Experiment, task: RunTask, report: Report, gate: InterruptGate | None = None) -> None:
+    """Execute one run and report what happens as it happens.
+
+    Nothing is raised: a failure is a record like any other. What was opened is closed, systems are made safe.
+    """
+    run = _Run(experiment, task, report, gate or InterruptGate())
+    run.execute()
+
+
+def run_contexts(
+    experiment: Experiment, task: RunTask, *, clock: Clock, resources: Resources, report: Report
+) -> Callable[[str], RobotRunnerContext]:
+    """Return what makes the context of a run for each owner; all share one broker."""
+    broker = MeasureBroker(task.run_id, experiment.columns, report)
+    run_path = experiment.folder.run(task.run_id)
+    made: dict[str, RobotRunnerContext] = {}
+
+    def context_for(owner: str) -> RobotRunnerContext:
+        if owner not in made:
+            made[owner] = RobotRunnerContext(
+                experiment_name=experiment.parameters.experiment_name,
+                experiment_folder=experiment.folder.root,
+                robot=experiment.parameters.robot,
+                seed=task.experiment_seed,
+                run_id=task.run_id,
+                run_number=task.run_number,
+                run_count=task.run_count,
+                attempt=task.attempt,
+                combination=task.combination,
+                repetition=task.repetition,
+                run_seed=task.run_seed,
+                run_path=run_path,
+                clock=clock,
+                resources=resources,
+                owner=owner,
+                broker=broker,
+            )
+        return made[owner]
+
+    return context_for
+
+
+class _Run:
+    """The life of one run in its own process.
+
+    What is written here as `try` and `except` might be context managers; but a forked process has to copy whatever
+    memory a call touches first, and they would cost an empty run more than all else does.
+    """
+
+    def __init__(self, experiment: Experiment, task: RunTask, report: Report, gate: InterruptGate) -> None:
+        self._experiment = experiment
+        self._task = task
+        self._report = report
+        self._gate = gate
+        self._resources = Resources()
+        self._failed = False
+
+    def execute(self) -> None:
+        try:
+            self._enter()
+            self._emit_events()
+        except BaseException as error:  # noqa: BLE001 - whatever it is, the run is closed and says why it failed
+            self._record("", "link", error)
+        finally:
+            self._close_resources()
+
+    def _close_resources(self) -> None:
+        try:
+            self._resources.close()
+        except BaseException as error:  # noqa: BLE001 - a link that fails while it is closed fails the run
+            self._record(RobotRunnerEvents.STOP_RUN.value, "link", error)
+
+    def _enter(self) -> None:
+        task, resources = self._task, self._resources
+        self._clock = open_clock(self._experiment.parameters.robot, resources, seed=task.run_seed)
+        self._context_for = run_contexts(
+            self._experiment, task, clock=self._clock, resources=resources, report=self._report
+        )
+
+    def _emit_events(self) -> None:
+        """Emit the six events; what an opening event reached is closed again, and then made safe if anything failed."""
+        started = self._emit(RobotRunnerEvents.START_RUN)
+        try:
+            if not self._failed:
+                self._measure()
+        finally:
+            self._close(RobotRunnerEvents.START_RUN, started)
+        if self._failed:
+            self._make_safe()
+        else:
+            self._populate()
+
+    def _measure(self) -> None:
+        started = self._emit(RobotRunnerEvents.START_MEASUREMENT)
+        try:
+            if not self._failed:
+                self._emit(RobotRunnerEvents.LAUNCH_MISSION)
+        finally:
+            self._close(RobotRunnerEvents.START_MEASUREMENT, started)
+
+    def _populate(self) -> None:
+        event = RobotRunnerEvents.POPULATE_RUN_DATA
+        for owner, returned in self._emit(event).returned:
+            try:
+                publish_returned(self._context_for(owner), returned)
+            except BaseException as error:  # noqa: BLE001 - whatever it is, the run failed
+                self._record(event.value, owner, error)
+
+    def _close(self, opening: RobotRunnerEvents, emission: Emission) -> None:
+        closing, events = CLOSED_BY[opening], self._experiment.events
+        # Who has no callback for the opening event may have opened something elsewhere, and hears the closing too.
+        unreached = {subscriber.owner for subscriber in events.subscribers(opening)}.difference(emission.reached)
+        self._emit(closing, but_not=unreached)
+
+    def _emit(self, event: RobotRunnerEvents, but_not: Collection[str] = ()) -> Emission:
+        self._report("event", {"event": event.value, "at": utc_now(), "clock": self._clock.now()})
+        try:
+            emission = self._call(event, but_not)
+        except RunInterrupted as error:  # between two callbacks: nobody knows who was reached, so all are closed
+            emission = Emission((), self._owners(), (CallbackFailure(event, "", error),))
+        for failure in emission.failures:
+            self._record(event.value, failure.owner, failure.error)
+        return emission
+
+    def _call(self, event: RobotRunnerEvents, but_not: Collection[str]) -> Emission:
+        events, gate = self._experiment.events, self._gate
+        if event.is_closing:
+            return events.emit(event, self._context_for, but_not=but_not)
+        try:
+            gate.arm()
+            return events.emit(event, self._context_for, but_not=but_not)
+        finally:
+            gate.disarm()
+
+    def _owners(self) -> tuple[str, ...]:
+        return (*(plugin.name for plugin in self._experiment.plugins), CONFIG_OWNER)
+
+    def _make_safe(self) -> None:
+        for system in reversed(self._experiment.systems):
+            try:
+                system.make_safe(self._context_for(system.name))
+            except BaseException as error:  # noqa: BLE001 - the other systems are made safe all the same
+                self._record("make_safe", system.name, error)
+
+    def _record(self, event: str, owner: str, error: BaseException) -> None:
+        self._failed = True
+        fields = failure_fields(error)
+        sys.stderr.write(f"{event} of {owner} failed\n{fields['traceback']}")  # into the run's log
+        self._report("failure", {"event": event, "owner": owner, **fields})
+
+
+def failure_fields(error: BaseException) -> dict[str, str]:
+    """Return the problem in one line, and the traceback."""
+    text = str(error)
+    problem = text if isinstance(error, RobotRunnerError | RunInterrupted) else f"{type(error).__name__}: {text}"
+    return {"problem": problem, "traceback": "".join(traceback.format_exception(error))}
+
+
+def publish_returned(context: RobotRunnerContext, returned: object) -> None:
+    """Publish what a `populate_run_data` callback returned; it adds to and overrides what was published.
+
+    Raises:
+        MeasureError: it is no mapping, or one of its entries is refused; all of them are named.
+    """
+    if returned is None:
+        return
+    if not isinstance(returned, Mapping):
+        raise MeasureError(
+            f"populate_run_data returned {returned!r}, of type {type(returned).__name__}",
+            where=context.owner,
+            fix="Return a mapping from measure to value, or nothing.",
+        )
+    refused = [error for name, value in returned.items() if (error := _refused(context, name, value))]
+    if refused:
+        fixes = " ".join(dict.fromkeys(error.fix for error in refused))
+        raise MeasureError("; ".join(error.problem for error in refused), where=context.owner, fix=fixes)
+
+
+def _refused(context: RobotRunnerContext, name: Any, value: object) -> MeasureError | None:
+    try:
+        context.publish(name, value, origin=_origin_of_returned(context, name))
+    except MeasureError as error:
+        return error
+    return None
+
+
+def _origin_of_returned(context: RobotRunnerContext, name: object) -> Origin:
+    """Return where a returned value comes from: what was computed from simulated samples does not pass for measured."""
+    published = context.broker.measures
+    if isinstance(name, str) and name in published:
+        return published[name].origin
+    if is_simulated(context.robot):
+        return Origin.SIMULATED
+    origins = {measure.origin for measure in published.values()}
+    return origins.pop() if len(origins) == 1 else Origin.MEASURED

@@ -1,0 +1,287 @@
+"""From what a run reported to how it went."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import marshal
+import os
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from enum import Enum
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import Finding
+from robot_runner.core.events.measure import Origin, PublishedMeasure
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.events.measure import MeasureColumns
+
+__all__ = [
+    "FINISHED",
+    "AttemptStatus",
+    "OutcomeBuilder",
+    "RecordReader",
+    "RecordWriter",
+    "Report",
+    "RunFailure",
+    "RunOutcome",
+    "RunTask",
+    "hand_over",
+    "seed_of_run",
+    "take_over",
+]
+
+
+# What goes to an executor and what comes back: plain data, so that it can cross to another process.
+
+#: Takes what happens in a run as it happens: the kind of the record and its plain fields.
+Report = Callable[[str, dict[str, Any]], None]
+
+
+class AttemptStatus(Enum):
+    """How one attempt ended."""
+
+    DONE = "done"
+    FAILED = "failed"
+    INTERRUPTED = "interrupted"
+
+
+@dataclass(frozen=True, slots=True)
+class RunTask:
+    """One attempt at executing one run.
+
+    Attributes:
+        run_number: its place in the order of execution, from 1.
+        combination: the treatment of each factor, by name.
+        experiment_seed: the seed from which the run's own is derived.
+        run_seed: a seed for this run alone, the same each time that it is executed.
+    """
+
+    run_id: str
+    run_number: int
+    run_count: int
+    attempt: int
+    combination: Mapping[str, Any]
+    repetition: int
+    experiment_seed: int
+    run_seed: int
+
+
+def seed_of_run(experiment_seed: int, run_id: str) -> int:
+    """Return a seed of 32 bits that depends on the experiment's seed and the run, and on nothing else."""
+    digest = hashlib.blake2b(f"{experiment_seed}/{run_id}".encode(), digest_size=4).digest()
+    return int.from_bytes(digest, "big")
+
+
+@dataclass(frozen=True, slots=True)
+class RunFailure:
+    """Why an attempt failed.
+
+    Attributes:
+        event: the event during which it failed, or empty where that is not known.
+        owner: whose callback failed: a plugin's name, `config`, or empty.
+        problem: what happened, in one line.
+        traceback: the Python traceback, where there is one.
+    """
+
+    problem: str
+    event: str = ""
+    owner: str = ""
+    traceback: str = ""
+
+    def __str__(self) -> str:
+        place = " of ".join(part for part in (self.event, self.owner) if part)
+        return f"{place}: {self.problem}" if place else self.problem
+
+
+@dataclass(frozen=True, slots=True)
+class RunOutcome:
+    """How one attempt went.
+
+    Attributes:
+        stamps: UTC time of each event's emission, by the event's name.
+        measures: what was published, by column.
+        failure: the first thing that went wrong, if any did.
+        later_failures: what went wrong after that, while what was open was closed.
+        seconds: real time that the attempt took.
+    """
+
+    status: AttemptStatus
+    stamps: Mapping[str, str] = field(default_factory=dict)
+    measures: Mapping[str, PublishedMeasure] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+    failure: RunFailure | None = None
+    later_failures: tuple[RunFailure, ...] = ()
+    seconds: float = 0.0
+
+
+# What a run reports while it is executed, on its way to the orchestrator: one JSON record a line through a pipe.
+
+#: The last record of a run that ended by itself.
+FINISHED = "finished"
+
+_encode = json.JSONEncoder(ensure_ascii=True, separators=(",", ":"), default=str).encode
+
+
+class RecordWriter:
+    """The run's end of the pipe. Plugins may report from threads of their own."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._lock = threading.Lock()
+
+    def __call__(self, kind: str, fields: dict[str, Any]) -> None:
+        """Send one record. An orchestrator that is gone is no reason for the run not to close what it opened."""
+        data = memoryview(f"{_encode([kind, fields])}\n".encode())
+        with self._lock:
+            try:
+                while data:
+                    data = data[os.write(self._descriptor, data) :]
+            except BrokenPipeError:
+                return
+
+
+class RecordReader:
+    """The orchestrator's end of the pipe."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._pending = b""
+        os.set_blocking(descriptor, False)
+
+    def read(self) -> tuple[list[tuple[str, dict[str, Any]]], bool]:
+        """Return the records that have arrived, and whether the pipe is still open; never waits."""
+        is_open = True
+        while True:
+            try:
+                data = os.read(self._descriptor, 65536)
+            except BlockingIOError:
+                break
+            if not data:
+                is_open = False
+                break
+            self._pending += data
+            if len(data) < 65536:  # noqa: PLR2004 - the size asked for: there is no more for now
+                break
+        *lines, self._pending = self._pending.split(b"\n")
+        return [record for line in lines if (record := _decoded(line))], is_open
+
+
+def _decoded(line: bytes) -> tuple[str, dict[str, Any]] | None:
+    try:
+        kind, fields = json.loads(line.decode())
+    except (ValueError, TypeError):  # somebody else wrote into the pipe
+        return None
+    return (kind, fields) if isinstance(kind, str) and isinstance(fields, dict) else None
+
+
+# A task on its way to the process of its run, as text.
+
+_PLAIN = tuple(each.name for each in fields(RunTask) if each.name != "combination")
+
+
+def hand_over(experiment: Experiment, task: RunTask) -> bytes:
+    """Return everything of a task that a process of the same interpreter that knows the experiment does not know."""
+    plain = {name: getattr(task, name) for name in _PLAIN}
+    # marshal rather than JSON: it is C from end to end, and the run is waiting.
+    return marshal.dumps((plain, _described(experiment, task.combination)))
+
+
+def take_over(experiment: Experiment, handed_over: bytes) -> RunTask | None:
+    """Return the task that was handed over; None where there was none."""
+    if not handed_over:
+        return None
+    plain, described = marshal.loads(handed_over)  # noqa: S302 - from our own process, through a pipe of our own
+    return RunTask(combination=_combination(experiment, described), **plain)
+
+
+def _described(experiment: Experiment, combination: Mapping[str, Any]) -> dict[str, Any]:
+    # A treatment goes by its place in its factor, as it may be an object; a value of a hand-written table is plain.
+    factors = {factor.name: factor for factor in experiment.model.factors}
+    described: dict[str, Any] = {}
+    for name, value in combination.items():
+        place = factors[name].position_of(value) if name in factors else None
+        described[name] = (place, value if place is None else None)
+    return described
+
+
+def _combination(experiment: Experiment, described: Mapping[str, Any]) -> dict[str, Any]:
+    combination = {name: value for name, (_, value) in described.items()}
+    for factor in experiment.model.factors:
+        place, _ = described.get(factor.name, (None, None))
+        if place is not None:
+            combination[factor.name] = factor.treatments[place]
+    return combination
+
+
+class OutcomeBuilder:
+    """Gathers the records of one attempt; what it lacks when the run has ended tells how it ended."""
+
+    def __init__(self, run_id: str, columns: MeasureColumns) -> None:
+        self._run_id = run_id
+        self._units = {column.name: column.measure.unit for column in columns.declared}
+        self._stamps: dict[str, str] = {}
+        self._measures: dict[str, PublishedMeasure] = {}
+        self._findings: list[Finding] = []
+        self._failures: list[RunFailure] = []
+        self._started = time.monotonic()
+        self.is_finished = False
+        self.event = ""
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether a failure was recorded."""
+        return bool(self._failures)
+
+    def take(self, kind: str, fields: dict[str, Any]) -> None:
+        """Take one record; kinds that say nothing about the outcome are passed over."""
+        if kind == "event":
+            self.event = fields["event"]
+            self._stamps.setdefault(self.event, fields["at"])
+        elif kind == "measure":
+            name = fields["name"]
+            origin = Origin(fields["origin"])
+            self._measures[name] = PublishedMeasure(
+                name, fields["value"], fields["owner"], self._units.get(name, ""), origin
+            )
+        elif kind == "finding":
+            where = f"{self._run_id}, {fields['owner']}"
+            self._findings.append(Finding.warning(where, fields["problem"], fields["fix"]))
+        elif kind == "failure":
+            self._failures.append(RunFailure(fields["problem"], fields["event"], fields["owner"], fields["traceback"]))
+        elif kind == FINISHED:
+            self.is_finished = True
+
+    def outcome(self, *, ended_because: str = "", interrupted: bool = False) -> RunOutcome:
+        """Return how the attempt went.
+
+        Args:
+            ended_because: why the run was ended or how its process died, where it did not end by itself.
+            interrupted: whether the user asked for the end.
+        """
+        failures = list(self._failures)
+        if ended_because:
+            failures = (
+                [self._ended(ended_because, failures), *failures[1:]] if failures else [self._ended(ended_because, [])]
+            )
+        status = AttemptStatus.INTERRUPTED if interrupted else AttemptStatus.FAILED if failures else AttemptStatus.DONE
+        return RunOutcome(
+            status=status,
+            stamps=self._stamps,
+            measures=self._measures,
+            findings=tuple(self._findings),
+            failure=failures[0] if failures else None,
+            later_failures=tuple(failures[1:]),
+            seconds=time.monotonic() - self._started,
+        )
+
+    def _ended(self, because: str, failures: list[RunFailure]) -> RunFailure:
+        # The run's own record of being told to end knows the callback; the orchestrator knows why.
+        first = failures[0] if failures else RunFailure("", self.event)
+        return RunFailure(because, first.event or self.event, first.owner, first.traceback)

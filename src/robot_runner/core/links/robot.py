@@ -1,0 +1,280 @@
+"""The name of a robot as a config gives it: how it is reached, and options of that way."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from enum import StrEnum
+from math import inf
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+from robot_runner.core.errors import LinkError, did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
+
+__all__ = [
+    "Encoding",
+    "Message",
+    "Qos",
+    "RawMessage",
+    "RobotLink",
+    "RobotName",
+    "SimulationOptions",
+    "Subscription",
+    "simulation_options",
+]
+
+
+# What a link to a robot can do, whatever stands behind it: ROS 1, ROS 2, DDS, rosbridge or the embedded simulator.
+
+#: A ROS message as a plain mapping that follows its definition: `{"linear": {"x": 0.2, ...}, "angular": {...}}`.
+#: Times and durations are `{"sec": …, "nanosec": …}` in both generations of ROS, arrays are lists, byte arrays `bytes`.
+Message = Mapping[str, Any]
+
+
+class Qos(StrEnum):
+    """How a topic's messages are delivered, by the names of ROS' profiles.
+
+    ROS 1 knows one of them only: what is published `TRANSIENT_LOCAL` is latched there.
+    """
+
+    #: Reliable, volatile, the last 10 are kept: `rmw_qos_profile_default`.
+    DEFAULT = "default"
+    #: Best effort, volatile, the last 5 are kept: `rmw_qos_profile_sensor_data`.
+    SENSOR_DATA = "sensor_data"
+    #: Reliable, volatile, as many are kept as come: nothing is lost to a slow listener.
+    RELIABLE = "reliable"
+    #: Reliable, and the last message is there for who comes later, as of `/tf_static` and a map.
+    TRANSIENT_LOCAL = "transient_local"
+
+
+class Encoding(StrEnum):
+    """How the bytes of a message are laid out."""
+
+    #: ROS 1: little endian, no padding.
+    ROS1 = "ros1"
+    #: ROS 2: XCDR1 with its header of four bytes.
+    CDR = "cdr"
+
+
+@dataclass(frozen=True, slots=True)
+class RawMessage:
+    """A message as it was received, for who records it or weighs it.
+
+    Attributes:
+        data: the message's bytes, in the link's encoding.
+        received_ns: when it was received, in ns since the epoch, on the clock of this machine (a simulated one: of the
+            simulation).
+    """
+
+    data: bytes
+    received_ns: int
+
+
+@runtime_checkable
+class Subscription(Protocol):
+    """A subscription, or an offered service, that can be ended."""
+
+    def close(self) -> None:
+        """Hear no more messages; closing twice does nothing."""
+        ...
+
+
+@runtime_checkable
+class RobotLink(Protocol):
+    """A link to one robot. Names are relative to the robot's namespace unless they begin with `/`.
+
+    Message types are ROS names without a generation, such as `geometry_msgs/Twist`. Callbacks may be
+    called from another thread; on the simulated link they are called while the clock is slept on.
+    """
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether there is a simulation behind it, so that what it yields is labelled so."""
+        ...
+
+    @property
+    def encoding(self) -> Encoding:
+        """How the bytes of raw messages are laid out."""
+        ...
+
+    def publish(self, topic: str, message_type: str, message: Message, *, qos: Qos = Qos.DEFAULT) -> None:
+        """Publish one message; fields that are left out take their ROS default.
+
+        Raises:
+            LinkError: the robot cannot be reached, or the message does not follow its definition.
+        """
+        ...
+
+    def subscribe(
+        self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None
+    ) -> Subscription:
+        """Have `callback` called with each message of the topic.
+
+        Args:
+            topic: its name. It may come later, except on the simulated link, whose topics are all there.
+            message_type: ROS name, such as `nav_msgs/Odometry`.
+            callback: called with each message.
+            qos: None for what fits the topic's publishers.
+
+        Raises:
+            LinkError: it carries another type, its publishers offer less than `qos` asks for, or there is no such type.
+        """
+        ...
+
+    def subscribe_raw(
+        self, topic: str, message_type: str, callback: Callable[[RawMessage], None], *, qos: Qos | None = None
+    ) -> Subscription:
+        """Have `callback` called with the bytes of each message of the topic; as `subscribe` in all else."""
+        ...
+
+    def wait_for(
+        self,
+        topic: str,
+        message_type: str,
+        condition: Callable[[Message], bool] | None = None,
+        *,
+        timeout: float = 5.0,
+    ) -> Message:
+        """Return the first message from now on that satisfies the condition (None: the first); `timeout` is in seconds.
+
+        Raises:
+            LinkError: none came in time, or as `subscribe`.
+        """
+        ...
+
+    def call(self, service: str, service_type: str, request: Message | None = None, *, timeout: float = 5.0) -> Message:
+        """Call a service and return its response; `timeout` is in seconds.
+
+        Raises:
+            LinkError: there is no such service, it has another type, it fails or does not answer in time, or the
+                request does not follow its definition.
+        """
+        ...
+
+    def offer(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> Subscription:
+        """Offer a service until it is closed; `answer` makes the response of a request.
+
+        Raises:
+            LinkError: there is no such type, or somebody offers a service of this name already.
+        """
+        ...
+
+    def topics(self) -> Mapping[str, str]:
+        """Return the type of each topic that is published or heard on the graph, by its full name."""
+        ...
+
+    def services(self) -> Mapping[str, str]:
+        """Return the type of each service on the graph, by its full name; empty where the graph does not tell."""
+        ...
+
+    def nodes(self) -> Sequence[str]:
+        """Return the full names of the nodes on the graph, sorted."""
+        ...
+
+    def definition(self, message_type: str) -> str:
+        """Return the text of a type's definition, with those that it is made of after it, as bags store it.
+
+        Raises:
+            LinkError: the link knows no such type.
+        """
+        ...
+
+    def close(self) -> None:
+        """End all subscriptions and offers and leave; closing twice does nothing."""
+        ...
+
+
+_WHERE = "robot"
+_REAL_TIME_FACTOR = "real_time_factor"
+
+
+@dataclass(frozen=True, slots=True)
+class RobotName:
+    """What `robot` in a config says: `link`, `link:option=value,option=value`, or an address: `link://host:port`.
+
+    Attributes:
+        link: the name of the robot link.
+        options: what is set on it, as written, in that order.
+        address: the whole of an address; None where it is none.
+
+    Example:
+        >>> RobotName.parse("simulated:task_power_factor=1.1")
+        RobotName(link='simulated', options={'task_power_factor': '1.1'}, address=None)
+    """
+
+    link: str
+    options: Mapping[str, str] = field(default_factory=dict)
+    address: str | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> RobotName:
+        """Take a name apart.
+
+        Raises:
+            LinkError: an option has no name or no value, or is given twice.
+        """
+        link, colon, rest = text.partition(":")
+        if rest.startswith("//"):
+            return cls(link.strip(), {}, text.strip())
+        options: dict[str, str] = {}
+        for part in rest.split(",") if colon else ():
+            name, equals, value = (piece.strip() for piece in part.partition("="))
+            if not name or not equals or not value:
+                raise LinkError(
+                    f"{part.strip()!r} in {text!r} sets no option",
+                    where=_WHERE,
+                    fix=f"Write it as in '{link.strip()}:option=value,option=value'.",
+                )
+            if name in options:
+                raise LinkError(f"{text!r} sets {name!r} twice", where=_WHERE, fix="Leave one of them out.")
+            options[name] = value
+        return cls(link.strip(), options)
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationOptions:
+    """What `robot = "simulated:name=value,..."` says of the simulation.
+
+    Attributes:
+        parameters: what its robots are made of.
+        real_time_factor: simulated seconds a real second (1.0: real time); None for as fast as the physics goes.
+    """
+
+    parameters: Turtlebot3Parameters
+    real_time_factor: float | None
+
+
+def simulation_options(options: Mapping[str, str]) -> SimulationOptions:
+    """Return what a simulated robot with these options is made of, and how fast its time goes by.
+
+    Example:
+        >>> simulation_options({"initial_charge": "40", "real_time_factor": "1"}).real_time_factor
+        1.0
+
+    Raises:
+        LinkError: there is no such parameter, or it cannot have this value.
+    """
+    from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters  # noqa: PLC0415  # only where there is a simulator
+
+    kinds = {each.name: int if each.type == "int" else float for each in fields(Turtlebot3Parameters)}
+    kinds[_REAL_TIME_FACTOR] = float
+    values: dict[str, Any] = {}
+    for name, text in options.items():
+        if name not in kinds:
+            fix = did_you_mean(name, kinds)
+            raise LinkError(f"the simulated robot has no parameter {name!r}", where=_WHERE, fix=fix)
+        try:
+            values[name] = kinds[name](text)
+        except ValueError as error:
+            kind = "a whole number" if kinds[name] is int else "a number"
+            problem = f"the simulated robot's {name} is {text!r}, which is not {kind}"
+            raise LinkError(problem, where=_WHERE, fix=f"Give {kind}, as in {name}=1.") from error
+    pace = values.pop(_REAL_TIME_FACTOR, None)
+    if pace is not None and not 0 < pace < inf:
+        problem = f"the simulated robot's {_REAL_TIME_FACTOR} is {pace:g}, which no clock can keep"
+        raise LinkError(problem, where=_WHERE, fix="Give 1 for real time, 2 for twice as fast.")
+    return SimulationOptions(Turtlebot3Parameters(**values), pace)

@@ -1,0 +1,187 @@
+"""Which plugins are installed: entry points of this and of other packages, found without importing them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import PluginError, did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from robot_runner.core.errors import Finding
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.events.measure import Measure
+
+__all__ = [
+    "GROUPS",
+    "Circumstances",
+    "InstalledPlugin",
+    "Plugin",
+    "Profiler",
+    "System",
+    "find_plugin",
+    "installed_plugins",
+]
+
+
+# The two kinds of plugin and what validation asks them.
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+_RESERVED_NAMES = frozenset({"config", "log"})
+
+
+@dataclass(frozen=True, slots=True)
+class Circumstances:
+    """What a plugin's check may look at, before anything is executed.
+
+    Attributes:
+        robot: how the robot is to be reached, such as `"simulated"`, or None.
+        factors: the treatments of each factor, by the factor's name.
+        plugins: all plugins of the experiment, the one that is asked included.
+    """
+
+    robot: str | None = None
+    factors: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    plugins: Sequence[Plugin] = ()
+
+
+class Plugin:
+    """What systems and profilers share. A method named like an event hears that event and gets its context.
+
+    Attributes:
+        measures: what each run yields through this plugin; an instance may have others than its class, where they
+            depend on its parameters (one for each domain, column or process).
+        needs: one sentence: what must be there for it to work.
+        bytes_per_run: about how much raw data it keeps of a run, so that a disk that is too small is found beforehand.
+        name: tells instances of one kind apart; names the plugin's raw-data folder.
+    """
+
+    measures: Sequence[Measure] = ()
+    needs: ClassVar[str] = ""
+    bytes_per_run: int = 0
+
+    def __init__(self, *, name: str | None = None) -> None:
+        chosen = type(self).__name__ if name is None else name
+        if not isinstance(chosen, str) or not _NAME.fullmatch(chosen) or chosen in _RESERVED_NAMES:
+            raise PluginError(
+                f"a plugin cannot be named {chosen!r}",
+                where=type(self).__name__,
+                fix="Use letters, digits, '_' and '-' (64 at most); 'config' and 'log' are taken.",
+            )
+        self.name = chosen
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way of using this plugin; nothing is changed by asking."""
+        del circumstances
+        return ()
+
+
+class System(Plugin):
+    """A plugin that operates a robot.
+
+    Example:
+        >>> class Lamp(System):
+        ...     def launch_mission(self, context):
+        ...         context.share(lamp="on")
+        >>> Lamp(name="desk").name
+        'desk'
+    """
+
+    def make_safe(self, context: RobotRunnerContext) -> None:
+        """Stop whatever moves. Called after a failed run, once its closing events were heard; may be called twice."""
+
+
+class Profiler(Plugin):
+    """A plugin that measures between `start_measurement` and `stop_measurement`.
+
+    It publishes its measures in `populate_run_data` and keeps raw samples in `context.raw_data_folder`.
+    """
+
+
+#: The entry-point group of each kind of plugin, and the class that a plugin of that kind derives from.
+GROUPS: dict[str, type[Plugin]] = {"systems": System, "profilers": Profiler}
+
+
+@dataclass(frozen=True, slots=True)
+class InstalledPlugin:
+    """A plugin as its package's entry point announces it; nothing is imported before `load`.
+
+    Attributes:
+        name: the entry point's name, such as `Ina219`.
+        kind: `systems` or `profilers`.
+        package: the distribution that brings it, and its version.
+    """
+
+    name: str
+    kind: str
+    package: str
+    version: str
+    entry_point: EntryPoint
+
+    def load(self) -> type[Plugin]:
+        """Import the plugin's class.
+
+        Raises:
+            PluginError: the import fails, or what it finds is no plugin of its kind.
+        """
+        where = f"plugin {self.name} ({self.entry_point.value}, of {self.package} {self.version})"
+        try:
+            found = self.entry_point.load()
+        except Exception as error:
+            raise PluginError(
+                f"it cannot be imported: {type(error).__name__}: {error}",
+                where=where,
+                fix=f"Install or repair the package {self.package}.",
+            ) from error
+        expected = GROUPS[self.kind]
+        if not (isinstance(found, type) and issubclass(found, expected)):
+            raise PluginError(
+                f"{found!r} is no {expected.__name__}",
+                where=where,
+                fix=f"Derive it from robot_runner.plugins.{expected.__name__}.",
+            )
+        return found
+
+
+@cache
+def installed_plugins(kind: str | None = None) -> tuple[InstalledPlugin, ...]:
+    """Return what is installed, sorted by kind and name; `kind` keeps it to `systems` or `profilers`."""
+    kinds = GROUPS if kind is None else (kind,)
+    return tuple(
+        _announced(entry_point, each)
+        for each in kinds
+        for entry_point in sorted(entry_points(group=f"robot_runner.{each}"), key=lambda point: point.name)
+    )
+
+
+def _announced(entry_point: EntryPoint, kind: str) -> InstalledPlugin:
+    package = entry_point.dist
+    return InstalledPlugin(
+        name=entry_point.name,
+        kind=kind,
+        package=package.name if package else "unknown",
+        version=package.version if package else "unknown",
+        entry_point=entry_point,
+    )
+
+
+def find_plugin(kind: str, name: str) -> InstalledPlugin:
+    """Return the installed plugin of this kind and name.
+
+    Raises:
+        PluginError: none has this name; the nearest is named.
+    """
+    known = installed_plugins(kind)
+    for plugin in known:
+        if plugin.name == name:
+            return plugin
+    raise PluginError(
+        f"no plugin named {name!r} is installed",
+        where=f"plugins.{kind}.{name}",
+        fix=did_you_mean(name, [plugin.name for plugin in known]),
+    )

@@ -1,0 +1,1 @@
+"""Files of an experiment: names, journal, run table, manifest, and writing them so that nothing is lost."""

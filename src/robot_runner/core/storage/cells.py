@@ -1,0 +1,253 @@
+"""The text of one cell of the run table, and the value that a text stands for."""
+
+from __future__ import annotations
+
+import math
+import re
+from enum import Enum
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import MeasureError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from robot_runner.core.design.factor import Factor
+
+__all__ = [
+    "CellValue",
+    "RunStatus",
+    "are_stamps",
+    "checked_measure",
+    "measure_text",
+    "number_of",
+    "plain_value",
+    "quoted",
+    "quoted_all",
+    "status_of_word",
+    "treatment_position",
+    "typed_value",
+    "typed_values",
+]
+
+
+# How far a run has come, and the word for it in the run table (paper, Fig. 3).
+
+
+class RunStatus(Enum):
+    """How far a run has come; the value is the word in the run table.
+
+    Example:
+        >>> status_of_word("TODO")
+        <RunStatus.TODO: '-'>
+    """
+
+    TODO = "-"
+    RUNNING = "Running"
+    DONE = "Done"
+    FAILED = "Failed"
+
+    #: Each member is there once; the enumeration's own would hash its name, in Python, at each look into a dictionary.
+    __hash__ = object.__hash__
+
+
+# Spreadsheets turn a hyphen into a dash, and people write what they see elsewhere.
+_WORDS = {status.value.casefold(): status for status in RunStatus} | dict.fromkeys(
+    ("", "–", "—", "todo", "to do", "to_do"),  # noqa: RUF001 - the dashes are meant
+    RunStatus.TODO,
+)
+
+
+def status_of_word(word: str) -> RunStatus | None:
+    """Return the status that is written so, whatever the case of its letters, or None."""
+    return _WORDS.get(word.strip().casefold())
+
+
+#: What a measure's cell can hold. None is a missing value: an empty cell.
+CellValue = int | float | bool | str | None
+
+_BOOLS = {"true": True, "false": False}
+_SPECIAL = re.compile(r'[",\r\n]')
+
+# A whole number exactly as Python writes it: what differs (`007`, `+5`) was written as text and stays text.
+_NUMBER_CHARACTERS = "0123456789.e+-"
+_WRITTEN_INT = re.compile(r"-?(?:0|[1-9][0-9]{0,399})")
+_ANY_NUMBER = re.compile(r"[+-]?(?:[0-9]{1,400}(\.[0-9]*)?|(\.[0-9]+))([eE][+-]?[0-9]+)?")
+_DECIMAL_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+(?:[eE][+-]?[0-9]+)?")
+
+_STAMPS = re.compile(r"(?:\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z\n)*+", re.ASCII)
+
+#: As far as a float goes; beyond, R and pandas cannot read the column.
+_MAX_BITS = 1024
+
+
+def quoted(text: str) -> str:
+    r"""Return a text as a cell of a CSV file.
+
+    `csv.writer` before Python 3.13 leaves a lone `\r` unquoted where lines end in `\n`, which breaks the row.
+    """
+    return '"' + text.replace('"', '""') + '"' if _SPECIAL.search(text) else text
+
+
+def quoted_all(texts: list[str]) -> list[str]:
+    """Return many texts as cells; one look at all of them is faster than one at each."""
+    return list(map(quoted, texts)) if _SPECIAL.search("".join(texts)) else texts
+
+
+def measure_text(value: CellValue) -> str:
+    """Return how a measure is written; a float so that it comes back exactly, a missing value as nothing."""
+    if value is None:
+        return ""
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+def plain_value(text: str) -> CellValue:
+    """Return the value that a cell stands for by its looks alone: missing, a number, a bool, else text."""
+    if not text:
+        return None
+    if not text.strip(_NUMBER_CHARACTERS):
+        if _WRITTEN_INT.fullmatch(text):
+            return int(text)
+        number = _written_float(text)
+        return text if number is None else number
+    return _BOOLS.get(text.lower(), text)
+
+
+def number_of(text: str, *, decimal_comma: bool = False) -> int | float | None:
+    """Return the number that a cell stands for, written in whichever way people write it, or None."""
+    trimmed = text.strip()
+    if decimal_comma and _DECIMAL_COMMA.fullmatch(trimmed):
+        trimmed = trimmed.replace(",", ".")
+    number = _ANY_NUMBER.fullmatch(trimmed)
+    if number is None:
+        return None
+    if not any(number.groups()):
+        return int(trimmed)
+    value = float(trimmed)
+    return value if math.isfinite(value) else None
+
+
+def typed_value(text: str, kind: str | None, *, decimal_comma: bool = False) -> CellValue:
+    """Return the value that a cell of a column stands for.
+
+    Args:
+        text: the cell.
+        kind: the column's type in the run table's schema; None or `any` goes by the cell's looks.
+        decimal_comma: whether `0,5` is read as 0.5.
+
+    Returns:
+        The value; where the cell does not fit the column's type, what it is by its looks.
+    """
+    if not text:
+        return None
+    if kind in {"string", "datetime"}:
+        return text
+    if kind == "boolean":
+        return _BOOLS.get(text.strip().lower(), text)
+    value = plain_value(text)
+    if kind in {"number", "integer"} and isinstance(value, str):
+        number = number_of(text, decimal_comma=decimal_comma)
+        return text if number is None else number
+    return value
+
+
+def typed_values(cells: Sequence[str], kind: str | None, *, decimal_comma: bool = False) -> list[CellValue]:
+    """Return the values of many cells of one column: the same as `typed_value`, many times faster for plain numbers."""
+    everything = "".join(cells)
+    if not everything:
+        return [None] * len(cells)
+    if kind in {None, "any", "number", "integer"} and not everything.strip(_NUMBER_CHARACTERS):
+        numbers = _all_ints(cells) or _all_floats(cells, everything)
+        if numbers is not None:
+            return numbers
+    return [typed_value(cell, kind, decimal_comma=decimal_comma) for cell in cells]
+
+
+def treatment_position(factor: Factor, text: str, *, decimal_comma: bool = False) -> int | None:
+    """Return the place of the treatment that a cell stands for, or None.
+
+    The exact text comes first. Then, where exactly one treatment fits: the text without surrounding blanks, the same
+    number (`1.0` for 1), and the same letters in another case (`TRUE` for True), as people and spreadsheets write.
+    """
+    for candidate in (text, text.strip()):
+        place = factor.position_of_text(candidate)
+        if place is not None:
+            return place
+    number = number_of(text, decimal_comma=decimal_comma)
+    same_number = [number is not None and _is_number(each) and each == number for each in factor.treatments]
+    if any(same_number):
+        return _only(same_number)
+    folded = text.strip().casefold()
+    return _only([known.casefold() == folded for known in factor.texts])
+
+
+def are_stamps(texts: Sequence[str]) -> bool:
+    """Return whether all these texts are time stamps as the journal writes them (UTC, ISO 8601, milliseconds)."""
+    return _STAMPS.fullmatch("".join(f"{text}\n" for text in texts)) is not None
+
+
+def checked_measure(name: str, value: Any) -> CellValue:
+    """Return a measure's value if the run table can hold it; an empty text is a missing value.
+
+    Raises:
+        MeasureError: it is of another type, not finite, too large, or holds what UTF-8 cannot.
+    """
+    problem = _measure_problem(value)
+    if problem:
+        fix = "Give a finite number, a bool, a string, or None for a missing value."
+        raise MeasureError(problem, where=f"measure {name!r}", fix=fix)
+    return None if value == "" else value
+
+
+def _written_float(text: str) -> float | None:
+    """Return the float that only number characters make up, or None; Python writes each with a point or an `e`."""
+    if "." not in text and "e" not in text:
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _all_ints(cells: Sequence[str]) -> list[CellValue] | None:
+    """Return the whole numbers where each cell is one, written as Python writes it."""
+    try:
+        values = list(map(int, cells))
+    except ValueError:
+        return None
+    return list(values) if list(map(str, values)) == list(cells) else None
+
+
+def _all_floats(cells: Sequence[str], everything: str) -> list[CellValue] | None:
+    """Return the floats where each cell is one: each has a point, as none can have two."""
+    if everything.count(".") != len(cells):
+        return None
+    try:
+        values = list(map(float, cells))
+    except ValueError:
+        return None
+    return None if math.inf in values or -math.inf in values else list(values)
+
+
+def _measure_problem(value: object) -> str:
+    if type(value) not in {int, float, bool, str, type(None)}:
+        return f"{value!r} is of type {type(value).__name__}"
+    if isinstance(value, float) and not math.isfinite(value):
+        return f"{value!r} is not a finite number"
+    if isinstance(value, int) and value.bit_length() > _MAX_BITS:
+        return f"a number of {value.bit_length()} bits is too large"  # Python refuses to write out the longest
+    if isinstance(value, str) and not value.isascii():
+        try:
+            value.encode()
+        except UnicodeEncodeError:
+            return f"{value!r} holds what UTF-8 cannot hold"
+    return ""
+
+
+def _is_number(treatment: Any) -> bool:
+    return isinstance(treatment, int | float) and not isinstance(treatment, bool)
+
+
+def _only(fits: Sequence[bool]) -> int | None:
+    return fits.index(True) if fits.count(True) == 1 else None

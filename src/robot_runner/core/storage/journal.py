@@ -1,0 +1,139 @@
+"""The append-only history of an experiment: one record a line, flushed to disk where it matters."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Self
+
+from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.safe_write import storage_error
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+    from pathlib import Path
+    from types import TracebackType
+
+__all__ = ["Journal", "read_journal", "utc_now"]
+
+_encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), default=str).encode
+
+
+def utc_now() -> str:
+    """Return the present moment in UTC: ISO 8601 with milliseconds, as in `2026-01-31T12:00:00.250Z`."""
+    second, nanosecond = divmod(time.time_ns(), 1_000_000_000)
+    return f"{_up_to_second(second)}.{nanosecond // 1_000_000:03d}Z"
+
+
+@lru_cache(maxsize=1)
+def _up_to_second(second: int) -> str:
+    return time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(second))
+
+
+class Journal:
+    """The journal, opened for appending by the one process that executes the experiment.
+
+    A torn last line (power failed while it was written) is cut off when the journal is opened.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+            self._cut_torn_line()
+        except OSError as error:
+            raise storage_error(path, "written", error) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def append(self, kind: str, *, flush: bool = False, at: str | None = None, **fields: Any) -> None:
+        """Append one record; with `flush` it is on the disk, not only with the system, when this returns.
+
+        Raises:
+            StorageError: it cannot be written (a full disk, say); what stood before is intact.
+        """
+        record = {"kind": kind, "at": at or utc_now(), **fields}
+        try:
+            self._write(f"{_encode(record)}\n".encode("utf-8", "backslashreplace"))
+            if flush:
+                os.fsync(self._descriptor)
+        except OSError as error:
+            raise storage_error(self._path, "written", error) from error
+
+    def close(self) -> None:
+        """Flush to disk and close; closing twice does nothing."""
+        if self._descriptor < 0:
+            return
+        try:
+            os.fsync(self._descriptor)
+        finally:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+    def _write(self, line: bytes) -> None:
+        written = os.write(self._descriptor, line)
+        if written < len(line):  # the disk is full: take the torn line back, so that the next one is whole
+            os.ftruncate(self._descriptor, os.fstat(self._descriptor).st_size - written)
+            os.write(self._descriptor, line)
+
+    def _cut_torn_line(self) -> None:
+        size = os.fstat(self._descriptor).st_size
+        end = size
+        while end > 0:
+            start = max(0, end - 65536)
+            newline = os.pread(self._descriptor, end - start, start).rfind(b"\n")
+            if newline >= 0:
+                end = start + newline + 1
+                break
+            end = start
+        if end < size:
+            os.ftruncate(self._descriptor, end)
+
+
+def read_journal(path: Path, *, kinds: Collection[str] | None = None) -> Iterator[dict[str, Any]]:
+    """Yield the records of a journal, oldest first; a torn last line is left out.
+
+    Args:
+        path: the journal; one that does not exist has no records.
+        kinds: what to keep to; the others are not even parsed, so that a long journal is read quickly.
+
+    Raises:
+        StorageError: it cannot be read, or a line before the last is no record.
+    """
+    # `append` writes the kind first.
+    beginnings = tuple(f'{{"kind":"{kind}"'.encode() for kind in kinds) if kinds is not None else b""
+    try:
+        with path.open("rb") as file:
+            for number, line in enumerate(file, start=1):
+                if line.endswith(b"\n") and line.startswith(beginnings):
+                    yield _record(path, number, line)
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise storage_error(path, "read", error) from error
+
+
+def _record(path: Path, number: int, line: bytes) -> dict[str, Any]:
+    try:
+        record = json.loads(line)
+    except ValueError as error:
+        raise _corrupt(path, number) from error
+    if not isinstance(record, dict) or not isinstance(record.get("kind"), str):
+        raise _corrupt(path, number)
+    return record
+
+
+def _corrupt(path: Path, number: int) -> StorageError:
+    return StorageError(
+        "this line is no record of a journal",
+        where=f"{path}:{number}",
+        fix="Restore the file from a backup, or delete the line to go on without it.",
+    )

@@ -1,0 +1,242 @@
+"""The folders and logs of runs: each attempt begins with none, and none loses what an earlier attempt left.
+
+Making a folder or a file costs a file system more than all else that is recorded of a run. So a run has a folder only
+if something is kept in it, and what it prints goes to one log that is renamed into its folder when the run has ended.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.storage.safe_write import storage_error
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+__all__ = ["ExperimentFolder", "LazyLog", "keep_log", "keep_refused", "open_log", "put_earlier_attempt_away"]
+
+
+# The names of an experiment's files and folders: the only place that knows them.
+
+_RUNS = "runs"
+_MANIFEST = "manifest.json"
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentFolder:
+    """Where everything of one experiment is kept.
+
+    Attributes:
+        root: the experiment's folder.
+        runs_name: the folder in it that holds a folder for each run; empty where they stand in the root itself, as the
+            earlier tools had them.
+
+    Example:
+        >>> from pathlib import Path
+        >>> ExperimentFolder(Path("results/basic")).log("r_1").as_posix()
+        'results/basic/runs/r_1/log.txt'
+    """
+
+    root: Path
+    runs_name: str = _RUNS
+    #: One folder a run.
+    runs: Path = field(init=False, repr=False, compare=False)
+    #: What the run that is being executed has printed so far.
+    current_log: Path = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        # Made once: they are asked for in every run, and making a path takes longer than all else there.
+        object.__setattr__(self, "runs", self.root / self.runs_name)
+        object.__setattr__(self, "current_log", self.root / "current_log.txt")
+
+    @classmethod
+    def found_at(cls, root: Path) -> ExperimentFolder:
+        """Return the folder of an experiment that is there already, whichever way it keeps its runs."""
+        keeps_runs_in_root = (root / _MANIFEST).exists() and not (root / _RUNS).exists()
+        return cls(root, "" if keeps_runs_in_root else _RUNS)
+
+    @property
+    def run_table(self) -> Path:
+        """The populated run table, for people, R and pandas."""
+        return self.root / "run_table.csv"
+
+    @property
+    def schema(self) -> Path:
+        """Type, unit, meaning and owner of each column of the run table."""
+        return self.root / "run_table.schema.json"
+
+    @property
+    def journal(self) -> Path:
+        """The append-only history of the experiment."""
+        return self.root / "journal.jsonl"
+
+    @property
+    def manifest(self) -> Path:
+        """The circumstances: host, versions, seed, what was set by hand."""
+        return self.root / _MANIFEST
+
+    @property
+    def config(self) -> Path:
+        """The config file and the local modules that it imports, as executed."""
+        return self.root / "config"
+
+    @property
+    def earlier_configs(self) -> Path:
+        """Configs that were executed before the config changed, numbered."""
+        return self.root / "earlier_configs"
+
+    @property
+    def earlier_attempts(self) -> Path:
+        """What attempts before the last one left behind."""
+        return self.root / "earlier_attempts"
+
+    @property
+    def report(self) -> Path:
+        """The report, with its tables and figures; made anew whenever it is asked for."""
+        return self.root / "report"
+
+    @property
+    def lock(self) -> Path:
+        """Held by whoever executes the experiment."""
+        return self.root / ".lock"
+
+    @property
+    def control(self) -> Path:
+        """What a second terminal tells the orchestrator."""
+        return self.root / ".control"
+
+    def run(self, run_id: str) -> Path:
+        """Return the folder of a run: its log, and a folder for each plugin's raw data."""
+        return self.runs / run_id
+
+    def log(self, run_id: str) -> Path:
+        """Return the file that takes everything that a run's callbacks printed, once it has ended."""
+        return self.run(run_id) / "log.txt"
+
+    def refused(self, run_id: str) -> Path:
+        """Return the file of values that the run table could not take."""
+        return self.run(run_id) / "refused.jsonl"
+
+    def earlier_attempt(self, run_id: str, attempt: int) -> Path:
+        """Return where a run's folder is kept once another attempt was made."""
+        return self.earlier_attempts / run_id / str(attempt)
+
+
+def open_log(folder: ExperimentFolder) -> int:
+    """Return a descriptor that appends to the log of the run that is being executed.
+
+    Raises:
+        OSError: it cannot be opened.
+    """
+    return os.open(folder.current_log, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+
+
+class LazyLog(io.TextIOBase):
+    """The log of the run that is being executed, as a text stream: opened once something is printed."""
+
+    def __init__(self, folder: ExperimentFolder) -> None:
+        self._folder = folder
+        self._file: io.TextIOWrapper | None = None
+
+    def writable(self) -> bool:
+        """Say that it can be written to."""
+        return True
+
+    def write(self, text: str) -> int:
+        """Append to the log."""
+        return self._opened().write(text)
+
+    def flush(self) -> None:
+        """Hand what was written to the system."""
+        if self._file is not None:
+            self._file.flush()
+
+    def fileno(self) -> int:
+        """Return its descriptor, for programs that are to print into it."""
+        return self._opened().fileno()
+
+    @property
+    def buffer(self) -> Any:
+        """The stream beneath it, for who prints bytes."""
+        return self._opened().buffer
+
+    def close(self) -> None:
+        """Close it; closing twice does nothing."""
+        file, self._file = self._file, None
+        if file is not None:
+            file.close()
+        super().close()
+
+    def _opened(self) -> io.TextIOWrapper:
+        if self.closed:
+            raise ValueError("I/O operation on closed file.")
+        if self._file is None:
+            self._file = os.fdopen(open_log(self._folder), "a", encoding="utf-8", errors="backslashreplace")
+        return self._file
+
+
+def keep_log(folder: ExperimentFolder, run_id: str) -> None:
+    """Move what a run printed into its folder; a run that printed nothing has no log.
+
+    Raises:
+        StorageError: it cannot be moved.
+    """
+    try:
+        if _size(folder.current_log) > 0:
+            folder.run(run_id).mkdir(exist_ok=True)
+            folder.current_log.replace(folder.log(run_id))
+    except OSError as error:
+        raise storage_error(folder.log(run_id), "written", error) from error
+
+
+def keep_refused(folder: ExperimentFolder, run_id: str, refused: Mapping[str, Any]) -> None:
+    """Keep a value that the run table could not take, one JSON record a line in the run's `refused.jsonl`.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    path = folder.refused(run_id)
+    try:
+        path.parent.mkdir(exist_ok=True)
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(refused, ensure_ascii=False, default=str) + "\n")
+    except OSError as error:
+        raise storage_error(path, "written", error) from error
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:
+        return 0
+
+
+def put_earlier_attempt_away(folder: ExperimentFolder, run_id: str, attempt: int) -> None:
+    """Keep the folder that an earlier attempt at a run left behind, so that the next one begins without any.
+
+    Raises:
+        StorageError: it cannot be moved.
+    """
+    left = folder.run(run_id)
+    try:
+        if left.exists():
+            kept = _free(folder.earlier_attempt(run_id, attempt))
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            left.rename(kept)
+    except OSError as error:
+        raise storage_error(left, "moved", error) from error
+
+
+def _free(wanted: Path) -> Path:
+    # The table may have been edited so that attempts are counted anew: what is kept is never overwritten.
+    number = 1
+    path = wanted
+    while path.exists():
+        number += 1
+        path = wanted.with_name(f"{wanted.name}-{number}")
+    return path

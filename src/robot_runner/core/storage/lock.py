@@ -1,0 +1,137 @@
+"""What a second terminal (or the dashboard) tells the orchestrator: one word in one file."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import json
+import os
+import socket
+from dataclasses import asdict, dataclass
+from enum import Enum
+from typing import TYPE_CHECKING, Self
+
+from robot_runner.core.errors import ExecutionError, StorageError
+from robot_runner.core.storage.journal import utc_now
+from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from types import TracebackType
+
+__all__ = ["Command", "ExperimentLock", "Holder", "forget_command", "holder_of", "send_command", "take_command"]
+
+
+# Who executes an experiment: one process at a time, known to the others.
+
+
+@dataclass(frozen=True, slots=True)
+class Holder:
+    """The process that executes an experiment."""
+
+    pid: int
+    host: str
+    since: str
+
+
+class ExperimentLock:
+    """Keeps a second orchestrator out. The system lets go of it when the process dies, however it dies.
+
+    A POSIX record lock: unlike `flock` it is not inherited by the runs that are forked from the holder.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._descriptor = -1
+
+    def __enter__(self) -> Self:
+        try:
+            self._descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise storage_error(self._path, "written", error) from error
+        try:
+            fcntl.lockf(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            holder = _read(self._descriptor)
+            os.close(self._descriptor)
+            raise _refusal(self._path, holder, error) from error
+        self._sign()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        os.ftruncate(self._descriptor, 0)
+        os.close(self._descriptor)  # the file stays: removing it would race with the next holder
+
+    def _sign(self) -> None:
+        os.ftruncate(self._descriptor, 0)
+        holder = Holder(os.getpid(), socket.gethostname(), utc_now())
+        os.pwrite(self._descriptor, json.dumps(asdict(holder)).encode(), 0)
+
+
+def holder_of(path: Path) -> Holder | None:
+    """Return who holds the lock at this moment, or None; nothing is changed by asking."""
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+    except OSError:
+        return None
+    try:
+        fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return _read(descriptor)
+    else:
+        return None
+    finally:
+        os.close(descriptor)
+
+
+def _read(descriptor: int) -> Holder:
+    try:
+        return Holder(**json.loads(os.pread(descriptor, 4096, 0)))
+    except (ValueError, TypeError):  # locked and not yet signed
+        return Holder(0, "unknown", "")
+
+
+def _refusal(path: Path, holder: Holder, error: OSError) -> ExecutionError | StorageError:
+    if error.errno not in {errno.EACCES, errno.EAGAIN}:
+        return StorageError(
+            f"the folder's file system offers no locks: {error.strerror}",
+            where=str(path),
+            fix="Keep the results on a local disk (results_output_path).",
+        )
+    return ExecutionError(
+        f"the experiment is being executed by process {holder.pid} on {holder.host} since {holder.since}",
+        where=str(path.parent),
+        fix="Wait until it ends, or stop it with Ctrl-C in its terminal.",
+    )
+
+
+class Command(Enum):
+    """What can be said."""
+
+    CONTINUE = "continue"
+
+
+def send_command(control: Path, command: Command) -> None:
+    """Leave a command for the orchestrator.
+
+    Raises:
+        StorageError: the experiment's folder cannot be written.
+    """
+    write_beside_and_rename(control, lambda file: file.write(command.value))
+
+
+def take_command(control: Path) -> Command | None:
+    """Return the command that was left, and remove it; None where there is none, or none that is known."""
+    try:
+        word = control.read_text(encoding="utf-8")
+    except OSError:
+        return None
+    forget_command(control)
+    return Command(word) if word in {known.value for known in Command} else None
+
+
+def forget_command(control: Path) -> None:
+    """Remove a command that was left before anybody waited for it."""
+    control.unlink(missing_ok=True)

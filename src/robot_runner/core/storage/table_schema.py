@@ -1,0 +1,309 @@
+"""What a Frictionless data package says of an experiment and its run table.
+
+https://specs.frictionlessdata.io/data-package/
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import dataclass, replace
+from numbers import Integral
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.columns import RUN_ID, STATUS
+from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.cells import RunStatus, are_stamps
+from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
+from robot_runner.core.storage.table_columns import ColumnRole
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.core.storage.run_table_rows import RunTableRows
+
+__all__ = [
+    "ColumnDescription",
+    "data_package",
+    "describe_columns",
+    "file_resource",
+    "read_schema",
+    "table_resource",
+    "type_of_values",
+    "write_schema",
+]
+
+
+# `run_table.schema.json`: type, unit, meaning and owner of each column of the run table.
+
+_OWN = "robot_runner:"
+_PROFILE = "https://specs.frictionlessdata.io/schemas/table-schema.json"
+_STAMP_FORMAT = "%Y-%m-%dT%H:%M:%S.%fZ"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColumnDescription:
+    """What one column of the run table holds.
+
+    Attributes:
+        name: the heading.
+        role: what the column is for.
+        type: `string`, `integer`, `number`, `boolean`, `datetime`, or `any` where it holds several or none yet.
+        title: what it is, in a few words.
+        description: what it is, in a sentence.
+        unit: SI symbol, `%` for percentages, `1` for counts and ratios, empty where there is none.
+        owner: the plugin that yields it, or `config`; empty for what Robot Runner itself fills.
+        origin: `measured`, `simulated`, `estimated`, several of them with `, ` between, or None.
+        findings: what is odd about its values.
+        heading: what stands at its head in the file, where that is not its name.
+
+    Example:
+        >>> ColumnDescription(name="Energy", role=ColumnRole.MEASURE, type="number", unit="J").unit
+        'J'
+    """
+
+    name: str
+    role: ColumnRole
+    type: str = "any"
+    title: str = ""
+    description: str = ""
+    unit: str = ""
+    owner: str = ""
+    origin: str | None = None
+    findings: tuple[str, ...] = ()
+    heading: str = ""
+
+
+def write_schema(path: Path, fields: Sequence[ColumnDescription]) -> None:
+    """Write the schema beside `path` and rename it.
+
+    Args:
+        path: the file.
+        fields: the run table's columns, in order.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    schema = {
+        "$schema": _PROFILE,
+        "fields": list(map(_field, fields)),
+        "missingValues": [""],
+        "primaryKey": [next((field.heading or RUN_ID for field in fields if field.name == RUN_ID), RUN_ID)],
+    }
+    text = json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
+    write_beside_and_rename(path, lambda file: file.write(text))
+
+
+def read_schema(path: Path) -> tuple[ColumnDescription, ...]:
+    """Return what the schema says of each column, in order.
+
+    Raises:
+        StorageError: there is none, or it is no schema of a run table.
+    """
+    try:
+        schema = json.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise storage_error(path, "read", error) from error
+    except ValueError as error:  # not JSON, or not UTF-8
+        raise _no_schema(path, str(error)) from error
+    fields = schema.get("fields") if isinstance(schema, dict) else None
+    if not isinstance(fields, list):
+        raise _no_schema(path, "it has no list of fields")
+    return tuple(_description(path, place, each) for place, each in enumerate(fields))
+
+
+def _field(column: ColumnDescription) -> dict[str, Any]:
+    field: dict[str, Any] = {"name": column.heading or column.name, "type": column.type}
+    if column.type == "datetime":
+        field["format"] = _STAMP_FORMAT
+    field |= {key: text for key in ("title", "description", "unit") if (text := getattr(column, key))}
+    field[f"{_OWN}role"] = column.role.value
+    field[f"{_OWN}owner"] = column.owner
+    field[f"{_OWN}origin"] = column.origin
+    field[f"{_OWN}findings"] = list(column.findings)
+    if column.heading:
+        field[f"{_OWN}column"] = column.name
+    return field
+
+
+def _description(path: Path, place: int, field: object) -> ColumnDescription:
+    if not isinstance(field, dict) or not isinstance(field.get("name"), str):
+        raise _no_schema(path, f"fields[{place}] has no name")
+    word = field.get(f"{_OWN}role", ColumnRole.EXTRA.value)
+    role = next((role for role in ColumnRole if role.value == word), None)
+    if role is None:
+        raise _no_schema(path, f"fields[{place}] has the unknown role {word!r}")
+    origin = field.get(f"{_OWN}origin")
+    texts = {key: str(field.get(key, "")) for key in ("title", "description", "unit")}
+    name = str(field.get(f"{_OWN}column", field["name"]))
+    return ColumnDescription(
+        name=name,
+        role=role,
+        type=str(field.get("type", "any")),
+        owner=str(field.get(f"{_OWN}owner", "")),
+        origin=None if origin is None else str(origin),
+        findings=tuple(map(str, field.get(f"{_OWN}findings") or ())),
+        heading="" if name == field["name"] else field["name"],
+        **texts,
+    )
+
+
+def _no_schema(path: Path, reason: str) -> StorageError:
+    problem = f"it is no schema of a run table: {reason}"
+    return StorageError(problem, where=str(path), fix="Restore it from a backup, or delete it: it is written anew.")
+
+
+# What the run table's columns hold: from the table itself, and from what is known of its measures.
+
+
+def describe_columns(
+    rows: RunTableRows, known: Mapping[str, ColumnDescription] | None = None
+) -> tuple[ColumnDescription, ...]:
+    """Describe each column of a run table, for its schema.
+
+    Args:
+        rows: the run table; types are those of the values that it holds.
+        known: what is known of columns beside their values (titles, units, owners, ...), by heading.
+    """
+    words = {status: rows.layout.spelling.status_words[status] for status in RunStatus}
+    described = [
+        ColumnDescription(
+            name=RUN_ID,
+            role=ColumnRole.PROGRESS,
+            type="string",
+            title="Run",
+            description="Names the run, and its folder.",
+        ),
+        ColumnDescription(
+            name=STATUS,
+            role=ColumnRole.PROGRESS,
+            type="string",
+            title="Status",
+            description=f"How far the run has come: {', '.join(dict.fromkeys(words.values()))}.",
+        ),
+        *(_stamp(name, column.texts) for name, column in rows.stamps.items()),
+        *(_factor(name, column.values) for name, column in rows.factors.items() if name in rows.layout.factor_names),
+        *(_repetition(name) for name in rows.layout.repetition),
+        *(_measure(name, column.values) for name, column in rows.measures.items()),
+        *(ColumnDescription(name=name, role=ColumnRole.EXTRA, type="string", title=name) for name in rows.extras),
+    ]
+    spelled = (replace(column, heading=_other_heading(rows, column.name)) for column in described)
+    return tuple(_merged(column, (known or {}).get(column.name)) for column in spelled)
+
+
+def _other_heading(rows: RunTableRows, name: str) -> str:
+    heading = rows.layout.spelling.heading(name)
+    return "" if heading == name else heading
+
+
+def type_of_values(values: Iterable[Any]) -> str:
+    """Return the type of a column that holds these values; `any` where no single one fits, or there are no values."""
+    kinds = {bool if isinstance(value, bool) else _plain_kind(value) for value in values if value is not None}
+    if not kinds:
+        return "any"
+    for name, fitting in _FITTING:
+        if kinds <= fitting:
+            return name
+    return "any"
+
+
+_FITTING = (
+    ("boolean", {bool}),
+    ("integer", {int}),
+    ("number", {int, float}),
+    ("string", {str}),
+)
+
+
+def _plain_kind(value: Any) -> type | None:
+    if isinstance(value, float):
+        return float if math.isfinite(value) else None
+    return int if isinstance(value, Integral) else str  # an object stands in the table as its text
+
+
+def _stamp(name: str, texts: list[str | None]) -> ColumnDescription:
+    event = name.removesuffix("_at")
+    return ColumnDescription(
+        name=name,
+        role=ColumnRole.TIMESTAMP,
+        type="datetime" if are_stamps([text for text in texts if text]) else "string",
+        title=event.replace("_", " "),
+        description=f"When the event {event} was emitted, in UTC.",
+    )
+
+
+def _factor(name: str, treatments: Iterable[Any]) -> ColumnDescription:
+    kind = type_of_values("None" if treatment is None else treatment for treatment in treatments)
+    return ColumnDescription(name=name, role=ColumnRole.FACTOR, type=kind, title=name, description="A factor.")
+
+
+def _repetition(name: str) -> ColumnDescription:
+    return ColumnDescription(
+        name=name,
+        role=ColumnRole.REPETITION,
+        type="integer",
+        title=name,
+        description="Which repetition of its combination the run is, from 1.",
+    )
+
+
+def _measure(name: str, values: Iterable[Any]) -> ColumnDescription:
+    return ColumnDescription(name=name, role=ColumnRole.MEASURE, type=type_of_values(values), title=name)
+
+
+def _merged(column: ColumnDescription, known: ColumnDescription | None) -> ColumnDescription:
+    if known is None:
+        return column
+    return replace(
+        known,
+        name=column.name,
+        role=column.role,
+        heading=column.heading,
+        type=known.type if column.type == "any" else column.type,
+        title=known.title or column.title,
+        description=known.description or column.description,
+    )
+
+
+def data_package(experiment: str, resources: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the description of a data package with these resources."""
+    return {
+        "profile": "data-package",
+        "name": _slug(experiment).strip("-") or "experiment",
+        "title": experiment,
+        "description": f"Results of the experiment {experiment}, executed with Robot Runner.",
+        "resources": resources,
+    }
+
+
+def file_resource(path: str, size: int, sha256: str) -> dict[str, Any]:
+    """Return what is said of any file.
+
+    Args:
+        path: below the folder of the data package, with `/`.
+        size: in bytes.
+        sha256: of its bytes, in hexadecimal digits.
+
+    Example:
+        >>> file_resource("runs.csv", 3, "00")["hash"]
+        'sha256:00'
+    """
+    return {
+        "name": _slug(path),
+        "path": path,
+        "format": path.rpartition(".")[2],
+        "bytes": size,
+        "hash": f"sha256:{sha256}",
+    }
+
+
+def table_resource(path: str, size: int, sha256: str, *, schema: str | None) -> dict[str, Any]:
+    """Return what is said of a table in CSV; `schema` is the path of its Table Schema."""
+    tabular = {"profile": "tabular-data-resource", "mediatype": "text/csv", "encoding": "utf-8"}
+    return file_resource(path, size, sha256) | tabular | ({"schema": schema} if schema else {})
+
+
+def _slug(text: str) -> str:
+    return re.sub(r"[^a-z0-9._-]+", "-", text.casefold())

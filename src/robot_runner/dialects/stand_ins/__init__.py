@@ -1,1 +1,0 @@
-"""What the modules of the earlier tools held for config files, under our own roof."""

@@ -1,1 +1,0 @@
-"""Runs, the executors that carry them, the progress manager and the orchestrator."""

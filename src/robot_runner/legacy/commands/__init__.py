@@ -1,0 +1,1 @@
+"""The command that converts a config file of an earlier tool."""

@@ -1,0 +1,281 @@
+"""The plugins of the earlier tools that a config file uses: what each needs, and whether it is there."""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import importlib.util
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.config.source import read_tree
+from robot_runner.core.errors import ConfigError, Finding, did_you_mean, nearest
+from robot_runner.legacy.experiment import check_callback
+from robot_runner.legacy.profilers.profiler_catalogue import EarlierPlugin, plugin_of
+from robot_runner.legacy.recognition import Dialect, Recognised, is_earlier_import
+from robot_runner.legacy.run_ids import Clone, clone_around
+from robot_runner.legacy.stand_ins.base_configs import CONTEXT_ATTRIBUTES
+from robot_runner.legacy.stand_ins.catalogue import MODULES, PACKAGES, names_in
+from robot_runner.legacy.stand_ins.events import RobotRunnerEvents, RunnerEvents, own_event
+from robot_runner.legacy.syntax import ImportedName, bound_names, classes_of, imports_of, used_names
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Iterator
+    from pathlib import Path
+
+    from robot_runner.legacy.recognition import Recognised
+    from robot_runner.legacy.session import Session
+
+__all__ = ["check_file", "check_packages", "check_plugins", "check_subscriptions", "is_robot_operated"]
+
+
+# The text of a config file: names that no version of the tools had, each with its line and the nearest there is.
+
+#: How alike two names are before one is taken for a slip of the other (1.0: equal).
+_ALIKE = 0.85
+
+_EVENTS = {"RobotRunnerEvents": RobotRunnerEvents, "RunnerEvents": RunnerEvents}
+_PARAMETERS = {
+    Dialect.ROBOT_RUNNER: (
+        "name",
+        "required_ros_version",
+        "required_ros_distro",
+        "operation_type",
+        "time_between_runs_in_ms",
+        "results_output_path",
+        "experiment_path",
+    ),
+    Dialect.EXPERIMENT_RUNNER: (
+        "name",
+        "operation_type",
+        "time_between_runs_in_ms",
+        "results_output_path",
+        "experiment_path",
+        "self_measure",
+        "self_measure_bin",
+        "self_measure_logfile",
+    ),
+}
+_OPTIONAL = frozenset({"experiment_path", "self_measure", "self_measure_bin", "self_measure_logfile"})
+#: What to do with an event that a fork added to the tool in whose clone the config stands.
+_CALL_IT = "The fork whose clone this is raised it itself: call the method from another one, such as before_experiment."
+_TABLES = ("create_run_table", "create_run_table_model")
+
+
+def check_file(recognised: Recognised) -> list[Finding]:
+    """Return what the text alone tells: nothing of it has been executed."""
+    return [
+        *_unknown_imports(recognised),
+        *_unknown_events(recognised),
+        *_unknown_context_attributes(recognised),
+        *_misspelt_members(recognised),
+    ]
+
+
+def _unknown_imports(recognised: Recognised) -> Iterator[Finding]:
+    clone = clone_around(recognised.path)
+    for each in imports_of(recognised.tree):
+        if not is_earlier_import(each.module) or each.is_guarded or _is_in_clone(each, clone):
+            continue
+        where = f"{recognised.path}:{each.line}"
+        plugin = plugin_of(f"{each.module}.{each.name}") or plugin_of(each.module)
+        if plugin is not None and not plugin.names:
+            yield Finding.error(where, f"{plugin.name} has nothing that stands in for it", plugin.note)
+        elif each.module not in MODULES and each.module not in PACKAGES:
+            yield Finding.error(where, _no_module(each.module), _nearest_module(each.module))
+        elif each.name not in {"", "*"} and each.name not in names_in(each.module):
+            known = names_in(each.module)
+            is_plugin = each.module.startswith(("Plugins", "plugins")) and each.module in PACKAGES
+            problem = _no_module(f"{each.module}.{each.name}") if is_plugin else f"{each.module} has no {each.name!r}"
+            yield Finding.error(where, problem, did_you_mean(each.name, known))
+
+
+def _is_in_clone(imported: ImportedName, clone: Clone) -> bool:
+    if imported.module in MODULES:
+        return clone.defines(imported.module, imported.name)
+    modules = (imported.module, f"{imported.module}.{imported.name}")
+    return any(clone.file_of(module) is not None for module in modules)
+
+
+def _no_module(module: str) -> str:
+    kind = "plugin" if module.startswith(("Plugins", "plugins")) else "module"
+    return f"neither Robot Runner nor Experiment Runner ever had a {kind} {module}"
+
+
+def _nearest_module(module: str) -> str:
+    """Return a fix: the module whose last part is nearest, as folders were moved more often than names changed."""
+    by_last = {known.rpartition(".")[2]: known for known in reversed(list(MODULES))}
+    near = nearest(module.rpartition(".")[2], by_last)
+    if near is not None:
+        return f"Did you mean {by_last[near]!r}?"
+    return (
+        "If it is your own, put it beside the config file as the import names it; otherwise choose one of: "
+        + ", ".join(sorted(name for name in names_in("Plugins.Profilers") if name[:1].isupper()))
+        + "."
+    )
+
+
+def _unknown_events(recognised: Recognised) -> Iterator[Finding]:
+    clone = clone_around(recognised.path)
+    for node in ast.walk(recognised.tree):
+        match node:
+            case ast.Attribute(value=ast.Name(id=("RobotRunnerEvents" | "RunnerEvents") as name), attr=event):
+                known = _EVENTS[name].__members__
+                if event not in known and not event.startswith("_"):
+                    is_of_fork = event in clone.text_of(f"EventManager.Models.{name}")
+                    fix = _CALL_IT if is_of_fork else _counterpart(event, known)
+                    yield Finding.error(f"{recognised.path}:{node.lineno}", f"{name} has no event {event!r}", fix)
+            case _:
+                pass
+
+
+def _counterpart(event: str, names: Collection[str]) -> str:
+    for other, meant in (("LAUNCH_MISSION", "INTERACT"), ("INTERACT", "LAUNCH_MISSION")):
+        if event == other and meant in names:
+            return f"Did you mean {meant!r}?"
+    return did_you_mean(event, names)
+
+
+def _unknown_context_attributes(recognised: Recognised) -> Iterator[Finding]:
+    config = classes_of(recognised.tree).get(recognised.dialect.class_name)
+    functions = [node for node in config.body if isinstance(node, ast.FunctionDef)] if config else []
+    for function in functions:
+        names = {argument.arg for argument in function.args.args if argument.arg == "context"}
+        for node in ast.walk(function):
+            match node:
+                case ast.Attribute(value=ast.Name(id=name), attr=attribute) if name in names:
+                    if attribute not in CONTEXT_ATTRIBUTES and isinstance(node.ctx, ast.Load):
+                        near = _alike(attribute, CONTEXT_ATTRIBUTES)
+                        if near is not None:
+                            where = f"{recognised.path}:{node.lineno}"
+                            yield Finding.error(where, f"the context has no {attribute!r}", f"Did you mean {near!r}?")
+                case _:
+                    pass
+
+
+def _misspelt_members(recognised: Recognised) -> Iterator[Finding]:
+    config = classes_of(recognised.tree).get(recognised.dialect.class_name)
+    if config is None:
+        return
+    parameters = _PARAMETERS[recognised.dialect]
+    methods = {node.name for node in config.body if isinstance(node, ast.FunctionDef)}
+    bound = bound_names(config.body)
+    there = {*bound, *_assigned_later(config)}
+    there |= set(_TABLES) if there & set(_TABLES) else set()  # one of them is enough
+    for name, line in bound.items():
+        known = _TABLES if name in methods else parameters
+        near = None if name in known or name.startswith("_") else _alike(name, known)
+        if near is not None and near not in there and name not in (*parameters, *_TABLES):
+            what = "no method is called" if name in methods else "there is no static parameter"
+            # What a config lacks, the earlier tool missed too, unless it is optional or inherited.
+            is_missed = near not in _OPTIONAL and not config.bases
+            yield (Finding.error if is_missed else Finding.warning)(
+                f"{recognised.path}:{line}",
+                f"{what} {name!r}",
+                f"Did you mean {near!r}? Otherwise begin the name with '_'.",
+            )
+
+
+def _assigned_later(config: ast.ClassDef) -> Iterator[str]:
+    for node in ast.walk(config):
+        match node:
+            case ast.Attribute(value=ast.Name(id="self"), attr=name, ctx=ast.Store()):
+                yield name
+            case _:
+                pass
+
+
+def _alike(name: str, known: tuple[str, ...]) -> str | None:
+    match = difflib.get_close_matches(name.casefold(), known, n=1, cutoff=_ALIKE)
+    return match[0] if match else None
+
+
+# The callbacks that a config subscribed, and those that it defines and forgot to subscribe.
+
+
+def check_subscriptions(session: Session, config: Any) -> list[Finding]:
+    """Return what is wrong with the callbacks, and which would never be called."""
+    return [*_unfit(session), *_forgotten(session, config)]
+
+
+def _unfit(session: Session) -> Iterator[Finding]:
+    for each in session.subscriptions:
+        try:
+            check_callback(each.callback, each.event)
+        except ConfigError as error:
+            yield error.as_finding()
+
+
+def _forgotten(session: Session, config: Any) -> Iterator[Finding]:
+    heard = {each.event for each in session.subscriptions}
+    names = dict.fromkeys(event.name for events in (RobotRunnerEvents, RunnerEvents) for event in events)
+    for name in names:
+        method = name.lower()
+        if own_event(name) not in heard and method in vars(type(config)):
+            yield Finding.warning(
+                f"{session.path.name}, {type(config).__name__}.{method}",
+                f"nothing subscribes it to {name}, so it is never called, as in the earlier tool",
+                "Subscribe it in __init__, or remove it.",
+            )
+
+
+# The packages that a config file imports, where one of them is not there: the others are named at once.
+
+
+def check_packages(recognised: Recognised) -> Iterator[Finding]:
+    """Yield what cannot be imported, each package with the first line that needs it; nothing is imported by asking."""
+    looked_for: set[str] = set()
+    for each in imports_of(recognised.tree):
+        package = each.module.partition(".")[0]
+        if each.is_guarded or is_earlier_import(each.module) or package in looked_for:
+            continue
+        looked_for.add(package)
+        if not _is_there(package):
+            yield Finding.error(
+                f"{recognised.path}:{each.line}",
+                f"there is no module {package!r}",
+                f"Install the package that brings {package!r}, or mend the name.",
+            )
+
+
+def _is_there(package: str) -> bool:
+    with suppress(ValueError):  # a module of the program's own, which has no origin
+        return importlib.util.find_spec(package) is not None
+    return True
+
+
+def check_plugins(files: Iterable[Path]) -> list[Finding]:
+    """Return what stands in the way of the plugins that files use.
+
+    Args:
+        files: the config file, and the modules beside it that it imports.
+    """
+    return list(dict.fromkeys(finding for where, plugin in _used_plugins(files) for finding in _missing(where, plugin)))
+
+
+def is_robot_operated(files: Iterable[Path]) -> bool:
+    """Return whether files use a plugin that operates a robot."""
+    return any(plugin.operates_robot for _, plugin in _used_plugins(files))
+
+
+def _used_plugins(files: Iterable[Path]) -> Iterator[tuple[str, EarlierPlugin]]:
+    for file in files:
+        try:
+            _, tree = read_tree(file)
+        except ConfigError:  # a neighbour that Python could read in another way
+            continue
+        used = used_names(tree)
+        for each in imports_of(tree):
+            plugin = plugin_of(f"{each.module}.{each.name}") or plugin_of(each.module)
+            if plugin is not None and plugin.names and not each.is_guarded and each.bound_as in used:
+                yield f"{file}:{each.line}", plugin
+
+
+def _missing(where: str, plugin: EarlierPlugin) -> Iterator[Finding]:
+    ours = f"our {plugin.ours}, which `robot-runner plugins` describes." if plugin.ours else ""
+    instead = f" Or take {ours}" if ours else ""
+    for need in plugin.needs:
+        if not need.is_there():
+            yield Finding.error(where, f"{plugin.name} needs {need.what}, which is not here", need.fix + instead)
+    if plugin.note:
+        yield Finding.warning(where, plugin.note, f"Take {ours}" if ours else "")

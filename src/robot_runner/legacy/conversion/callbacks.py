@@ -1,0 +1,297 @@
+"""CodeCarbon's decorators: our profiler of the same name takes their place."""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import Finding
+from robot_runner.core.events.manager import EVENTS_BY_CALLBACK, RobotRunnerEvents
+from robot_runner.legacy.profilers.profiler_catalogue import plugin_of
+from robot_runner.legacy.syntax import imports_of
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+
+    from robot_runner.legacy.conversion.edits import Edits
+    from robot_runner.legacy.conversion.imports import ConvertedImports
+    from robot_runner.legacy.session import Session
+
+__all__ = [
+    "CallbackNames",
+    "convert_contexts",
+    "convert_continue",
+    "convert_decorators",
+    "convert_lists_of_callbacks",
+    "convert_rows_of_before_run",
+    "named_callbacks",
+    "order_findings",
+    "remove_subscriptions",
+]
+
+
+# What callbacks read from their context and write into it.
+
+_ROWS = frozenset({"run_variation", "execute_run"})
+_ATTRIBUTES = {"run_nr": "run_number", "run_dir": "run_folder"}
+_RUN_ID = "__run_id"
+
+
+def convert_contexts(functions: Collection[ast.FunctionDef], edits: Edits, columns: Collection[str]) -> None:
+    """Convert the functions that have a parameter `context`.
+
+    Args:
+        functions: all functions of the file.
+        edits: takes the changes.
+        columns: the measures' columns.
+    """
+    for function in functions:
+        if any(argument.arg == "context" for argument in function.args.args):
+            _Function(function, edits, columns).convert()
+
+
+class _Function:
+    def __init__(self, function: ast.FunctionDef, edits: Edits, columns: Collection[str]) -> None:
+        self._function = function
+        self._edits = edits
+        self._columns = columns
+        self._rows = set(self._row_variables())
+
+    def convert(self) -> None:
+        """Convert every use of the context, and of a variable that holds the row."""
+        for node in ast.walk(self._function):
+            match node:
+                case ast.Assign(targets=[ast.Subscript(value=row, slice=ast.Constant(value=str(key)))]) if (
+                    self._is_row(row) and key in self._columns
+                ):
+                    start, end = self._edits.start_of(node), self._edits.start_of(node.value)
+                    self._edits.replace_span(start, end, f"context.publish({key!r}, ")
+                    self._edits.insert(self._edits.end_of(node.value), ")")
+                case ast.Subscript(value=row, slice=ast.Constant(value=str(key))) if self._is_row_or_variable(row):
+                    self._convert_cell(node, row, key)
+                case ast.Attribute(value=ast.Name(id="context"), attr=name) if name in _ATTRIBUTES:
+                    self._edits.replace(node, f"context.{_ATTRIBUTES[name]}")
+                case ast.Attribute() if self._is_row(node):
+                    self._edits.replace(node, "dict(context.combination)")
+                case ast.Return(value=ast.Name(id=name)) if name in self._rows:
+                    self._edits.replace(
+                        node,
+                        f"return {{name: value for name, value in {name}.items() if name not in context.combination}}",
+                    )
+                case _:
+                    pass
+
+    def _convert_cell(self, node: ast.Subscript, row: ast.expr, key: str) -> None:
+        if key == _RUN_ID:
+            self._edits.replace(node, "context.run_id")
+        elif self._is_row(row):
+            self._edits.replace(row, "context.combination")
+
+    def _row_variables(self) -> Iterator[str]:
+        for node in ast.walk(self._function):
+            match node:
+                case ast.Assign(targets=[ast.Name(id=name)], value=value) if self._is_row(value):
+                    yield name
+                case _:
+                    pass
+
+    def _is_row(self, node: ast.expr) -> bool:
+        match node:
+            case ast.Attribute(value=ast.Name(id="context"), attr=name):
+                return name in _ROWS
+            case _:
+                return False
+
+    def _is_row_or_variable(self, node: ast.expr) -> bool:
+        return self._is_row(node) or (isinstance(node, ast.Name) and node.id in self._rows)
+
+
+# Callbacks: a method named like an event hears it, so that nothing has to be subscribed.
+
+_CONTROLLER = "EventSubscriptionController"
+_OF_ALL = "subscribe_to_multiple_events"
+_OF_FORK = f"{_OF_ALL}_multiple_callbacks"
+_INDENT = 4
+
+
+class CallbackNames:
+    """What the methods of a config are called afterwards.
+
+    Attributes:
+        renamed: the new name of a method, by its old one.
+        is_by_name: whether every callback hears its event by its name alone.
+    """
+
+    def __init__(self, renamed: dict[str, str], *, is_by_name: bool) -> None:
+        self.renamed = renamed
+        self.is_by_name = is_by_name
+
+
+def named_callbacks(session: Session, methods: set[str]) -> CallbackNames:
+    """Name each callback after its event, where each event has one and each callback hears one.
+
+    Args:
+        session: what the config subscribed when it was loaded.
+        methods: the methods that the config class defines.
+    """
+    heard = [(each.event, getattr(each.callback, "__name__", "")) for each in session.subscriptions]
+    events = Counter(event for event, _ in heard)
+    names = Counter(name for _, name in heard)
+    is_by_name = all(name in methods for _, name in heard) and all(
+        count == 1 for count in (*events.values(), *names.values())
+    )
+    renamed = {name: event.callback_name for event, name in heard if name != event.callback_name} if is_by_name else {}
+    subscribed = {name for _, name in heard}
+    for method in methods & set(EVENTS_BY_CALLBACK):
+        if method not in subscribed:
+            renamed[method] = f"_{method}"  # it would hear the event now
+    return CallbackNames(renamed, is_by_name=is_by_name)
+
+
+def remove_subscriptions(config: ast.ClassDef, edits: Edits) -> None:
+    """Remove the subscriptions of a class, and an `__init__` in which nothing else is done."""
+    for method in config.body:
+        if not isinstance(method, ast.FunctionDef):
+            continue
+        found = [statement for statement in method.body if _subscribes(statement)]
+        others = [statement for statement in method.body if statement not in found and not _is_docstring(statement)]
+        if found and not others and method.name == "__init__":
+            edits.remove_paragraph(_first_line(method), method.end_lineno or method.lineno)
+            continue
+        for statement in found:
+            edits.remove_lines(statement.lineno, statement.end_lineno or statement.lineno)
+        if len(found) == len(method.body):
+            edits.insert(edits.line_start(method.body[0].lineno), f"{' ' * method.body[0].col_offset}pass\n")
+
+
+def convert_lists_of_callbacks(config: ast.ClassDef, edits: Edits) -> None:
+    """Write an entry for each callback where a fork took lists of them; what is in them is converted already."""
+    for node in ast.walk(config):
+        match node:
+            case ast.Call(func=ast.Attribute(value=ast.Name(id=name), attr=attr) as func) if (
+                name == _CONTROLLER and attr == _OF_FORK
+            ):
+                edits.replace_span(edits.end_of(func) - len(_OF_FORK), edits.end_of(func), _OF_ALL)
+                for pair in ast.walk(node):
+                    match pair:
+                        case ast.Tuple(elts=[event, ast.List(elts=callbacks)]):
+                            parts = [f"({edits.edited(event)}, {edits.edited(each)})" for each in callbacks]
+                            edits.replace(pair, ", ".join(parts))
+                        case _:
+                            pass
+            case _:
+                pass
+
+
+def convert_continue(config: ast.ClassDef, names: CallbackNames, edits: Edits) -> None:
+    """Have the callback of `continue` return True: it has asked the user itself."""
+    for method in config.body:
+        if isinstance(method, ast.FunctionDef) and names.renamed.get(method.name, method.name) == "continue_experiment":
+            last = method.body[-1]
+            indent = " " * (method.col_offset + _INDENT)
+            edits.insert(edits.end_of(last), f"\n{indent}return True  # the user was asked here")
+
+
+def convert_rows_of_before_run(config: ast.ClassDef, session: Session, edits: Edits) -> None:
+    """Have a `before_run` that took the row take the context."""
+    heard = {
+        getattr(each.callback, "__name__", "")
+        for each in session.subscriptions
+        if each.event is RobotRunnerEvents.BEFORE_RUN
+    }
+    for method in config.body:
+        if isinstance(method, ast.FunctionDef) and method.name in heard:
+            for argument in method.args.args[1:2]:
+                if argument.arg != "context":
+                    edits.replace(argument, "context")
+                    first = method.body[0]
+                    indent = " " * first.col_offset
+                    edits.insert(edits.start_of(first), f"{argument.arg} = context.combination\n{indent}")
+
+
+def order_findings(session: Session) -> Iterator[Finding]:
+    """Say where the order of the events differs from the earlier tool's."""
+    heard = {each.event for each in session.subscriptions}
+    is_robot_runner = session.recognised.dialect.class_name == "RobotRunnerConfig"
+    if is_robot_runner and {RobotRunnerEvents.STOP_RUN, RobotRunnerEvents.POPULATE_RUN_DATA} <= heard:
+        yield Finding.warning(
+            session.path.name,
+            "populate_run_data is called after stop_run now; Robot Runner called it before",
+            "See that stop_run leaves what populate_run_data reads.",
+        )
+
+
+def _subscribes(statement: ast.stmt) -> bool:
+    match statement:
+        case ast.Expr(value=ast.Call(func=ast.Attribute(value=ast.Name(id=name)))):
+            return name == _CONTROLLER
+        case _:
+            return False
+
+
+def _is_docstring(statement: ast.stmt) -> bool:
+    return isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
+
+
+def _first_line(method: ast.FunctionDef) -> int:
+    return min([method.lineno, *(decorator.lineno for decorator in method.decorator_list)])
+
+
+_PLUGIN = "CodeCarbon"
+_HOME = "robot_runner.plugins.profilers"
+_COUNTRY = "country_iso_code"
+_COLUMNS = (
+    "its columns are Emissions (kg), Energy (J), CPUEnergy (J) and MemoryEnergy (J) now; the earlier ones were in kWh"
+)
+
+
+def convert_decorators(
+    where: str, tree: ast.Module, config: ast.ClassDef, imports: ConvertedImports, edits: Edits
+) -> None:
+    """Remove the decorators, from the tree as well, and have the config list the profiler."""
+    names = {each.bound_as for each in imports_of(tree) if _is_decorating(each.module, each.name)}
+    removed: list[ast.expr] = []
+    for node in (config, *config.body):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            found = [each for each in node.decorator_list if _root(each) in names]
+            node.decorator_list = [each for each in node.decorator_list if each not in found]
+            removed += found
+    for decorator in removed:
+        edits.remove_lines(decorator.lineno, decorator.end_lineno or decorator.lineno)
+    if removed:
+        imports.findings.append(_listed(where, config, list(_countries(removed)), imports, edits))
+
+
+def _listed(
+    where: str, config: ast.ClassDef, countries: list[ast.expr], imports: ConvertedImports, edits: Edits
+) -> Finding:
+    if not countries:
+        return Finding.error(
+            where, f"CodeCarbon's decorators do not say the {_COUNTRY}", f"Write it, as in {_COUNTRY}='NLD'."
+        )
+    first = config.body[0]
+    country = edits.source(countries[0])
+    edits.insert(edits.start_of(first), f"plugins = [{_PLUGIN}(country={country})]\n{' ' * first.col_offset}")
+    imports.profilers.setdefault(_HOME, set()).add(_PLUGIN)
+    return Finding.warning(
+        where, f"CodeCarbon's decorators are a profiler now: {_COLUMNS}", "Read them in your analysis."
+    )
+
+
+def _countries(decorators: list[ast.expr]) -> Iterator[ast.expr]:
+    for decorator in decorators:
+        if isinstance(decorator, ast.Call):
+            yield from (keyword.value for keyword in decorator.keywords if keyword.arg == _COUNTRY)
+
+
+def _is_decorating(module: str, name: str) -> bool:
+    plugin = plugin_of(f"{module}.{name}") or plugin_of(module)
+    return plugin is not None and plugin.ours == _PLUGIN
+
+
+def _root(decorator: ast.expr) -> str:
+    """Return the name that a decorator begins with: `tracker` of `@tracker.start(country="NLD")`."""
+    while isinstance(decorator, ast.Call | ast.Attribute):
+        decorator = decorator.func if isinstance(decorator, ast.Call) else decorator.value
+    return decorator.id if isinstance(decorator, ast.Name) else ""

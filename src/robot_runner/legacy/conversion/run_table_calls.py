@@ -1,0 +1,152 @@
+"""The run table: models, factors and exclusions in our words."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from robot_runner.legacy.exclusions import EarlierFactor, NamedExclusion, named_exclusions
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from robot_runner.legacy.conversion.edits import Edits
+    from robot_runner.legacy.conversion.imports import ConvertedImports
+    from robot_runner.legacy.session import Session
+
+__all__ = ["ONLY_FACTOR", "convert_run_tables"]
+
+#: Stands where nothing is varied: ours vary at least one thing.
+ONLY_FACTOR = "setup"
+_ONLY_TREATMENT = "as it is"
+_KEYWORDS = {
+    "exclude_variations": "exclude_combinations",
+    "num_repetitions": "repetitions",
+    "iterations": "repetitions",
+    "randomize_order": "shuffle",
+    "treatments": "factors",
+}
+_IN_PLACE = "num_of_repetitions"
+#: Calls of a model or a factor that are attributes here, or that return the model itself.
+_CALLS = {
+    "get_factors": ".factors",
+    "get_data_columns": ".data_columns",
+    "get_factor_name": ".name",
+    "get_treatments": ".treatments",
+    "get_experiment_run_table": "",
+    "generate_experiment_run_table": "",
+}
+
+
+def convert_run_tables(session: Session, tree: ast.Module, imports: ConvertedImports, edits: Edits) -> None:
+    """Convert every call that makes a run table or asks one."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Call(func=ast.Name(id=name)) if imports.names.get(name) == "RunTableModel":
+                _convert_model(session, node, edits)
+                if _vary(node, edits):
+                    imports.ours.add("Factor")
+            case ast.Call(func=ast.Attribute(value=owner, attr=name), args=[], keywords=[]) if name in _CALLS:
+                edits.replace_span(edits.end_of(owner), edits.end_of(node), _CALLS[name])
+            case ast.Attribute(attr="factor_name", value=owner):
+                edits.replace_span(edits.end_of(owner), edits.end_of(node), ".name")
+            case _:
+                pass
+
+
+def _convert_model(session: Session, call: ast.Call, edits: Edits) -> None:
+    for argument in call.args[2:]:
+        name = _keyword_of(argument)
+        if name:
+            edits.insert(edits.start_of(argument), f"{name}=")
+    exclusions = call.args[1] if len(call.args) > 1 else None
+    for keyword in call.keywords:
+        if keyword.arg == _IN_PLACE:
+            _convert_repetitions_in_place(call, keyword, edits)
+        elif keyword.arg in _KEYWORDS:
+            start = edits.start_of(keyword)
+            edits.replace_span(start, start + len(keyword.arg), _KEYWORDS[keyword.arg])
+        if keyword.arg in {"exclude_variations", "exclude_combinations"}:
+            exclusions = keyword.value
+    if exclusions is not None:
+        _convert_exclusions(session, exclusions, edits)
+
+
+def _factors_of(call: ast.Call) -> ast.expr | None:
+    named = (each.value for each in call.keywords if each.arg in {"factors", "treatments"})
+    return next(named, call.args[0] if call.args else None)
+
+
+def _vary(call: ast.Call, edits: Edits) -> bool:
+    """Give a model without factors one that has one treatment."""
+    factors = _factors_of(call)
+    only = f'[Factor("{ONLY_FACTOR}", ["{_ONLY_TREATMENT}"])]'
+    if factors is None:
+        edits.insert(edits.find("(", edits.end_of(call.func)) + 1, f"factors={only}, ")
+    elif isinstance(factors, ast.List) and not factors.elts:
+        edits.replace(factors, only)
+    else:
+        return False
+    return True
+
+
+def _keyword_of(argument: ast.expr) -> str:
+    match argument:
+        case ast.Constant(value=bool()):
+            return "shuffle"
+        case ast.Constant(value=int()):
+            return "repetitions"
+        case _:
+            return "data_columns"
+
+
+def _convert_repetitions_in_place(call: ast.Call, keyword: ast.keyword, edits: Edits) -> None:
+    """Make a factor of repetitions that stand together: it changes fastest, and has the fork's column."""
+    factors = _factors_of(call)
+    if isinstance(factors, ast.List) and factors.elts:
+        count = edits.source(keyword.value)
+        edits.insert(edits.end_of(factors.elts[-1]), f', Factor("repetition", range(1, {count} + 1))')
+    edits.replace(keyword, "repetitions=1")
+
+
+def _convert_exclusions(session: Session, exclusions: ast.expr, edits: Edits) -> None:
+    """Name the factors of sets of values, and leave out what names no treatment: ours are refused for that."""
+    if isinstance(exclusions, ast.Constant) and exclusions.value is None:
+        edits.replace(exclusions, "[]")
+    model = session.models[-1] if session.models else None
+    if not isinstance(exclusions, ast.List) or model is None:
+        return
+    given = list(model.exclusions or ())
+    if len(given) != len(exclusions.elts):
+        return  # the list is not the one that was given to the model
+    factors = model.get_factors()
+    named = [named_exclusions(session, factors, [each])[0] for each in given]
+    for element, value, exclusion in zip(exclusions.elts, given, named, strict=True):
+        if not isinstance(value, Mapping) or exclusion.has_unknown:
+            edits.replace(element, _in_our_words(exclusion, factors))
+    _leave_out(exclusions, [each.names_nothing for each in named], edits)
+
+
+def _leave_out(exclusions: ast.List, is_idle: Sequence[bool], edits: Edits) -> None:
+    """Remove elements of a list, each with the comma and the comment after it."""
+    elements = exclusions.elts
+    if not any(is_idle):
+        return
+    if all(is_idle):
+        edits.replace(exclusions, "[]")
+        return
+    last = max(place for place, idle in enumerate(is_idle) if not idle)
+    for place in range(last):
+        if is_idle[place]:
+            edits.replace_span(edits.start_of(elements[place]), edits.start_of(elements[place + 1]), "")
+    if last < len(elements) - 1:
+        edits.replace_span(edits.end_of(elements[last]), edits.end_of(elements[-1]), "")
+
+
+def _in_our_words(named: NamedExclusion, factors: Sequence[EarlierFactor]) -> str:
+    if named.treatments is not None:
+        parts = [f"{factors[place].factor_name!r}: {list(values)!r}" for place, values in named.treatments.items()]
+        return "{" + ", ".join(parts) + "}"
+    values = "{" + ", ".join(map(repr, named.values)) + "}" if named.values else "set()"
+    return f"lambda combination: {values} <= set(combination.values())"

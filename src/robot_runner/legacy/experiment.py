@@ -1,0 +1,307 @@
+"""An experiment of an earlier tool as one of ours: the config object that executing, planning and checking see."""
+
+from __future__ import annotations
+
+import inspect
+import io
+import os
+import sys
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from typing import TYPE_CHECKING, Any, TextIO
+
+from robot_runner.core.errors import ConfigError
+from robot_runner.core.events.manager import RobotRunnerEvents, place_of
+from robot_runner.core.storage.layout import ExperimentFolder, open_log
+from robot_runner.legacy.recognition import Dialect
+from robot_runner.legacy.run_data import as_mapping, publish_row
+from robot_runner.legacy.run_tables import value_of
+from robot_runner.legacy.session import Session, active_session
+from robot_runner.legacy.stand_ins.base_configs import EarlierContext
+from robot_runner.legacy.stand_ins.machinery import RunProgress
+from robot_runner.legacy.stand_ins.models import MISSING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from robot_runner.core.design.run_table_model import RunTableModel
+    from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
+    from robot_runner.core.plugin import Plugin
+    from robot_runner.legacy.run_tables import EarlierDesign
+    from robot_runner.legacy.stand_ins.finder import StandIns
+
+__all__ = ["EarlierExperiment", "call", "check_callback", "printed_to_log"]
+
+
+# Calling a callback of an earlier tool: with the context or without, as it was written.
+
+#: Events whose callbacks the earlier tools called without a context.
+_WITHOUT_CONTEXT = frozenset(
+    {
+        RobotRunnerEvents.BEFORE_EXPERIMENT,
+        RobotRunnerEvents.BEFORE_RUN,
+        RobotRunnerEvents.CONTINUE,
+        RobotRunnerEvents.AFTER_EXPERIMENT,
+    }
+)
+_ROW_NAMES = frozenset({"row", "run", "run_variation", "variation"})
+
+
+def call(callback: Callable[..., Any], event: RobotRunnerEvents, context: EarlierContext | None) -> Any:
+    """Call a callback with as much as it takes: nothing, the context, or (as in some forks) the row of the table."""
+    for arguments in _offers(callback, event, context):
+        if _fits(callback, arguments):
+            return callback(*arguments)
+    raise _unfit(callback, event)
+
+
+def check_callback(callback: Callable[..., Any], event: RobotRunnerEvents) -> None:
+    """See that a callback can be called at an event.
+
+    Raises:
+        ConfigError: it can be called neither without arguments nor with a context.
+    """
+    most = 2 if event is RobotRunnerEvents.LAUNCH_MISSION else 1
+    if not any(_fits(callback, (object(),) * count) for count in range(most + 1)):
+        raise _unfit(callback, event)
+
+
+def _offers(
+    callback: Callable[..., Any], event: RobotRunnerEvents, context: EarlierContext | None
+) -> Sequence[tuple[Any, ...]]:
+    given = context.run_variation if context is not None and _wants_row(callback, event) else context
+    if event is RobotRunnerEvents.LAUNCH_MISSION:
+        return ((given,), (), (given, _Signal()))  # Robot Runner's first callbacks also got a signal to set
+    return ((), (given,)) if event in _WITHOUT_CONTEXT else ((given,), ())
+
+
+class _Signal:
+    """Said, in Robot Runner's first months, that the run was completed; a run is, when its callback returns."""
+
+    def set(self) -> None:
+        """Do nothing."""
+
+    def is_set(self) -> bool:
+        """Return that it is not."""
+        return False
+
+
+def _wants_row(callback: Callable[..., Any], event: RobotRunnerEvents) -> bool:
+    if event is not RobotRunnerEvents.BEFORE_RUN:
+        return False
+    try:
+        names = list(inspect.signature(callback).parameters)
+    except (TypeError, ValueError):
+        return False
+    return bool(names) and names[0] in _ROW_NAMES
+
+
+def _fits(callback: Callable[..., Any], arguments: tuple[Any, ...]) -> bool:
+    try:
+        inspect.signature(callback).bind(*arguments)
+    except TypeError:
+        return False
+    except ValueError:  # written in C, without a signature
+        return True
+    return True
+
+
+def _unfit(callback: Callable[..., Any], event: RobotRunnerEvents) -> ConfigError:
+    name = getattr(callback, "__name__", repr(callback))
+    signature = "self" if event in _WITHOUT_CONTEXT else "self, context"
+    return ConfigError(
+        f"{name}{inspect.signature(callback)} cannot be called at {event.name}",
+        where=place_of(callback),
+        fix=f"Write def {name}({signature}).",
+    )
+
+
+# What `before_run` prints belongs to the run's log, though it is called before the run has its process.
+
+
+@contextmanager
+def printed_to_log(folder: ExperimentFolder) -> Iterator[None]:
+    """Have what is printed go to the log of the run that begins; the user sees it where the user is asked something."""
+    terminal, keyboard = sys.stdout, sys.stdin
+    with os.fdopen(open_log(folder), "a", encoding="utf-8", errors="backslashreplace") as log:
+        said = _Said(log)
+        sys.stdin = _Asking(keyboard, said, terminal)
+        try:
+            with redirect_stdout(said), redirect_stderr(said):
+                yield
+        finally:
+            sys.stdin = keyboard
+
+
+class _Said(io.TextIOBase):
+    """Writes to the log, and remembers what the user has not seen."""
+
+    def __init__(self, log: TextIO) -> None:
+        self._log = log
+        self.unseen: list[str] = []
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, text: str) -> int:
+        self.unseen.append(text)
+        return self._log.write(text)
+
+    def flush(self) -> None:
+        if not self._log.closed:
+            self._log.flush()
+
+
+class _Asking(io.TextIOBase):
+    """A keyboard: whoever reads from it first shows what was said, as a question may be part of it."""
+
+    def __init__(self, keyboard: Any, said: _Said, terminal: TextIO) -> None:
+        self._keyboard = keyboard
+        self._said = said
+        self._terminal = terminal
+
+    def readable(self) -> bool:
+        return True
+
+    def readline(self, size: int | None = -1, /) -> str:  # type: ignore[override] # a text stream's own
+        self._show()
+        return str(self._keyboard.readline(-1 if size is None else size))
+
+    def read(self, size: int | None = -1, /) -> str:
+        self._show()
+        return str(self._keyboard.read(-1 if size is None else size))
+
+    def fileno(self) -> int:
+        return int(self._keyboard.fileno())
+
+    def isatty(self) -> bool:
+        return bool(self._keyboard.isatty())
+
+    def _show(self) -> None:
+        self._terminal.write("".join(self._said.unseen))
+        self._terminal.flush()
+        self._said.unseen.clear()
+
+
+class EarlierExperiment:
+    """Hears our events and calls the callbacks that the config subscribed; its attributes are static parameters.
+
+    While a callback is executed, the modules of the earlier tools can be imported.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        stand_ins: StandIns,
+        parameters: Mapping[str, Any],
+        design: EarlierDesign | ConfigError,
+        plugins: list[Plugin],
+    ) -> None:
+        self._session = session
+        self._stand_ins = stand_ins
+        self._design = design
+        self._context: EarlierContext | None = None
+        self._returned: list[Any] = []
+        self._is_measured = False
+        vars(self).update(parameters)
+        self.plugins = plugins
+
+    def create_run_table(self) -> RunTableModel:
+        """Return the design of the config's run table.
+
+        Raises:
+            ConfigError: the config could not make it.
+        """
+        return self._made.model
+
+    def before_experiment(self, context: ExperimentContext) -> None:
+        """Call the callbacks of BEFORE_EXPERIMENT."""
+        del context
+        self._emit(RobotRunnerEvents.BEFORE_EXPERIMENT)
+
+    def before_run(self, context: RobotRunnerContext) -> None:
+        """Call the callbacks of BEFORE_RUN; what they print goes to the run's log."""
+        self._context = None
+        self._returned, self._is_measured = [], False
+        with printed_to_log(ExperimentFolder(context.experiment_folder)):
+            self._emit(RobotRunnerEvents.BEFORE_RUN, context)
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Call the callbacks of START_RUN."""
+        self._emit(RobotRunnerEvents.START_RUN, context)
+
+    def start_measurement(self, context: RobotRunnerContext) -> None:
+        """Call the callbacks of START_MEASUREMENT."""
+        self._emit(RobotRunnerEvents.START_MEASUREMENT, context)
+
+    def launch_mission(self, context: RobotRunnerContext) -> None:
+        """Call the callbacks of LAUNCH_MISSION, which is INTERACT in Experiment Runner."""
+        self._emit(RobotRunnerEvents.LAUNCH_MISSION, context)
+        self._is_measured = True
+
+    def stop_measurement(self, context: RobotRunnerContext) -> None:
+        """Call the callbacks of STOP_MEASUREMENT."""
+        was_measured, self._is_measured = self._is_measured, False
+        self._emit(RobotRunnerEvents.STOP_MEASUREMENT, context)
+        self._is_measured = was_measured
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Call the callbacks of STOP_RUN; Robot Runner asked for the run's data before it stopped the run."""
+        try:
+            if self._session.recognised.dialect is Dialect.ROBOT_RUNNER and self._is_measured:
+                self._returned = self._emit(RobotRunnerEvents.POPULATE_RUN_DATA, context)
+        finally:
+            self._emit(RobotRunnerEvents.STOP_RUN, context)
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Call the callbacks of POPULATE_RUN_DATA, and publish what they return and wrote into the row."""
+        if self._session.recognised.dialect is not Dialect.ROBOT_RUNNER:
+            self._returned = self._emit(RobotRunnerEvents.POPULATE_RUN_DATA, context)
+        row = dict(self._earlier_context(context).run_variation)
+        for returned in self._returned:
+            row |= as_mapping(returned)
+        publish_row(context, self._made, row)
+
+    def continue_experiment(self, context: RobotRunnerContext) -> bool:
+        """Call the callbacks of CONTINUE: they are the wait. Returns whether there are any."""
+        return bool(self._emit(RobotRunnerEvents.CONTINUE, context))
+
+    def after_experiment(self, context: ExperimentContext) -> None:
+        """Call the callbacks of AFTER_EXPERIMENT."""
+        del context
+        self._emit(RobotRunnerEvents.AFTER_EXPERIMENT)
+
+    @contextmanager
+    def executing_nothing(self) -> Iterator[Session]:
+        """Have the modules of the earlier tools there for whoever looks at the config; yields what is known of it."""
+        with self._executing(None):
+            yield self._session
+
+    @property
+    def _made(self) -> EarlierDesign:
+        if isinstance(self._design, ConfigError):
+            raise self._design
+        return self._design
+
+    def _emit(self, event: RobotRunnerEvents, context: RobotRunnerContext | None = None) -> list[Any]:
+        """Call whoever subscribed an event; returns what each returned."""
+        heard = [each.callback for each in self._session.subscriptions if each.event is event]
+        is_needed = bool(heard) or event is RobotRunnerEvents.START_RUN  # a run has its folder, whoever hears it
+        with self._executing(context):
+            given = self._earlier_context(context) if context is not None and is_needed else None
+            return [call(callback, event, given) for callback in heard]
+
+    @contextmanager
+    def _executing(self, context: RobotRunnerContext | None) -> Iterator[None]:
+        self._session.context = context
+        with active_session(self._session), self._stand_ins.present():
+            yield
+
+    def _earlier_context(self, context: RobotRunnerContext) -> EarlierContext:
+        """Return the one context of a run: what a callback writes into it, the following callbacks see."""
+        if self._context is None or self._context.run_variation.get("__run_id") != context.run_id:
+            row = {"__run_id": context.run_id, "__done": RunProgress.TODO}
+            design = self._made
+            row |= {column: value_of(context.combination[design.names[column]]) for column in design.factors}
+            row |= dict.fromkeys(design.data_columns, MISSING)
+            self._context = EarlierContext(row, context.run_number, context.run_folder)
+        return self._context

@@ -1,0 +1,282 @@
+"""From a config file of an earlier tool to a config object of ours, with everything that is to be said about it."""
+
+from __future__ import annotations
+
+import os
+import random
+import re
+import sys
+import threading
+from contextlib import contextmanager
+from pathlib import Path
+from secrets import randbits
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from robot_runner.core.config.loader import (
+    LoadedConfig,
+    apply_overrides,
+    execute_source,
+    importable,
+    local_modules_among,
+    raised_in,
+    threads_since,
+)
+from robot_runner.core.config.parameters import PARAMETERS, OperationType
+from robot_runner.core.config.source import ConfigSource
+from robot_runner.core.errors import ConfigError, StorageError, did_you_mean
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.manifest import read_manifest
+from robot_runner.core.storage.table_columns import EARLIER_SPELLING
+from robot_runner.legacy.config_checks import (
+    check_file,
+    check_packages,
+    check_plugins,
+    check_subscriptions,
+    is_robot_operated,
+)
+from robot_runner.legacy.experiment import EarlierExperiment
+from robot_runner.legacy.profilers.self_measure import COLUMN, SelfMeasure
+from robot_runner.legacy.run_tables import EarlierDesign, design_of
+from robot_runner.legacy.session import Session, active_session
+from robot_runner.legacy.stand_ins.finder import StandIns
+from robot_runner.ros.ros_environment import AUTO
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from robot_runner.core.errors import Finding
+    from robot_runner.core.plugin import Plugin
+    from robot_runner.legacy.recognition import Recognised
+
+__all__ = ["exits_raised", "lift"]
+
+
+# Config files that end their program while they are loaded.
+
+
+@contextmanager
+def exits_raised() -> Iterator[None]:
+    """Have `os._exit`, with which some configs end their program, raise: this process is not theirs to end.
+
+    Raises:
+        SystemExit: it was called in this process.
+    """
+    end, own_process = os._exit, os.getpid()
+
+    def exit_or_raise(status: int = 0) -> NoReturn:
+        if os.getpid() != own_process:  # a process that the config forked
+            end(status)
+        raise SystemExit(status)
+
+    os._exit = exit_or_raise
+    try:
+        yield
+    finally:
+        os._exit = end
+
+
+#: What the earlier tools called a static parameter, where it has another name here.
+_EARLIER_NAMES = {"experiment_name": "name"}
+#: Parameters that the earlier tools did not have: an attribute of that name means something else in their configs.
+_NEW_PARAMETERS = frozenset(
+    {
+        "analysis",
+        "attempts",
+        "authors",
+        "citation",
+        "event_deadline_in_s",
+        "grace_in_s",
+        "licence",
+        "on_failure",
+        "robot",
+        "run_deadline_in_s",
+        "run_process",
+    }
+)
+_TABLE_METHODS = ("create_run_table_model", "create_run_table")
+_UNFIT_FOR_NAME = re.compile(r"[^A-Za-z0-9 ._-]")
+
+
+def lift(recognised: Recognised, overrides: Mapping[str, str]) -> LoadedConfig:
+    """Execute a config file of an earlier tool, make its run table, and return it as a config of ours.
+
+    Raises:
+        ConfigError: its code raises, it misuses the tool's API, or a parameter that is to be set does not exist.
+    """
+    refused = check_file(recognised)
+    if any(finding.is_error for finding in refused):
+        raise ConfigError.of_findings(refused)
+    lifting = _Lifting(recognised, overrides)
+    lifting.session.findings += refused
+    with active_session(lifting.session):
+        try:
+            with lifting.executing("while it was loaded"):
+                lifting.load()
+        except ConfigError as error:
+            raise ConfigError.of_findings([*error.findings, *lifting.lacking(error)]) from error
+        return lifting.lifted()
+
+
+class _Lifting:
+    def __init__(self, recognised: Recognised, overrides: Mapping[str, str]) -> None:
+        self.session = Session(recognised)
+        self._recognised = recognised
+        self._overrides = overrides
+        self._stand_ins = StandIns(recognised.path)
+        self._set: dict[str, Any] = {}
+        self._config: Any = None
+        self._local_modules: tuple[Path, ...] = ()
+        self._threads: tuple[str, ...] = ()
+
+    @contextmanager
+    def executing(self, when: str) -> Iterator[None]:
+        """Have the earlier tool's modules there, and what is raised become a ConfigError."""
+        with (
+            importable(self._recognised.path.parent),
+            active_session(self.session),
+            self._stand_ins.present(),
+            raised_in(self._recognised.path, when),
+            exits_raised(),
+        ):
+            yield
+
+    def load(self) -> None:
+        """Execute the file, set what is set from outside, and instantiate the config class."""
+        before, threads_before = set(sys.modules), set(threading.enumerate())
+        class_name = self._recognised.dialect.class_name
+        source = ConfigSource(self._recognised.path, self._recognised.text, class_name)
+        module = execute_source(source)
+        config_class = getattr(module, class_name, None)
+        if not isinstance(config_class, type):
+            raise ConfigError(
+                f"it has no class named {class_name}",
+                fix=f"Describe the experiment in a class {class_name}.",
+            )
+        self._apply(config_class)
+        self._config = config_class()
+        for name, value in self._set.items():
+            earlier_name = _EARLIER_NAMES.get(name, name)
+            if earlier_name in getattr(self._config, "__dict__", {}):
+                setattr(self._config, earlier_name, value)
+        self._local_modules = local_modules_among(self._recognised.path, set(sys.modules) - before)
+        self._threads = threads_since(threads_before)
+
+    def lacking(self, error: ConfigError) -> list[Finding]:
+        """Return what else is not here that a file needs which could not be loaded, so that all is said at once."""
+        said = {finding.where for finding in error.findings}
+        found = [*check_packages(self._recognised), *check_plugins((self._recognised.path,))]
+        return [finding for finding in found if finding.is_error and finding.where not in said]
+
+    def lifted(self) -> LoadedConfig:
+        """Make the run table, and put everything together."""
+        folder = self._folder()
+        self.session.seed = _recorded_seed(folder) if folder else randbits(32)
+        if folder is not None:
+            self._config.experiment_path = folder.root
+        plugins = self._plugins()
+        design = self._design(plugins)
+        self._say_what_changes()
+        config = EarlierExperiment(self.session, self._stand_ins, self._parameters(), design, plugins)
+        class_name = self._recognised.dialect.class_name
+        return LoadedConfig(
+            source=ConfigSource(self._recognised.path, self._recognised.text, class_name),
+            config=config,
+            subscriptions=(),
+            activated=(),
+            overrides=dict(self._overrides),
+            local_modules=self._local_modules,
+            findings=(*self.session.findings, *check_subscriptions(self.session, self._config)),
+            folder=folder,
+            spelling=design.names.spelling if isinstance(design, EarlierDesign) else EARLIER_SPELLING,
+            threads=self._threads,
+            lacking=tuple(check_plugins(self._files)),
+        )
+
+    def _apply(self, config_class: type) -> None:
+        others = {}
+        for name, text in self._overrides.items():
+            if name in {"experiment_name", "name"}:
+                self._set["experiment_name"] = text
+                config_class.name = text  # type: ignore[attr-defined] # what the earlier tools call it
+            else:
+                others[name] = text
+        self._set |= apply_overrides(config_class, others)
+
+    @property
+    def _files(self) -> tuple[Path, ...]:
+        return (self._recognised.path, *self._local_modules)
+
+    def _value(self, name: str, default: Any) -> Any:
+        if name in _NEW_PARAMETERS:
+            return self._set.get(name, default)
+        return getattr(self._config, _EARLIER_NAMES.get(name, name), default)
+
+    def _parameters(self) -> dict[str, Any]:
+        values = {parameter.name: self._value(parameter.name, parameter.default) for parameter in PARAMETERS}
+        if values["robot"] is None and is_robot_operated(self._files):
+            values["robot"] = AUTO  # the earlier tools took the ROS that is sourced
+        name = values["experiment_name"]
+        if isinstance(name, str):
+            # The folder has the name as it is; what stands here is what the experiment is called.
+            values["experiment_name"] = _UNFIT_FOR_NAME.sub("_", Path(name).name).strip(" ._-") or name
+        return values
+
+    def _folder(self) -> ExperimentFolder | None:
+        """Return the earlier tool's folder: a relative path begins in the current folder; runs stand in the root."""
+        results, name = getattr(self._config, "results_output_path", None), getattr(self._config, "name", None)
+        if not isinstance(results, str | Path) or not isinstance(name, str) or "\0" in f"{results}{name}":
+            return None  # the check of the static parameters says why
+        root = Path(f"{results}/{name}").expanduser().absolute()
+        return ExperimentFolder(root, runs_name="")
+
+    def _plugins(self) -> list[Plugin]:
+        if not getattr(self._config, "self_measure", False):
+            return []
+        return [
+            SelfMeasure(
+                binary=getattr(self._config, "self_measure_bin", None),
+                logfile=getattr(self._config, "self_measure_logfile", None),
+            )
+        ]
+
+    def _design(self, plugins: list[Plugin]) -> EarlierDesign | ConfigError:
+        state = random.getstate()
+        random.seed(self.session.seed)  # a config that shuffles its own rows gets the same order again
+        try:
+            with self.executing("in the making of the run table"):
+                made = self._table_method()()
+                return design_of(self.session, made, self._config, [COLUMN] if plugins else [])
+        except ConfigError as error:
+            return error
+        finally:
+            random.setstate(state)
+
+    def _table_method(self) -> Any:
+        for name in _TABLE_METHODS:
+            if callable(getattr(self._config, name, None)):
+                return getattr(self._config, name)
+        methods = [name for name in dir(self._config) if not name.startswith("_")]
+        near = did_you_mean(_TABLE_METHODS[0], methods)
+        raise ConfigError(
+            "the config makes no run table",
+            where=type(self._config).__name__,
+            fix=near.replace("Did you mean", "Rename") if near.startswith("Did") else f"Define {_TABLE_METHODS[0]}.",
+        )
+
+    def _say_what_changes(self) -> None:
+        hears = {each.event.value for each in self.session.subscriptions}
+        if getattr(self._config, "operation_type", None) is OperationType.SEMI and "continue" not in hears:
+            self.session.warn(
+                "operation_type",
+                "it is SEMI and nothing hears CONTINUE: the earlier tool went on by itself, and now each run waits "
+                "until the user says to go on",
+                "Write OperationType.AUTO if nobody is to be waited for.",
+            )
+
+
+def _recorded_seed(folder: ExperimentFolder) -> int:
+    """Return the seed with which an experiment began, so that it goes on in its order; a new one where it did not."""
+    try:
+        return int(read_manifest(folder.manifest)["seed"]) if folder.manifest.exists() else randbits(32)
+    except (StorageError, KeyError, TypeError, ValueError):  # whoever executes it says what is wrong with it
+        return randbits(32)

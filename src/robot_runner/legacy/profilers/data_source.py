@@ -1,0 +1,243 @@
+"""What Experiment Runner's profilers derive from: a program or a device that is started, stopped, and has a log.
+
+Configs and forks derive profilers of their own from these classes, so attributes and hooks keep their names.
+"""
+
+from __future__ import annotations
+
+import platform
+import shutil
+import threading
+from abc import ABC, abstractmethod
+from collections import UserDict
+from collections.abc import Iterable, Mapping
+from enum import Enum
+from os import X_OK, access, geteuid
+from queue import Empty, Queue
+from typing import Any, ClassVar
+
+from robot_runner.core.errors import LinkError, PluginError, did_you_mean
+from robot_runner.legacy.profilers.programs import Program
+
+__all__ = ["CLISource", "DataSource", "DeviceSource", "ParameterDict", "ValueRef"]
+
+_CLOSING_S = 5.0
+
+
+class ParameterDict(UserDict[Any, Any]):
+    """Parameters of a program, each under all of its spellings: `{("-o", "--output"): str}`.
+
+    Example:
+        >>> "--output" in ParameterDict({("-o", "--output"): str})
+        True
+    """
+
+    def __setitem__(self, key: Any, item: Any) -> None:
+        super().__setitem__((key,) if isinstance(key, str) else tuple(key), item)
+
+    def __getitem__(self, key: Any) -> Any:
+        for spellings, value in self.data.items():
+            if set((key,) if isinstance(key, str) else key) <= set(spellings):
+                return value
+        raise KeyError(key)
+
+    def __contains__(self, key: object) -> bool:
+        wanted = {key} if isinstance(key, str) else set(key) if isinstance(key, Iterable) else {key}
+        return any(wanted <= set(spellings) for spellings in self.data)
+
+
+class ValueRef:
+    """A value that a parameter refers to: what it is when the program is started counts."""
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+
+
+class DataSource(ABC):
+    """Something that measures between `start` and `stop`, and leaves a log."""
+
+    supported_platforms: ClassVar[Any] = ()
+    source_name: ClassVar[Any] = ""
+
+    def __init__(self) -> None:
+        self._validate_platform()
+
+    def _validate_platform(self) -> None:
+        if self.supported_platforms and platform.system() not in self.supported_platforms:
+            raise PluginError(
+                f"{self.source_name} measures on {' and '.join(self.supported_platforms)}, "
+                f"and this is {platform.system()}",
+                where=type(self).__name__,
+                fix="Choose another profiler, or execute the experiment there.",
+            )
+
+    def is_admin(self) -> bool:
+        """Return whether this process has every right."""
+        return geteuid() == 0
+
+    @abstractmethod
+    def start(self) -> None:
+        """Begin to measure."""
+
+    @abstractmethod
+    def stop(self) -> Any:
+        """End the measuring."""
+
+    @staticmethod
+    def parse_log(logfile: Any) -> Any:
+        """Return what a log holds."""
+        raise NotImplementedError(logfile)
+
+
+class CLISource(DataSource):
+    """A program of the command line that measures until it is told to end.
+
+    Attributes:
+        args: its parameters, by spelling; None where a parameter has no value.
+        requires_admin: whether it needs every right (`sudo` is put before it where the user has not).
+    """
+
+    parameters: ClassVar[Any] = ParameterDict()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.requires_admin = False
+        self.args: dict[str, Any] = {}
+        self.process: Any = None
+        self._program: Program | None = None
+        self._logfile = ValueRef(None)
+
+    def __del__(self) -> None:
+        program = getattr(self, "_program", None)
+        if program is not None:
+            program.kill()
+
+    @property
+    def logfile(self) -> Any:
+        """Where the samples go."""
+        return self._logfile.value
+
+    @logfile.setter
+    def logfile(self, value: Any) -> None:
+        self._logfile.value = value
+
+    def update_parameters(self, add: Mapping[str, Any] | None = None, remove: Iterable[str] = ()) -> None:
+        """Add and remove parameters.
+
+        Raises:
+            PluginError: there is no such parameter.
+        """
+        self._validate_parameters(add or {})
+        self.args.update(add or {})
+        for name in remove:
+            self.args.pop(name, None)
+
+    def start(self) -> None:
+        """Start the program.
+
+        Raises:
+            LinkError: it cannot be started, or has ended at once.
+        """
+        self._program = Program(self._format_cmd(), name=str(self.source_name))
+        self.process = self._program.process
+        self._program.check_started()
+
+    def stop(self, wait: bool = False) -> str:
+        """End the program, or `wait` until it ends by itself; returns what it printed.
+
+        Raises:
+            LinkError: it does not end.
+        """
+        if self._program is None:
+            return ""
+        program, self._program = self._program, None
+        return program.end(None if wait else _CLOSING_S)
+
+    def _validate_platform(self) -> None:
+        super()._validate_platform()
+        name = str(self.source_name)
+        if name and shutil.which(name) is None and not access(name, X_OK):
+            raise PluginError(
+                f"the program {name} is not there", where=type(self).__name__, fix=f"Install {name}, or name its path."
+            )
+
+    def _validate_parameters(self, parameters: Mapping[str, Any]) -> None:
+        spellings = [spelling for known in self.parameters for spelling in known]
+        for name in parameters:
+            if name not in self.parameters:
+                raise PluginError(
+                    f"{self.source_name} has no parameter {name!r}",
+                    where=type(self).__name__,
+                    fix=did_you_mean(name, spellings),
+                )
+
+    def _format_cmd(self) -> str:
+        """Return the command line; derived profilers add to it."""
+        self._validate_parameters(self.args)
+        words = ["sudo"] if self.requires_admin and not self.is_admin() else []
+        words.append(str(self.source_name))
+        for name, value in self.args.items():
+            words.append(name)
+            if value is not None:
+                words.append(_shown(value))
+        return " ".join(words)
+
+
+class DeviceSource(DataSource):
+    """A device that is read in a thread of its own, every `sample_frequency` milliseconds.
+
+    A derived profiler's `log` reads until `stop_thread` is set, and puts what it read into `thread_queue`.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.device_handle: Any = None
+        self.process: Any = None
+        self.sample_frequency: Any = None
+        self.stop_thread = threading.Event()
+        self.thread_queue: Queue[Any] = Queue(maxsize=1)
+
+    def log(self) -> Any:
+        """Read until told to end; what a derived profiler's own `log` begins with.
+
+        Raises:
+            PluginError: no device was opened, or it is not called by `start`.
+        """
+        if threading.current_thread() is not self.process:
+            raise PluginError("log was called", where=type(self).__name__, fix="Call start instead.")
+
+    def start(self) -> None:
+        """Begin to read."""
+        if self.process is not None:
+            raise PluginError("it was started already", where=type(self).__name__, fix="Call stop first.")
+        self.stop_thread.clear()
+        self.process = threading.Thread(target=self.log, name="DeviceWorker", daemon=True)
+        self.process.start()
+
+    def stop(self) -> Any:
+        """End the reading; returns what was read.
+
+        Raises:
+            LinkError: the reading had ended before, or does not end.
+        """
+        if self.process is None:
+            return None
+        worker, self.process = self.process, None
+        self.stop_thread.set()
+        try:
+            read = self.thread_queue.get(timeout=max(_CLOSING_S, 2e-3 * float(self.sample_frequency or 0)))
+            self.thread_queue.task_done()
+        except Empty as error:
+            raise LinkError(
+                "the device delivered nothing", where=type(self).__name__, fix="Look at the log of the run."
+            ) from error
+        worker.join(_CLOSING_S)
+        return read
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, ValueRef):
+        return str(value.value)
+    if isinstance(value, Iterable) and not isinstance(value, str | Enum):
+        return ",".join(map(_shown, value))
+    return str(value.value if isinstance(value, Enum) else value)

@@ -1,0 +1,169 @@
+"""Experiment Runner's CodecarbonWrapper: decorators that add CodeCarbon's estimates to a config."""
+
+from __future__ import annotations
+
+import csv
+import functools
+from collections.abc import Callable, Iterable
+from enum import Enum
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from robot_runner.core.errors import PluginError
+from robot_runner.legacy.session import warn_of_run
+
+__all__ = [
+    "DataColumns",
+    "add_co2_data_column",
+    "add_data_columns",
+    "emission_tracker",
+    "populate_co2_data",
+    "populate_data_columns",
+    "start_emission_tracker",
+    "stop_emission_tracker",
+]
+
+_PREFIX = "codecarbon__"
+_EMISSIONS = "__co2_emissions"
+_TRACKER = "__emission_tracker__"
+
+Method = Callable[..., Any]
+
+
+class DataColumns(Enum):
+    """The columns that CodeCarbon fills; `name` is the heading in the run table."""
+
+    EMISSIONS = "emissions"
+    EMISSIONS_RATE = "emissions_rate"
+    CPU_ENERGY = "cpu_energy"
+    GPU_ENERGY = "gpu_energy"
+    RAM_ENERGY = "ram_energy"
+    ENERGY_CONSUMED = "energy_consumed"
+
+    @property
+    def name(self) -> str:
+        """The heading in the run table."""
+        return f"{_PREFIX}{self.value}"
+
+
+def emission_tracker(*arguments: Any, online: bool = False, **settings: Any) -> Callable[[type], type]:
+    """Decorate a config class: its measurement is tracked, and its run table gets the columns."""
+    columns = settings.pop("data_columns", [DataColumns.EMISSIONS])
+
+    def decorated(config: Any) -> Any:
+        table = "create_run_table_model" if hasattr(config, "create_run_table_model") else "create_run_table"
+        setattr(config, table, add_data_columns(columns)(getattr(config, table)))
+        start = start_emission_tracker(*arguments, online=online, **settings)
+        config.start_measurement = start(config.start_measurement)
+        config.stop_measurement = stop_emission_tracker(config.stop_measurement)
+        config.populate_run_data = populate_data_columns(config.populate_run_data)
+        return config
+
+    return decorated
+
+
+def start_emission_tracker(*arguments: Any, online: bool = False, **settings: Any) -> Callable[[Method], Method]:
+    """Decorate `start_measurement`: the tracker is started before it."""
+
+    def decorated(method: Method) -> Method:
+        @functools.wraps(method)
+        def started(self: Any, context: Any) -> Any:
+            given = {"project_name": self.name, "output_dir": str(context.run_dir.resolve())} | settings
+            tracker = _tracker_class(online=online)(*arguments, **given)
+            setattr(self, _TRACKER, tracker)
+            tracker.start()
+            return method(self, context)
+
+        return started
+
+    return decorated
+
+
+def stop_emission_tracker(method: Method) -> Method:
+    """Decorate `stop_measurement`: the tracker is stopped after it."""
+
+    @functools.wraps(method)
+    def stopped(self: Any, context: Any) -> Any:
+        try:
+            return method(self, context)
+        finally:
+            self.__emissions__ = getattr(self, _TRACKER).stop()
+
+    return stopped
+
+
+def add_data_columns(data_cols: Iterable[DataColumns]) -> Callable[[Method], Method]:
+    """Decorate the method that makes the run table: it gets these columns."""
+    names = [column.name for column in data_cols]
+
+    def decorated(method: Method) -> Method:
+        @functools.wraps(method)
+        def made(self: Any) -> Any:
+            return _with_columns(self, method(self), names)
+
+        return made
+
+    return decorated
+
+
+def populate_data_columns(method: Method) -> Method:
+    """Decorate `populate_run_data`: what the tracker wrote is added."""
+
+    @functools.wraps(method)
+    def populated(self: Any, context: Any) -> Any:
+        data = dict(method(self, context) or {})
+        measured = _measured(getattr(self, _TRACKER))
+        for name in self.run_table_model.get_data_columns():
+            if name.startswith(_PREFIX) and measured:
+                data[name] = float(measured[name.removeprefix(_PREFIX)])
+        return data
+
+    return populated
+
+
+def _measured(tracker: Any) -> dict[str, str]:
+    """Return what a tracker wrote last; nothing, with a word to the user, where it could not measure."""
+    file = Path(tracker._output_dir) / tracker._output_file  # noqa: SLF001 - it has no other
+    if not file.exists():
+        warn_of_run("CodeCarbon measured nothing: it wrote no emissions.csv", fix="Look into the run's log for why.")
+        return {}
+    with file.open(newline="", encoding="utf-8") as rows:
+        return list(csv.DictReader(rows))[-1]
+
+
+def add_co2_data_column(method: Method) -> Method:
+    """Decorate the method that makes the run table, as the plugin's first version did."""
+
+    @functools.wraps(method)
+    def made(self: Any) -> Any:
+        return _with_columns(self, method(self), [_EMISSIONS])
+
+    return made
+
+
+def populate_co2_data(method: Method) -> Method:
+    """Decorate `populate_run_data`, as the plugin's first version did."""
+
+    @functools.wraps(method)
+    def populated(self: Any, context: Any) -> Any:
+        return dict(method(self, context) or {}) | {_EMISSIONS: self.__emissions__}
+
+    return populated
+
+
+def _with_columns(config: Any, made: Any, names: Iterable[str]) -> Any:
+    model = getattr(config, "run_table_model", None)
+    if model is None:
+        raise PluginError(
+            "the config keeps no run-table model, to which columns could be added",
+            where="CodecarbonWrapper",
+            fix="Write self.run_table_model = RunTableModel(...).",
+        )
+    columns = model.get_data_columns()
+    columns += [name for name in names if name not in columns]
+    return model.generate_experiment_run_table() if isinstance(made, list) else model
+
+
+def _tracker_class(*, online: bool) -> Any:
+    return getattr(import_module("codecarbon"), "EmissionsTracker" if online else "OfflineEmissionsTracker")

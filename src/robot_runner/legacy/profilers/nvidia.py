@@ -1,0 +1,310 @@
+"""Experiment Runner's NvidiaML: asks NVIDIA's management library, and writes what it answers as JSON."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from enum import Enum
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import PluginError
+from robot_runner.legacy.profilers.data_source import DeviceSource
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+__all__ = [
+    "NVML_API_Restriction",
+    "NVML_Arch",
+    "NVML_Clock",
+    "NVML_Compute_Mode",
+    "NVML_Dynamic_Query",
+    "NVML_Enable_State",
+    "NVML_Field",
+    "NVML_GPU_Operation_Mode",
+    "NVML_IDs",
+    "NVML_PowerSource",
+    "NVML_Query",
+    "NVML_Sample",
+    "NVML_Static_Query",
+    "NVML_TempThreshold",
+    "NvidiaML",
+    "library",
+]
+
+
+# The names that configs take from Experiment Runner's NvidiaML: queries, and the constants of NVIDIA's library.
+
+_STATIC = (
+    "Name UUID Serial Index Architecture NumGpuCores VbiosVersion Brand NumFans MemoryInfo BusType BoardId Attributes "
+    "BoardPartNumber MinMaxFanSpeed ComputeMode PersistenceMode PowerManagementMode EnforcedPowerLimit "
+    "PowerManagementLimit PowerManagementDefaultLimit PowerManagementLimitConstraints MaxCustomerBoostClock "
+    "PowerSource TargetFanSpeed TemperatureThreshold SupportedPerformanceStates MaxClockInfo MinMaxClockOfPState"
+)
+_DYNAMIC = "PowerUsage TotalEnergyConsumption Temperature FanSpeed_v2 UtilizationRates PerformanceState ClockInfo"
+_WORD = re.compile(r"[A-Z](?:[a-z]+|[A-Z]*(?=[A-Z]|$))")
+
+
+def library() -> Any:
+    """Return NVIDIA's library.
+
+    Raises:
+        PluginError: its package is not installed.
+    """
+    try:
+        return import_module("pynvml")
+    except ModuleNotFoundError as error:
+        raise PluginError(
+            "NvidiaML needs nvidia-ml-py", where="NvidiaML", fix="Install it: pip install 'robot-runner[nvml]'."
+        ) from error
+
+
+class NVML_Query(Enum):  # noqa: N801 - the name that configs import
+    """What both kinds of queries are."""
+
+
+class NVML_IDs(Enum):  # noqa: N801 - the name that configs import
+    """How a GPU is named."""
+
+    NVML_ID_INDEX = 0
+    NVML_ID_SERIAL = 1
+    NVML_ID_UUID = 2
+
+
+def _queries(name: str, functions: str) -> type[Enum]:
+    """Return an enumeration of queries: `PowerUsage` is NVML_POWER_USAGE."""
+    members = [
+        ("NVML_" + "_".join(word.upper() for word in _WORD.findall(function.partition("_")[0])), function)
+        for function in functions.split()
+    ]
+    kind: Any = NVML_Query
+    made: type[Enum] = kind(name, members)
+    return made
+
+
+NVML_Static_Query: Any = _queries("NVML_Static_Query", _STATIC)
+NVML_Dynamic_Query: Any = _queries("NVML_Dynamic_Query", _DYNAMIC)
+
+
+class _Constant:
+    """A constant of NVIDIA's library; what it is called in a log is its name without prefix, in lower case."""
+
+    def __init__(self, name: str, prefix: str, value: Any) -> None:
+        self.name = name.removeprefix(prefix).lower()
+        self.value = value
+
+    def __repr__(self) -> str:
+        return self.name
+
+
+class _Constants:
+    """The constants of NVIDIA's library that begin with a prefix; looked up when they are used."""
+
+    def __init__(self, prefix: str) -> None:
+        self._prefix = prefix
+        self._known: dict[str, _Constant] = {}
+
+    def __getattr__(self, name: str) -> _Constant:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        if name not in self._known:
+            self._known[name] = _Constant(name, self._prefix, getattr(library(), name))
+        return self._known[name]
+
+
+NVML_Field = _Constants("NVML_FI_DEV_")
+NVML_Sample = _Constants("NVML_")
+NVML_Clock = _Constants("NVML_CLOCK_")
+NVML_PowerSource = _Constants("NVML_POWER_SOURCE_")
+NVML_Arch = _Constants("NVML_DEVICE_ARCH_")
+NVML_TempThreshold = _Constants("NVML_TEMPERATURE_THRESHOLD_")
+NVML_API_Restriction = _Constants("NVML_RESTRICTED_API_SET_")
+NVML_Enable_State = _Constants("NVML_FEATURE_")
+NVML_Compute_Mode = _Constants("NVML_COMPUTEMODE_")
+NVML_GPU_Operation_Mode = _Constants("NVML_GOM_")
+
+
+class NvidiaML(DeviceSource):
+    """Reads a GPU every `sample_frequency` milliseconds: queries, fields, and the samples that the driver keeps."""
+
+    source_name: ClassVar[Any] = "Nvidia Management Library"
+    supported_platforms: ClassVar[Any] = ["Linux", "Windows"]
+
+    def __init__(
+        self,
+        sample_frequency: int = 5000,
+        out_file: Path | str | None = "nvml_out.json",
+        queries: Sequence[Any] = (NVML_Dynamic_Query.NVML_UTILIZATION_RATES, NVML_Dynamic_Query.NVML_POWER_USAGE),
+        fields: Sequence[Any] = (),
+        samples: Sequence[Any] = (),
+        settings: Mapping[str, tuple[Any, ...]] | None = None,
+    ) -> None:
+        super().__init__()
+        library().nvmlInit()
+        self.sample_frequency = sample_frequency
+        self.logfile = out_file
+        self.settings = dict(settings or {})
+        self.device_config: dict[Any, Any] | None = None
+        self.measurements = {"queries": list(queries), "fields": list(fields), "samples": list(samples)}
+        self._latest: dict[str, int] = {}
+        self._device: tuple[Any, Any] | None = None
+
+    def set_measurements(
+        self, samples: Sequence[Any] = (), fields: Sequence[Any] = (), queries: Sequence[Any] = ()
+    ) -> None:
+        """Choose what is read; what is left out stays."""
+        chosen = {"samples": samples, "fields": fields, "queries": queries}
+        self.measurements |= {kind: list(names) for kind, names in chosen.items() if names}
+
+    def list_devices(self, print_dev: bool = False) -> list[dict[str, Any]]:
+        """Return what each GPU says of itself; `print_dev` asks for it in the log, too."""
+        devices = []
+        for index in range(library().nvmlDeviceGetCount()):
+            handle = library().nvmlDeviceGetHandleByIndex(index)
+            devices.append({query.value: self._ask(handle, query.value) for query in NVML_Static_Query})
+        if print_dev:
+            from robot_runner.legacy.stand_ins.machinery import OutputProcedure  # noqa: PLC0415 - only for this
+
+            for device in devices:
+                OutputProcedure.console_log_tabulate_dict(device)
+        return devices
+
+    def open_device(self, dev_id: str | int, id_type: Any = NVML_IDs.NVML_ID_INDEX) -> None:
+        """Choose a GPU by index, serial number or UUID, and apply the settings.
+
+        Raises:
+            PluginError: there is no such GPU, or a setting is refused.
+        """
+        self._device = (dev_id, id_type)
+        self.device_handle = self._handle()
+        if self.settings:
+            self.set_mode(self.settings)
+        self.device_config = {query: self._ask(self.device_handle, query.value) for query in NVML_Static_Query}
+
+    def close_device(self) -> None:
+        """Let go of the GPU."""
+        library().nvmlShutdown()
+        self.device_config = self.device_handle = None
+
+    def set_mode(self, settings: Mapping[str, tuple[Any, ...]]) -> None:
+        """Change settings of the GPU, by the name of NVML's function.
+
+        Raises:
+            PluginError: a setting is refused.
+        """
+        for name, values in settings.items():
+            plain = tuple(value.value if isinstance(value, Enum) else value for value in values)
+            try:
+                getattr(library(), f"nvmlDeviceSet{name}")(self.device_handle, *plain)
+            except (AttributeError, library().NVMLError) as error:
+                raise PluginError(
+                    f"the GPU refuses {name} = {plain}: {error}",
+                    where="NvidiaML",
+                    fix="Leave the setting out, or execute the experiment with every right.",
+                ) from error
+
+    def measure(self) -> dict[str, Any]:
+        """Return one reading: for each thing asked, its time (microseconds since 1970) and value."""
+        now = time.time_ns() // 1000
+        read: dict[str, Any] = {}
+        for sample in self.measurements["samples"]:
+            read[sample.name] = self._kept_by_driver(sample)
+        for field in self.measurements["fields"]:
+            read[field.name] = (now, self._field(field))
+        for query in self.measurements["queries"]:
+            read[query.name] = (now, self._ask(self.device_handle, query.value))
+        return read
+
+    def log(self) -> None:
+        """Read until told to end, and write everything."""
+        super().log()
+        library().nvmlInit()
+        self.device_handle = self._handle()
+        read: dict[str, list[Any]] = {each.name: [] for kind in self.measurements.values() for each in kind}
+        while not self.stop_thread.is_set():
+            for name, value in self.measure().items():
+                if isinstance(value, list):
+                    read[name] += value
+                else:
+                    read[name].append(value)
+            self.stop_thread.wait(self.sample_frequency / 1000)
+        if self.logfile:
+            Path(self.logfile).write_text(json.dumps(read, default=str), encoding="utf-8")
+        self.thread_queue.put(read)
+        library().nvmlShutdown()
+
+    @staticmethod
+    def parse_log(logfile: Path | str, remove_errors: bool = False) -> dict[str, list[tuple[int, Any]]]:
+        """Return what a log holds; `remove_errors` leaves out what the library answered with an error."""
+        read = json.loads(Path(logfile).read_text(encoding="utf-8"))
+        return {
+            name: [(at, value) for at, value in values if not (remove_errors and _is_error(value))]
+            for name, values in read.items()
+        }
+
+    def _handle(self) -> Any:
+        if self._device is None:
+            raise PluginError("no GPU was chosen", where="NvidiaML", fix="Call open_device(0, NVML_IDs.NVML_ID_INDEX).")
+        dev_id, id_type = self._device
+        by = {NVML_IDs.NVML_ID_SERIAL: "Serial", NVML_IDs.NVML_ID_UUID: "UUID"}.get(id_type, "Index")
+        try:
+            return getattr(library(), f"nvmlDeviceGetHandleBy{by}")(int(dev_id) if by == "Index" else str(dev_id))
+        except library().NVMLError as error:
+            raise PluginError(
+                f"there is no GPU with {by.lower()} {dev_id!r}: {error}", where="NvidiaML", fix="See `nvidia-smi -L`."
+            ) from error
+
+    def _ask(self, handle: Any, name: str) -> Any:
+        """Return the answer to a query; an error of the library is an answer."""
+        nvml = library()
+        try:
+            ask = getattr(nvml, f"nvmlDeviceGet{name}")
+            if name == "Temperature":
+                return ask(handle, nvml.NVML_TEMPERATURE_GPU)
+            if name in {"FanSpeed_v2", "TargetFanSpeed"}:
+                return {fan: ask(handle, fan) for fan in range(nvml.nvmlDeviceGetNumFans(handle))}
+            if name in {"ClockInfo", "MaxClockInfo", "MaxCustomerBoostClock"}:
+                clocks = {"graphics": nvml.NVML_CLOCK_GRAPHICS, "sm": nvml.NVML_CLOCK_SM, "mem": nvml.NVML_CLOCK_MEM}
+                return {clock: ask(handle, number) for clock, number in clocks.items()}
+            answer = ask(handle)
+        except (nvml.NVMLError, AttributeError, TypeError) as error:
+            return f"error: {error}"
+        members = getattr(answer, "_fields_", None)
+        return {member[0]: getattr(answer, member[0]) for member in members} if members else answer
+
+    def _field(self, field: Any) -> Any:
+        nvml = library()
+        value = nvml.nvmlDeviceGetFieldValues(self.device_handle, [field.value])[0]
+        return (
+            _unpacked(value) if value.nvmlReturn == nvml.NVML_SUCCESS else f"error: {nvml.NVMLError(value.nvmlReturn)}"
+        )
+
+    def _kept_by_driver(self, sample: Any) -> list[tuple[int, Any]]:
+        nvml = library()
+        try:
+            kind, values = nvml.nvmlDeviceGetSamples(self.device_handle, sample.value, self._latest.get(sample.name, 0))
+        except nvml.NVMLError:
+            return []  # nothing new
+        read = [(value.timeStamp, _unpacked(value, kind)) for value in values]
+        self._latest[sample.name] = max((at for at, _ in read), default=self._latest.get(sample.name, 0))
+        return read
+
+
+def _unpacked(value: Any, kind: int | None = None) -> Any:
+    nvml = import_module("pynvml")
+    members = {
+        nvml.NVML_VALUE_TYPE_DOUBLE: "dVal",
+        nvml.NVML_VALUE_TYPE_UNSIGNED_INT: "uiVal",
+        nvml.NVML_VALUE_TYPE_UNSIGNED_LONG: "ulVal",
+        nvml.NVML_VALUE_TYPE_UNSIGNED_LONG_LONG: "ullVal",
+        nvml.NVML_VALUE_TYPE_SIGNED_LONG_LONG: "sllVal",
+    }
+    held = value.sampleValue if kind is not None else value.value
+    return getattr(held, members.get(value.valueType if kind is None else kind, "ullVal"))
+
+
+def _is_error(value: Any) -> bool:
+    return isinstance(value, str) and value.startswith("error: ")

@@ -1,0 +1,91 @@
+"""Experiment Runner's own measurement of each run with EnergiBridge (`self_measure`)."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import sys
+from typing import TYPE_CHECKING, ClassVar
+
+from robot_runner.core.errors import Finding
+from robot_runner.core.events.measure import Measure
+from robot_runner.core.plugin import Profiler
+from robot_runner.legacy.profilers.programs import Program
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.plugin import Circumstances
+
+__all__ = ["COLUMN", "SelfMeasure"]
+
+#: The column that it fills.
+COLUMN = "self-measure"
+
+_DEFAULT_BINARY = "/usr/local/bin/energibridge"
+_CLOSING_S = 5.0
+#: EnergiBridge's summary: `Energy consumption in joules: 12.3 for 4.5 sec of execution.`
+_JOULES = re.compile(r"joules:\s*([0-9]+(?:\.[0-9]+)?)")
+
+
+class SelfMeasure(Profiler):
+    """Measures the energy of this machine over a whole run, with EnergiBridge.
+
+    Args:
+        binary: the program; None is where Experiment Runner looked for it.
+        logfile: the name of its log in the run's folder; None for none.
+
+    Example:
+        >>> SelfMeasure().measures[0].name
+        'self-measure'
+    """
+
+    measures: Sequence[Measure] = (
+        Measure(COLUMN, "J", "Energy of this machine's processor over the whole run, by EnergiBridge's summary."),
+    )
+    needs: ClassVar[str] = "EnergiBridge, at self_measure_bin."
+
+    def __init__(
+        self, *, name: str | None = None, binary: str | os.PathLike[str] | None = None, logfile: object = None
+    ) -> None:
+        super().__init__(name=name)
+        self.binary = os.fspath(binary or _DEFAULT_BINARY)
+        self.logfile = logfile
+        self._program: Program | None = None
+        self._joules: float | None = None
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no such program, or a machine that it does not measure."""
+        del circumstances
+        if sys.platform != "linux":
+            yield Finding.error("self_measure", "it measures on Linux alone", "Write self_measure = False.")
+        elif shutil.which(self.binary) is None:
+            yield Finding.error(
+                "self_measure_bin",
+                f"there is no program {self.binary!r}",
+                "Install EnergiBridge and name its path, or write self_measure = False.",
+            )
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Start EnergiBridge beside the run."""
+        log = "/dev/null" if self.logfile is None else str(context.run_folder / str(self.logfile))
+        self._joules = None
+        self._program = Program([self.binary, "--summary", "-o", log, "--", "sleep", "1000000"], name="EnergiBridge")
+        self._program.check_started()
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """End EnergiBridge, and read its summary."""
+        program, self._program = self._program, None
+        if program is None:
+            return
+        found = _JOULES.search(program.end(_CLOSING_S))
+        if found is None:
+            context.warn("EnergiBridge gave no summary", fix=f"Try {self.binary} --summary -- sleep 1 in a terminal.")
+        else:
+            self._joules = round(float(found[1]), 3)
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish the energy."""
+        context.publish(COLUMN, self._joules)

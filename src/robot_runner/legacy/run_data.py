@@ -1,0 +1,96 @@
+"""What `populate_run_data` returned: measures are published, the rest of the row is none, and nothing ever shifts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import MeasureError, did_you_mean
+from robot_runner.core.events.measure import MeasureValue, as_measure_value
+from robot_runner.legacy.run_tables import PROGRESS, value_of
+
+if TYPE_CHECKING:
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.legacy.run_tables import EarlierDesign
+
+__all__ = ["as_mapping", "publish_row"]
+
+
+def as_mapping(returned: Any) -> Mapping[Any, Any]:
+    """Return what a callback returned as a mapping; nothing is an empty one.
+
+    Raises:
+        MeasureError: it is no mapping.
+    """
+    if returned is None:
+        return {}
+    if isinstance(returned, Mapping):
+        return returned
+    if hasattr(returned, "keys"):  # a pandas Series, say
+        return {name: returned[name] for name in returned.keys()}  # noqa: SIM118 - it need not be iterable otherwise
+    raise MeasureError(
+        f"populate_run_data returned {returned!r}, of type {type(returned).__name__}",
+        where="config",
+        fix="Return a dict from data column to value, or nothing.",
+    )
+
+
+def publish_row(context: RobotRunnerContext, design: EarlierDesign, row: Mapping[Any, Any]) -> None:
+    """Publish the measures of a row; what is no data column is kept aside, with a word to the user."""
+    for column, value in row.items():
+        if column in PROGRESS:
+            continue
+        if column in design.factors:
+            _warn_of_changed_treatment(context, design, column, value)
+            continue
+        if column in design.data_columns:
+            _publish(context, column, design.names[column], value)
+        elif not _is_blank(value):
+            _keep_aside(context, design, column, value)
+
+
+def _publish(context: RobotRunnerContext, column: Any, name: str, value: Any) -> None:
+    if _is_blank(value):
+        return
+    try:
+        context.publish(name, _plain(context, column, value))
+    except MeasureError as error:  # an infinity, a text that no file can hold: kept with the run
+        context.warn(error.problem, fix=error.fix)
+
+
+def _plain(context: RobotRunnerContext, column: Any, value: Any) -> MeasureValue:
+    """Return a value as a cell can hold it: what is no number, bool or text stands there as its text."""
+    if isinstance(value, float) and math.isnan(value):
+        context.warn(f"{column} is not a number (nan): there is no value", fix="Return None where there is no value.")
+        return None
+    if isinstance(value, float) and math.isinf(value):
+        return value  # refused by the gate, with a reason
+    try:
+        return as_measure_value(str(column), value, where="config")
+    except MeasureError:
+        return str(value)
+
+
+def _keep_aside(context: RobotRunnerContext, design: EarlierDesign, column: Any, value: Any) -> None:
+    """Have the gate refuse a value that no column is for: it is kept in the run's folder, and the run goes on."""
+    with suppress(MeasureError):
+        context.publish(str(column), value)
+    context.warn(
+        f"{column!r} is no data column: its value is kept in refused.jsonl; the earlier tool shifted the row",
+        fix=f"{did_you_mean(str(column), map(str, design.data_columns))} Or add it to data_columns.".strip(),
+    )
+
+
+def _warn_of_changed_treatment(context: RobotRunnerContext, design: EarlierDesign, column: Any, value: Any) -> None:
+    planned = value_of(context.combination[design.names[column]])
+    if value is not planned and str(value) != str(planned):
+        context.warn(
+            f"populate_run_data returned {value!r} for the factor {column!r}, which is {planned!r} in this run",
+            fix="Return it under the name of a data column.",
+        )
+
+
+def _is_blank(value: Any) -> bool:
+    return value is None or (isinstance(value, str) and not value.strip())

@@ -1,0 +1,170 @@
+"""The ids of runs, which analysis scripts look for, as each version of the earlier tools wrote them."""
+
+from __future__ import annotations
+
+import ast
+import re
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robot_runner.legacy.recognition import Dialect
+from robot_runner.legacy.syntax import bound_names, imports_of
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from robot_runner.legacy.recognition import Recognised
+
+__all__ = ["Clone", "Numbering", "clone_around", "numbering_of"]
+
+
+# The clone of an earlier tool that a config file stands in: a fork has modules of its own there, or changed some.
+
+#: Where public forks keep modules of their own: beside the config, in the tool's folder of the same clone, or in a
+#: clone inside the user's own repository.
+_TOOL_FOLDERS = (
+    "",
+    "experiment-runner",
+    "robot-runner",
+    "experiment-runner/experiment-runner",
+    "robot-runner/robot-runner",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Clone:
+    """The folders of a clone from which the tool itself imported its modules; none where a config stands alone."""
+
+    folders: tuple[Path, ...]
+
+    def file_of(self, module: str) -> Path | None:
+        """Return the file of a module, where the clone has it.
+
+        Example:
+            >>> Clone(()).file_of("Plugins.Profilers.MyMeter") is None
+            True
+        """
+        below = Path(*module.split(".")).with_suffix(".py")
+        return next((folder / below for folder in self.folders if (folder / below).is_file()), None)
+
+    def text_of(self, module: str) -> str:
+        """Return the text of a module; nothing where the clone does not have it, or it cannot be read."""
+        file = self.file_of(module)
+        try:
+            return file.read_text(encoding="utf-8") if file else ""
+        except (OSError, ValueError):
+            return ""
+
+    def defines(self, module: str, name: str) -> bool:
+        """Return whether the clone's own version of a module has a name."""
+        try:
+            return name in bound_names(ast.parse(self.text_of(module)).body)
+        except (SyntaxError, ValueError):
+            return False
+
+
+def clone_around(config: Path) -> Clone:
+    """Return the clone that a config file stands in."""
+    return Clone(
+        tuple(
+            folder / tool
+            for folder in (config.parent, *config.parents)
+            for tool in _TOOL_FOLDERS
+            if (folder / tool / "Plugins").is_dir() or (tool and (folder / tool / "ConfigValidator").is_dir())
+        )
+    )
+
+
+class Numbering(Enum):
+    """How runs are numbered; the value is the pattern of an id."""
+
+    COUNTED_FROM_0 = "run_{place}"
+    COUNTED_FROM_1 = "run_{number}"
+    WITH_ITERATION = "run_{place}_iteration_{repetition}"
+    WITH_REPETITION = "run_{place}_repetition_{repetition}"
+
+    def run_id(self, place: int, repetition: int) -> str:
+        """Return the id of a run.
+
+        Args:
+            place: the place of its combination, from 0.
+            repetition: which repetition of the combination it is, from 0.
+
+        Example:
+            >>> Numbering.WITH_REPETITION.run_id(2, 0)
+            'run_2_repetition_0'
+        """
+        return self.value.format(place=place, number=place + 1, repetition=repetition)
+
+
+#: Arguments of `RunTableModel` that only a fork had, and those that came with Experiment Runner's repetitions.
+_OF_FORK = frozenset({"num_of_repetitions", "randomize_order"})
+_BY_ARGUMENT = {
+    "iterations": Numbering.WITH_ITERATION,
+    "repetitions": Numbering.WITH_REPETITION,
+    "num_repetitions": Numbering.WITH_REPETITION,
+    "exclude_combinations": Numbering.WITH_REPETITION,
+}
+#: What only versions of Experiment Runner had whose ids tell the repetition, and what also those before had.
+_LATER_NAMES = frozenset({"execute_run", "self_measure"})
+_LATER_PLUGINS = frozenset({"EnergiBridge", "NvidiaML", "PicoCM3", "PowerLetrics", "PowerMetrics", "Ps"})
+_EARLIER_NAMES = frozenset({"exclude_variations", "run_variation", "create_run_table", "get_factor_name"})
+_EARLIER_MODULES = frozenset({"Plugins.CodecarbonWrapper"})
+
+#: How the text of a tool makes ids: `f"run_{i}_repetition_{j}"`.
+_ID = re.compile(r"run_\{\w+(?P<from_1> ?\+ ?1)?\}(?P<kind>_repetition|_iteration)?")
+_KINDS = {"_repetition": Numbering.WITH_REPETITION, "_iteration": Numbering.WITH_ITERATION}
+
+
+def numbering_of(recognised: Recognised, arguments: Collection[str], repetitions: int = 1) -> Numbering:
+    """Return how the version numbered its runs that a config was written for.
+
+    The tool decides in whose clone the config stands; where it stands alone, what it uses tells its version. (A run
+    table that is resumed keeps its ids, whatever they are.)
+
+    Args:
+        recognised: the config.
+        arguments: the named arguments that it gives to `RunTableModel`.
+        repetitions: how often it repeats each combination.
+    """
+    if _OF_FORK & set(arguments):
+        return Numbering.COUNTED_FROM_1
+    tool = _in_tool(clone_around(recognised.path).text_of("ConfigValidator.Config.Models.RunTableModel"))
+    if tool is None or (tool is Numbering.COUNTED_FROM_0 and repetitions > 1):  # that tool did not repeat
+        return _in_text(recognised, arguments)
+    return tool
+
+
+def _in_tool(text: str) -> Numbering | None:
+    found = _ID.search(text)
+    if found is None:
+        return None
+    counted = Numbering.COUNTED_FROM_1 if found["from_1"] else Numbering.COUNTED_FROM_0
+    return _KINDS.get(found["kind"] or "", counted)
+
+
+def _in_text(recognised: Recognised, arguments: Collection[str]) -> Numbering:
+    for name, numbering in _BY_ARGUMENT.items():
+        if name in arguments:
+            return numbering
+    if recognised.dialect is Dialect.ROBOT_RUNNER:
+        return Numbering.COUNTED_FROM_0
+    names = _names_in(recognised.tree) | set(arguments)
+    modules = {each.module for each in imports_of(recognised.tree)}
+    if names & _LATER_NAMES or {module.rpartition(".")[2] for module in modules} & _LATER_PLUGINS:
+        return Numbering.WITH_REPETITION
+    is_early = names & _EARLIER_NAMES or modules & _EARLIER_MODULES
+    return Numbering.COUNTED_FROM_0 if is_early else Numbering.WITH_REPETITION
+
+
+def _names_in(tree: ast.Module) -> set[str]:
+    names: set[str] = set()
+    for node in ast.walk(tree):
+        match node:
+            case ast.Attribute(attr=name) | ast.FunctionDef(name=name) | ast.Name(id=name):
+                names.add(name)
+            case _:
+                pass
+    return names

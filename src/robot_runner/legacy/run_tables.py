@@ -1,0 +1,296 @@
+"""From the run table that a config of an earlier tool made to a design of ours."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.columns import reserved_names
+from robot_runner.core.design.factor import Factor, treatment_text
+from robot_runner.core.design.listed_runs import ListedRun, ListedRunTableModel
+from robot_runner.core.design.run_table import RunOrder
+from robot_runner.core.errors import ConfigError, did_you_mean
+from robot_runner.core.storage.table_columns import EARLIER_SPELLING
+from robot_runner.legacy.stand_ins.machinery import RunProgress
+from robot_runner.legacy.stand_ins.models import RunTableModel
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from robot_runner.core.storage.table_columns import TableSpelling
+    from robot_runner.legacy.session import Session
+
+__all__ = [
+    "PROGRESS",
+    "ColumnNames",
+    "EarlierDesign",
+    "ShownTreatment",
+    "design_of",
+    "named_columns",
+    "shown_treatments",
+    "value_of",
+]
+
+
+# The columns of an earlier tool's run table, and the names that they have in ours.
+
+#: What headed the progress of a run.
+PROGRESS = ("__run_id", "__done")
+
+
+@dataclass(frozen=True, slots=True)
+class ColumnNames:
+    """Our name of each column, by the name that the config gives it."""
+
+    by_column: Mapping[Any, str]
+
+    def __getitem__(self, column: Any) -> str:
+        return self.by_column[column]
+
+    @property
+    def spelling(self) -> TableSpelling:
+        """How the run table's file spells its headings."""
+        others = {name: str(column) for column, name in self.by_column.items() if name != str(column)}
+        return replace(EARLIER_SPELLING, headings=MappingProxyType({**EARLIER_SPELLING.headings, **others}))
+
+
+def named_columns(columns: Iterable[Any]) -> ColumnNames:
+    """Give each column a name that our run table can have; a column `status` would clash with our own.
+
+    Example:
+        >>> dict(named_columns(["Task", "status"]).by_column)
+        {'Task': 'Task', 'status': 'status_'}
+    """
+    listed = list(columns)
+    taken = {name.casefold() for name in reserved_names(1)}
+    names: dict[Any, str] = {}
+    for column in listed:
+        name = str(column).strip()
+        while name.casefold() in taken:
+            name += "_"
+        names[column] = name
+        if name != str(column):
+            taken.add(name.casefold())
+    return ColumnNames(MappingProxyType(names))
+
+
+# Treatments that a run table could not recognise again: they get a text of their own, and callbacks the value.
+
+_ADDRESS = re.compile(r" at 0x[0-9A-Fa-f]+")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShownTreatment:
+    """A value with another text than its own.
+
+    Example:
+        >>> str(ShownTreatment(print, "print"))
+        'print'
+    """
+
+    value: Any
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+    def __repr__(self) -> str:
+        return self.text
+
+
+def value_of(treatment: Any) -> Any:
+    """Return the value that a callback is to see."""
+    return treatment.value if isinstance(treatment, ShownTreatment) else treatment
+
+
+def shown_treatments(values: Iterable[Any], warn: Callable[[Any, str], None]) -> list[tuple[Any, Any]]:
+    """Return each different value with the treatment that stands for it in the design.
+
+    Args:
+        values: in order, perhaps repeated.
+        warn: takes a value whose text had to be changed, and the text that it has now.
+    """
+    shown: list[tuple[Any, Any]] = []
+    texts: set[str] = set()
+    for value in values:
+        if any(_is_same(value, known) for known, _ in shown):
+            continue
+        text = treatment_text(value)
+        fit = _fit_text(value, text, texts)
+        texts.add(fit)
+        if fit == text:
+            shown.append((value, value))
+        else:
+            warn(value, fit)
+            shown.append((value, ShownTreatment(value, fit)))
+    return shown
+
+
+def _is_same(one: Any, other: Any) -> bool:
+    if one is other:
+        return True
+    return type(one) is type(other) and not _ADDRESS.search(str(one)) and str(one) == str(other)
+
+
+def _fit_text(value: Any, text: str, taken: set[str]) -> str:
+    if isinstance(value, set | frozenset) and len(value) > 1:
+        text = "{" + ", ".join(sorted(map(repr, value))) + "}"  # a set is written in another order by each process
+    elif _ADDRESS.search(text):
+        text = getattr(value, "__qualname__", None) or type(value).__name__
+    elif text in taken:
+        text = repr(value)
+    unique, number = text, 1
+    while unique in taken:
+        number += 1
+        unique = f"{text}_{number}"
+    return unique
+
+
+_WHERE = "run table"
+_RUN_ID, _DONE = PROGRESS
+
+
+@dataclass(frozen=True, slots=True)
+class EarlierDesign:
+    """The run table of a config.
+
+    Attributes:
+        model: as a design of ours.
+        names: our names of its columns.
+        factors: the columns that are factors, as the config calls them.
+        data_columns: those that are measures.
+    """
+
+    model: ListedRunTableModel
+    names: ColumnNames
+    factors: tuple[Any, ...]
+    data_columns: tuple[Any, ...]
+
+
+def design_of(session: Session, returned: Any, config: Any, more_columns: Sequence[str] = ()) -> EarlierDesign:
+    """Return the design of what `create_run_table` or `create_run_table_model` returned.
+
+    Args:
+        session: takes what is to be said about it.
+        returned: a `RunTableModel`, or a list of rows.
+        config: the config; Experiment Runner's kept its model in an attribute.
+        more_columns: measures that the tool itself adds.
+
+    Raises:
+        ConfigError: it is neither, or a row is not as it should be.
+    """
+    if returned is None:
+        returned = getattr(config, "run_table_model", None)
+    if isinstance(returned, RunTableModel):
+        returned = returned.generate_experiment_run_table()
+    rows = _checked_rows(returned)
+    model = session.models[-1] if session.models else None
+    factors, data_columns = _columns_of(rows, model)
+    data_columns += [column for column in more_columns if column not in data_columns]
+    names = named_columns([*factors, *data_columns])
+    treatments = {column: _treatments(session, column, rows, model) for column in factors}
+    design = ListedRunTableModel(
+        [Factor(names[column], [shown for _, shown in treatments[column]]) for column in factors],
+        _listed_runs(session, rows, treatments, names),
+        data_columns=[names[column] for column in data_columns],
+        order=RunOrder(shuffle=model is not None and model.is_shuffled, seed=session.seed),
+    )
+    return EarlierDesign(design, names, tuple(factors), tuple(data_columns))
+
+
+def _checked_rows(returned: Any) -> list[Mapping[Any, Any]]:
+    if not isinstance(returned, list | tuple):
+        raise ConfigError(
+            f"it returned {returned!r}, of type {type(returned).__name__}",
+            where=_WHERE,
+            fix="Return the RunTableModel, or the rows of its get_experiment_run_table().",
+        )
+    if not returned:
+        raise ConfigError(
+            "it has no runs",
+            where=_WHERE,
+            fix="Call create_experiment_run_table() before get_experiment_run_table().",
+        )
+    for row in returned:
+        if not isinstance(row, Mapping):
+            raise ConfigError(f"a row is {row!r}", where=_WHERE, fix="Make each row a dict.")
+    return list(returned)
+
+
+def _columns_of(rows: Sequence[Mapping[Any, Any]], model: RunTableModel | None) -> tuple[list[Any], list[Any]]:
+    """Tell factors and measures apart: by the model that the rows are from; what it does not know, by its cells."""
+    columns = [column for column in dict.fromkeys(name for row in rows for name in row) if column not in PROGRESS]
+    measures = set(model.get_data_columns()) if model is not None else set()
+    known = {factor.factor_name for factor in model.get_factors()} if model is not None else set()
+
+    def is_measure(column: Any) -> bool:
+        if column in measures or column in known:
+            return column in measures
+        return all(_is_blank(row.get(column)) for row in rows)
+
+    factors = [column for column in columns if not is_measure(column)]
+    return factors, [column for column in columns if is_measure(column)]
+
+
+def _treatments(
+    session: Session, column: Any, rows: Sequence[Mapping[Any, Any]], model: RunTableModel | None
+) -> list[tuple[Any, Any]]:
+    listed = next(
+        (factor.treatments for factor in (model.get_factors() if model else ()) if factor.factor_name == column), ()
+    )
+
+    def warn(value: Any, text: str) -> None:
+        session.warn(
+            f"factor {column!r}",
+            f"treatment {value!r} could not be recognised when resuming; in the run table it is {text!r}",
+            f"Give {type(value).__name__} a __str__ that tells it from the others, or vary a name.",
+        )
+
+    return shown_treatments([*listed, *(row.get(column, "") for row in rows)], warn)
+
+
+def _listed_runs(
+    session: Session,
+    rows: Sequence[Mapping[Any, Any]],
+    treatments: Mapping[Any, list[tuple[Any, Any]]],
+    names: ColumnNames,
+) -> list[ListedRun]:
+    runs = []
+    seen: dict[tuple[str, ...], int] = {}
+    by_identity = {column: {id(value): shown for value, shown in pairs} for column, pairs in treatments.items()}
+    by_text = {
+        column: {(type(value), str(value)): shown for value, shown in pairs} for column, pairs in treatments.items()
+    }
+    for place, row in enumerate(rows):
+        if _is_done(row):
+            session.warn(_WHERE, f"the row {row.get(_RUN_ID)!r} is done already: it is not executed")
+            continue
+        chosen = {}
+        for column in treatments:
+            value = row.get(column, "")
+            shown = by_identity[column].get(id(value))
+            chosen[names[column]] = by_text[column][type(value), str(value)] if shown is None else shown
+        combination = tuple(map(str, chosen.values()))
+        seen[combination] = seen.get(combination, 0) + 1
+        runs.append(ListedRun(_run_id(session, row, place), chosen, seen[combination]))
+    return runs
+
+
+def _run_id(session: Session, row: Mapping[Any, Any], place: int) -> str:
+    if _RUN_ID in row:
+        return str(row[_RUN_ID])
+    hint = did_you_mean(_RUN_ID, [str(name) for name in row])
+    session.warn(_WHERE, f"rows have no {_RUN_ID!r}: they are numbered", hint if "mean" in hint else "")
+    return f"run_{place}"
+
+
+def _is_done(row: Mapping[Any, Any]) -> bool:
+    done = row.get(_DONE)
+    return done is RunProgress.DONE or done == RunProgress.DONE.name
+
+
+def _is_blank(value: Any) -> bool:
+    return value is None or (isinstance(value, str) and not value.strip())

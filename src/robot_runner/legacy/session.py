@@ -1,0 +1,114 @@
+"""A word about the run that is being executed, from a stand-in that has no context of its own."""
+
+from __future__ import annotations
+
+import logging
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import ConfigError, Finding
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+    from types import CodeType
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.events.manager import RobotRunnerEvents
+    from robot_runner.legacy.recognition import Recognised
+
+__all__ = ["EarlierSubscription", "Session", "active_context", "active_session", "current_session", "warn_of_run"]
+
+
+# What is known while a config file of an earlier tool is loaded and executed; its stand-in modules look here.
+
+
+@dataclass(frozen=True, slots=True)
+class EarlierSubscription:
+    """A callback that the config subscribed.
+
+    Attributes:
+        place: the code that subscribed it: a config that derives from another replaces what that one subscribed.
+    """
+
+    event: RobotRunnerEvents
+    callback: Callable[..., Any]
+    place: CodeType
+
+
+@dataclass(slots=True)
+class Session:
+    """One config file of an earlier tool.
+
+    Attributes:
+        seed: what a randomised order of its runs comes from.
+        subscriptions: its callbacks, in the order in which they subscribed.
+        findings: what was found while it was loaded, other than what refuses it at once.
+        models: the run-table models that it made, in order.
+        context: the context of the run that is being executed, or None.
+    """
+
+    recognised: Recognised
+    seed: int = 0
+    subscriptions: list[EarlierSubscription] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
+    models: list[Any] = field(default_factory=list)
+    context: RobotRunnerContext | None = None
+
+    @property
+    def path(self) -> Path:
+        """The config file, absolute."""
+        return self.recognised.path
+
+    def warn(self, where: str, problem: str, fix: str = "") -> None:
+        """Note something that does not refuse the config; the same is noted once."""
+        finding = Finding.warning(f"{self.path.name}, {where}", problem, fix)
+        if finding not in self.findings:
+            self.findings.append(finding)
+
+
+# Not a context variable: the threads that a callback starts belong to the same config.
+_active: list[Session] = []
+
+
+@contextmanager
+def active_session(session: Session) -> Iterator[None]:
+    """Have stand-in modules look at this session."""
+    _active.append(session)
+    try:
+        yield
+    finally:
+        _active.remove(session)
+
+
+def current_session() -> Session:
+    """Return the session of the config whose code is being executed.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if not _active:
+        raise ConfigError(
+            "the modules of the earlier tools are there only while Robot Runner executes a config file",
+            where="stand-in modules",
+            fix="Start the file with `robot-runner run`.",
+        )
+    return _active[-1]
+
+
+def active_context() -> RobotRunnerContext | None:
+    """Return the context of the run that is being executed, or None."""
+    return _active[-1].context if _active else None
+
+
+_log = logging.getLogger(__name__)
+
+
+def warn_of_run(problem: str, *, fix: str = "") -> None:
+    """Have something doubtful said at the end of the experiment; outside a run it is logged."""
+    context = active_context()
+    if context is None:
+        _log.warning("%s %s", problem, fix)
+    else:
+        context.warn(problem, fix=fix)

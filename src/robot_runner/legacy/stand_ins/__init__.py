@@ -1,0 +1,1 @@
+"""What the modules of the earlier tools held for config files."""

@@ -1,0 +1,256 @@
+"""Factors and run tables as configs of the earlier tools made them, with the arguments of all their versions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.run_table import RunOrder, arranged
+from robot_runner.core.errors import ConfigError, Finding, did_you_mean
+from robot_runner.legacy.exclusions import kept_combinations
+from robot_runner.legacy.recognition import Dialect
+from robot_runner.legacy.run_ids import Numbering, numbering_of
+from robot_runner.legacy.session import Session, current_session
+from robot_runner.legacy.stand_ins.machinery import RunProgress
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["MISSING", "FactorModel", "RunTableModel", "refuse_unknown"]
+
+
+# Arguments that a stand-in does not know: refused with the name that was meant, as a config validator would.
+
+
+def refuse_unknown(where: str, unknown: Iterable[str], known: Iterable[str]) -> None:
+    """Refuse arguments that no version of a tool knew.
+
+    Raises:
+        ConfigError: there are any; each is named, with the nearest that is known.
+    """
+    names = list(known)
+    findings = [
+        Finding.error(where, f"it has no argument {name!r}", did_you_mean(name, names)) for name in sorted(unknown)
+    ]
+    if findings:
+        raise ConfigError.of_findings(findings)
+
+
+#: What the earlier tools put into a cell that was still to be filled.
+MISSING = " "
+
+_FACTORS = ("factors", "treatments")
+_EXCLUSIONS = ("exclude_combinations", "exclude_variations")
+_REPETITIONS = ("repetitions", "num_repetitions", "num_of_repetitions", "iterations")
+_SHUFFLE = ("shuffle", "randomize_order")
+_KNOWN = (*_FACTORS, *_EXCLUSIONS, *_REPETITIONS, "data_columns", *_SHUFFLE)
+
+
+class FactorModel:
+    """A factor and its treatments.
+
+    Example:
+        >>> FactorModel("Task", ["Video", "Network"]).treatments
+        ['Video', 'Network']
+    """
+
+    def __init__(self, factor_name: str, treatments: Iterable[Any]) -> None:
+        if isinstance(treatments, str | bytes | Mapping) or not isinstance(treatments, Iterable):
+            raise ConfigError(
+                f"the treatments are {treatments!r}, of type {type(treatments).__name__}",
+                where=f"FactorModel {factor_name!r}",
+                fix="Give a list.",
+            )
+        self.factor_name = factor_name
+        # The list itself: a config may go on to change it.
+        self.treatments: Sequence[Any] = (
+            treatments if isinstance(treatments, list | tuple | range) else list(treatments)
+        )
+
+    def get_factor_name(self) -> str:
+        """Return the name."""
+        return self.factor_name
+
+    def get_treatments(self) -> Sequence[Any]:
+        """Return the treatments."""
+        return self.treatments
+
+
+class RunTableModel:
+    """The plan of all runs, as any public version of the earlier tools and their common forks understood it.
+
+    Arguments may stand in the order of any version: what is a list, a number or a bool tells what it is.
+    """
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        """Take factors, exclusions, repetitions, data columns and order, under the names of any version.
+
+        Raises:
+            ConfigError: an argument is not known or cannot be what it is to be.
+        """
+        refuse_unknown("RunTableModel", set(named) - set(_KNOWN), _KNOWN)
+        given = _by_position(arguments) | named
+        self._arguments = {*named, *({"repetitions"} & set(given))}
+        self._factors = _factors(_first(given, _FACTORS, ()))
+        self._exclusions = _first(given, _EXCLUSIONS, ())
+        self._repetitions = _repetitions(_first(given, _REPETITIONS, 1))
+        self._data_columns = _data_columns(given.get("data_columns"))
+        self._shuffle = bool(_first(given, _SHUFFLE, default=False))
+        self._rows: list[dict[str, Any]] = []
+        current_session().models.append(self)
+
+    @property
+    def is_shuffled(self) -> bool:
+        """Whether the order is randomised."""
+        return self._shuffle
+
+    @property
+    def exclusions(self) -> Any:
+        """What is left out, as it was given."""
+        return self._exclusions
+
+    def get_factors(self) -> list[FactorModel]:
+        """Return the factors."""
+        return self._factors
+
+    def get_data_columns(self) -> list[str]:
+        """Return the measures' columns; what is appended here becomes a column."""
+        return self._data_columns
+
+    def create_experiment_run_table(self) -> None:
+        """Make the rows, for `get_experiment_run_table`."""
+        self._rows[:] = self.generate_experiment_run_table()
+
+    def get_experiment_run_table(self) -> list[dict[str, Any]]:
+        """Return the rows that were made."""
+        return self._rows
+
+    def generate_experiment_run_table(self) -> list[dict[str, Any]]:
+        """Make and return the rows: `__run_id`, `__done`, treatments, measures.
+
+        Raises:
+            ConfigError: an exclusion names what there is not.
+        """
+        session = current_session()
+        _check_equal_names("column", [*(factor.factor_name for factor in self._factors), *self._data_columns])
+        combinations = kept_combinations(session, self._factors, self._exclusions)
+        numbering = numbering_of(session.recognised, self._arguments, self._repetitions)
+        rows = (
+            self._repeated_in_place(combinations, session)
+            if numbering is Numbering.COUNTED_FROM_1
+            else self._repeated_as_a_whole(combinations, session, numbering)
+        )
+        blanks = dict.fromkeys(self._data_columns, MISSING)
+        return [{"__run_id": run_id, "__done": RunProgress.TODO, **treatments, **blanks} for run_id, treatments in rows]
+
+    def _repeated_as_a_whole(
+        self, combinations: Sequence[Sequence[Any]], session: Session, numbering: Numbering
+    ) -> list[tuple[str, dict[str, Any]]]:
+        rows = [
+            (numbering.run_id(place, repetition), self._treatments(combination))
+            for repetition in range(self._repetitions)
+            for place, combination in enumerate(combinations)
+        ]
+        return [rows[place] for place in self._order(len(rows), session)]
+
+    def _repeated_in_place(
+        self, combinations: Sequence[Sequence[Any]], session: Session
+    ) -> list[tuple[str, dict[str, Any]]]:
+        """Make the rows as a public fork did: ids in the order of execution, and a column `repetition`."""
+        runs = [place for place in range(len(combinations)) for _ in range(self._repetitions)]
+        ordered = [runs[place] for place in self._order(len(runs), session)]
+        counts = dict.fromkeys(range(len(combinations)), 0)
+        rows = []
+        for number, place in enumerate(ordered):
+            counts[place] += 1
+            treatments = self._treatments(combinations[place])
+            if self._repetitions > 1:
+                treatments["repetition"] = counts[place]
+            rows.append((Numbering.COUNTED_FROM_1.run_id(number, 0), treatments))
+        return rows
+
+    def _order(self, count: int, session: Session) -> Sequence[int]:
+        return arranged(count, None, RunOrder(shuffle=self._shuffle, seed=session.seed))
+
+    def _treatments(self, combination: Sequence[Any]) -> dict[str, Any]:
+        return {factor.factor_name: value for factor, value in zip(self._factors, combination, strict=True)}
+
+
+def _by_position(arguments: Sequence[Any]) -> dict[str, Any]:
+    """Name arguments by what they are: only the first two have the same place in all versions."""
+    given = dict(zip(("factors", "exclude_variations"), arguments, strict=False))
+    for value in arguments[2:]:
+        if isinstance(value, bool):
+            given["shuffle"] = value
+        elif isinstance(value, int):
+            given["repetitions"] = value
+        else:
+            given["data_columns"] = value
+    return given
+
+
+def _first(given: Mapping[str, Any], names: Sequence[str], default: Any) -> Any:
+    return next((given[name] for name in names if name in given), default)
+
+
+def _factors(factors: Any) -> list[FactorModel]:
+    listed = list(factors) if isinstance(factors, Iterable) and not isinstance(factors, str) else [factors]
+    for factor in listed:
+        if not isinstance(factor, FactorModel):
+            raise ConfigError(
+                f"{factor!r} is no factor",
+                where="RunTableModel, factors",
+                fix="Give a list such as [FactorModel('Task', ['Video', 'Network'])].",
+            )
+    _check_equal_names("factor", [factor.factor_name for factor in listed])
+    if current_session().recognised.dialect is Dialect.EXPERIMENT_RUNNER:
+        _check_equal_treatments(listed)
+    return listed
+
+
+def _check_equal_names(kind: str, names: Sequence[Any]) -> None:
+    twice = [name for name in dict.fromkeys(map(str, names)) if list(map(str, names)).count(name) > 1]
+    if twice:
+        raise ConfigError.of_findings(
+            [
+                Finding.error("RunTableModel", f"two {kind}s are called {name!r}", "Give each a name of its own.")
+                for name in twice
+            ]
+        )
+
+
+def _check_equal_treatments(factors: Sequence[FactorModel]) -> None:
+    # Robot Runner took a treatment that is given twice for two runs; Experiment Runner refused it.
+    for factor in factors:
+        texts = [(type(value), str(value)) for value in factor.treatments]
+        for place, text in enumerate(texts):
+            if texts.index(text) < place:
+                raise ConfigError(
+                    f"treatment {factor.treatments[place]!r} is given twice",
+                    where=f"FactorModel {factor.factor_name!r}",
+                    fix="Remove one; `repetitions` executes each combination several times.",
+                )
+
+
+def _repetitions(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+        raise ConfigError(
+            f"the number of repetitions is {value!r}",
+            where="RunTableModel",
+            fix="Give a whole number, 1 or more.",
+        )
+    return value
+
+
+def _data_columns(value: Any) -> list[str]:
+    if value is None:
+        return []
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise ConfigError(
+            f"data_columns is {value!r}, of type {type(value).__name__}",
+            where="RunTableModel",
+            fix="Give a list of names.",
+        )
+    columns = value if isinstance(value, list) else list(value)
+    _check_equal_names("data column", columns)
+    return columns

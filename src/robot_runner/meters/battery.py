@@ -1,0 +1,172 @@
+"""The profiler that hears what the robot says of its battery."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, ClassVar
+
+from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.links.connect import connect_robot, is_simulation
+from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.quality import Column, quality_of, report_quality, write_samples
+from robot_runner.core.sampling.series import Series, Window, cut, energy, mean
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.links.robot import Message, Subscription
+    from robot_runner.core.plugin import Circumstances
+
+__all__ = ["Battery"]
+
+_TYPE = "sensor_msgs/BatteryState"
+_FIX = "Look at the topic, with `ros2 topic hz` or `rostopic hz`, before you use this run."
+
+
+@dataclass(slots=True)
+class _Heard:
+    """What was heard of the battery; NaN for what it does not measure, as ROS has it."""
+
+    is_simulated: bool
+    times: list[float] = field(default_factory=list)
+    voltage: list[float] = field(default_factory=list)
+    current: list[float] = field(default_factory=list)
+    charge: list[float] = field(default_factory=list)
+
+    def take(self, time: float, message: Message) -> None:
+        self.times.append(time)
+        self.voltage.append(float(message["voltage"]))
+        self.current.append(-float(message.get("current", math.nan)))
+        self.charge.append(100.0 * float(message.get("percentage", math.nan)))
+
+    def series(self, values: Sequence[float]) -> Series:
+        known = [(time, value) for time, value in zip(self.times, values, strict=True) if math.isfinite(value)]
+        return Series([time for time, _ in known], [value for _, value in known])
+
+    @property
+    def measures_current(self) -> bool:
+        """Whether any current was told of: boards that do not measure it say NaN, or 0 throughout."""
+        return any(math.isfinite(value) and value for value in self.current)
+
+    def power(self) -> Series:
+        watts = [volts * amperes for volts, amperes in zip(self.voltage, self.current, strict=True)]
+        return self.series(watts) if self.measures_current else Series([], [])
+
+
+class Battery(Profiler):
+    """Measures what the robot itself says of its battery: voltage, charge, and energy where it measures current.
+
+    A TurtleBot3's own board (OpenCR) measures the voltage only; use `Ina219` for its energy.
+
+    Args:
+        name: tells several instances apart; the class's name if left out.
+        topic: the topic, relative to the robot's namespace.
+        rate_hz: how often the robot is expected to tell, Hz.
+        namespace: which robot, where there are several.
+
+    Raises:
+        PluginError: the rate is not positive.
+
+    Example:
+        >>> Battery(rate_hz=10.0).measures[0].name
+        'MeanVoltage'
+    """
+
+    measures: Sequence[Measure] = (
+        Measure("MeanVoltage", "V", "Voltage of the battery, mean over the measured window."),
+        Measure("MinVoltage", "V", "Voltage of the battery, minimum over the measured window."),
+        Measure("ChargeUsed", "%", "State of charge at the beginning of the measured window less that at its end."),
+        Measure("Energy", "J", "Energy drawn from the battery: the integral of its voltage times its current."),
+    )
+    needs: ClassVar[str] = "A robot that publishes battery_state (sensor_msgs/BatteryState)."
+    bytes_per_run: int = 120_000  # 30 messages a second of 40 bytes for a mission of 95 s
+
+    def __init__(
+        self,
+        *,
+        name: str | None = None,
+        topic: str = "battery_state",
+        rate_hz: float = 30.0,
+        namespace: str = "",
+    ) -> None:
+        super().__init__(name=name)
+        if not (math.isfinite(rate_hz) and rate_hz > 0):
+            raise PluginError(f"rate_hz is {rate_hz!r}", where=self.name, fix="Give rate_hz a number above 0.")
+        self.topic = topic
+        self.rate_hz = rate_hz
+        self.namespace = namespace
+        self._heard: _Heard | None = None
+        self._subscription: Subscription | None = None
+        self._start = 0.0
+        self._window: Window | None = None
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no robot."""
+        if circumstances.robot is None:
+            fix = "Name one in the config: robot = 'simulated'. Or: --set robot=simulated."
+            return [Finding.error(f"plugin {self.name}", "it hears the robot, and the experiment names none", fix)]
+        return []
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Forget the run before."""
+        del context
+        self._heard = self._subscription = self._window = None
+
+    def start_measurement(self, context: RobotRunnerContext) -> None:
+        """Begin to listen."""
+        link, clock = connect_robot(context, namespace=self.namespace), context.clock
+        self._heard = heard = _Heard(is_simulation(link, self.namespace))
+        self._subscription = link.subscribe(self.topic, _TYPE, lambda message: heard.take(clock.now(), message))
+        self._start = clock.now()
+
+    def stop_measurement(self, context: RobotRunnerContext) -> None:
+        """Listen no more."""
+        subscription, self._subscription = self._subscription, None
+        if subscription is not None:
+            subscription.close()
+            self._window = Window(self._start, context.clock.now())
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Write what was heard: later than `stop_measurement`, so that other profilers need not wait for the disk."""
+        if self._heard is None or self._window is None:
+            return
+        columns = (
+            Column("time_s", self._heard.times),
+            Column("voltage_V", _finite(self._heard.voltage), "%.4f"),
+            Column("current_A", _finite(self._heard.current), "%.4f"),
+            Column("charge_percent", _finite(self._heard.charge), "%.3f"),
+        )
+        write_samples(context.raw_data_folder / "samples.csv", columns)
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish the measures; no value where too little was heard, or the battery does not measure it."""
+        values: Mapping[str, float | None] = {}
+        origin = Origin.MEASURED
+        if self._heard is None or self._window is None:
+            context.warn("nothing was measured: the measurement was never started", fix=_FIX)
+        else:
+            origin = Origin.SIMULATED if self._heard.is_simulated else Origin.MEASURED
+            quality = quality_of(self._heard.times, self._window, self.rate_hz)
+            details = {"is_simulated": self._heard.is_simulated, "measures_current": self._heard.measures_current}
+            if report_quality(context, quality, self._window, fix=_FIX, details=details):
+                values = self._values(self._heard, self._window)
+        for measure in self.measures:
+            context.publish(measure.name, values.get(measure.name), origin=origin)
+
+    def _values(self, heard: _Heard, window: Window) -> Mapping[str, float | None]:
+        reach = 5 / self.rate_hz
+        voltage = cut(heard.series(heard.voltage), window, reach=reach)
+        charge = cut(heard.series(heard.charge), window, reach=reach)
+        return {
+            "MeanVoltage": mean(voltage),
+            "MinVoltage": min(voltage.values, default=None),
+            "ChargeUsed": charge.values[0] - charge.values[-1] if len(charge) > 1 else None,
+            "Energy": energy(heard.power(), window, reach=reach),
+        }
+
+
+def _finite(values: Sequence[float]) -> list[float | None]:
+    return [value if math.isfinite(value) else None for value in values]

@@ -1,0 +1,181 @@
+"""The profiler that has the CodeCarbon library estimate energy and emissions."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+from dataclasses import asdict
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.quality import write_quality
+from robot_runner.core.sampling.series import Window
+from robot_runner.meters.polled import clock_details, machine_clock, simulation_findings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.plugin import Circumstances
+
+__all__ = ["CodeCarbon"]
+
+_INSTALL = "Install it: pip install 'robot-runner[codecarbon]'."
+_JOULES = 3.6e6  # in a kilowatt hour
+#: By how many percent CodeCarbon's own duration may differ from the measured window before it is worth a warning.
+_TOLERANCE = 5.0
+#: And by how many seconds: what starting and stopping takes.
+_SLACK = 1.0
+
+
+class CodeCarbon(Profiler):
+    """Estimates energy and greenhouse gas emissions of this machine with CodeCarbon, without asking the internet.
+
+    CodeCarbon reads energy counters where it can (RAPL, NVML); where it cannot, it reckons from the processor's load
+    and thermal design power, and memory from its size. All its values are labelled as estimated.
+
+    Args:
+        country: the country whose electricity mix is reckoned with, as three letters (ISO 3166-1 alpha-3).
+        name: tells several instances apart; the class's name if left out.
+        interval_s: time between two of its readings, s.
+        options: further arguments of its OfflineEmissionsTracker, such as `{"region": "california"}`.
+
+    Raises:
+        PluginError: the country is not written in three letters, or the interval is not positive.
+
+    Example:
+        >>> CodeCarbon(country="NLD").measures[1].unit
+        'kg'
+    """
+
+    measures: Sequence[Measure] = (
+        Measure(
+            "Energy", "J", "Energy of processor, GPU and memory over the measured window, estimated by CodeCarbon."
+        ),
+        Measure("Emissions", "kg", "Greenhouse gases as CO2 equivalent over the measured window, by CodeCarbon."),
+        Measure("CPUEnergy", "J", "Energy of the processor over the measured window, estimated by CodeCarbon."),
+        Measure("MemoryEnergy", "J", "Energy of the memory over the measured window, estimated by CodeCarbon."),
+    )
+    needs: ClassVar[str] = "robot-runner[codecarbon]."
+    bytes_per_run: int = 2_000
+
+    def __init__(
+        self,
+        *,
+        country: str,
+        name: str | None = None,
+        interval_s: float = 1.0,
+        options: Mapping[str, Any] | None = None,
+    ) -> None:
+        super().__init__(name=name)
+        if not (isinstance(country, str) and re.fullmatch(r"[A-Z]{3}", country)):
+            fix = "Give three capital letters, such as 'NLD' (ISO 3166-1 alpha-3)."
+            raise PluginError(f"country is {country!r}", where=self.name, fix=fix)
+        if not interval_s > 0:
+            fix = "Give interval_s a number above 0."
+            raise PluginError(f"interval_s is {interval_s!r}", where=self.name, fix=fix)
+        self.country = country
+        self.interval_s = interval_s
+        self.options = dict(options or {})
+        self._tracker: Any = None
+        self._start = 0.0
+        self._window: Window | None = None
+        self._data: Any = None
+        self._hardware: list[str] = []
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: the library is not installed."""
+        if importlib.util.find_spec("codecarbon") is None:
+            return [Finding.error(f"plugin {self.name}", "codecarbon is not installed", _INSTALL)]
+        return simulation_findings(self.name, circumstances)
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Forget the run before."""
+        del context
+        self._tracker = self._window = self._data = None
+
+    def start_measurement(self, context: RobotRunnerContext) -> None:
+        """Start a tracker.
+
+        Raises:
+            PluginError: the library is not installed.
+        """
+        try:
+            library = import_module("codecarbon")
+        except ModuleNotFoundError as error:
+            raise PluginError("codecarbon is not installed", where=self.name, fix=_INSTALL) from error
+        plain = {"save_to_file": False, "log_level": "error", "allow_multiple_runs": True}
+        self._tracker = library.OfflineEmissionsTracker(
+            **{"country_iso_code": self.country, "measure_power_secs": self.interval_s, **plain, **self.options}
+        )
+        self._tracker.start()
+        self._start = machine_clock(context).now()
+
+    def stop_measurement(self, context: RobotRunnerContext) -> None:
+        """Stop the tracker and take what it says."""
+        tracker, self._tracker = self._tracker, None
+        if tracker is None:
+            return
+        self._window = Window(self._start, machine_clock(context).now())
+        try:
+            tracker.stop()
+        finally:
+            _end_threads(tracker)
+        # It swallows its own exceptions, and then has nothing to say.
+        self._data = getattr(tracker, "final_emissions_data", None)
+        self._hardware = list(map(str, getattr(tracker, "_conf", {}).get("hardware", [])))
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Write what it said."""
+        if self._window is None:
+            return
+        said = None if self._data is None else asdict(self._data)
+        text = json.dumps(said, indent=2, default=str) + "\n"
+        (context.raw_data_folder / "emissions.json").write_text(text, encoding="utf-8")
+        details = {
+            **clock_details(context),
+            "hardware": self._hardware,
+            "options": {**self.options, "country": self.country},
+        }
+        write_quality(context.raw_data_folder / "quality.json", None, self._window, details)
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish what it said; no value where it said nothing."""
+        for problem in self._doubts():
+            context.warn(problem, fix="Look at the log of the run and at emissions.json.")
+        data = self._data
+        values: Mapping[str, float | None] = {}
+        if data is not None:
+            values = {
+                "Energy": data.energy_consumed * _JOULES,
+                "Emissions": data.emissions,
+                "CPUEnergy": data.cpu_energy * _JOULES,
+                "MemoryEnergy": data.ram_energy * _JOULES,
+            }
+        for measure in self.measures:
+            context.publish(measure.name, values.get(measure.name), origin=Origin.ESTIMATED)
+
+    def _doubts(self) -> Iterable[str]:
+        if self._window is None:
+            yield "nothing was estimated: the measurement was never started"
+            return
+        if self._data is None:
+            yield "CodeCarbon said nothing"
+            return
+        difference = abs(self._data.duration - self._window.duration)
+        if difference > max(_SLACK, self._window.duration * _TOLERANCE / 100):
+            yield f"CodeCarbon tracked {self._data.duration:.1f} s of a window of {self._window.duration:.1f} s"
+        if not self._data.country_name:
+            yield f"CodeCarbon does not know the country {self.country!r} and reckoned with the world's electricity mix"
+
+
+def _end_threads(tracker: Any) -> None:
+    """End what a tracker leaves behind whose `stop` failed: a new thread for each reading, while the process lives."""
+    for name in ("_scheduler", "_scheduler_monitor_power"):
+        scheduler = getattr(tracker, name, None)
+        if scheduler is not None:
+            scheduler.stop()

@@ -1,0 +1,292 @@
+"""The profiler of everything that measures from the command line."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import time
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.quality import Column, quality_of, report_quality, write_samples
+from robot_runner.core.sampling.series import Window
+from robot_runner.meters.command_output import CommandColumn, Parse, Row, TimeColumn, parse_csv, row_times
+from robot_runner.meters.meter_process import Ending, MeterProcess, Record
+from robot_runner.meters.polled import clock_details, machine_clock
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.core.events.context import Clock, RobotRunnerContext
+    from robot_runner.core.plugin import Circumstances
+
+__all__ = ["CommandProfiler", "Measured"]
+
+#: How long to wait, once the measured window is over, for the row that tells of its last moments: in periods, and s.
+_AFTERMATH_PERIODS = 1.2
+_LONGEST_AFTERMATH = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """The output of one run's meter, in rows.
+
+    Attributes:
+        rows: oldest first.
+        times: when each row was taken, s on the run's clock.
+        window: the measured one.
+        ending: how the meter ended.
+    """
+
+    rows: Sequence[Row]
+    times: Sequence[float]
+    window: Window
+    ending: Ending
+
+
+class CommandProfiler(Profiler):
+    """Measures with a program: starts it, follows the rows of its output, ends it, and aggregates the columns.
+
+    The measured window begins when the first row has come. `{output}` among the arguments stands for the full path of
+    the output file, in the folder of the plugin's raw data.
+
+    Args:
+        command: the program and its arguments.
+        columns: which columns of the output yield which measures.
+        name: tells several instances apart; the class's name if left out.
+        output: the name of the file that the program writes to, in the raw-data folder; None for its stdout.
+        parse: from the records of the output to rows; None for `parse_csv`.
+        separator: what ends a record of the output.
+        time: the column that says when a row was taken; None takes the time of its arrival.
+        period_s: the time between two rows that is to be expected, s.
+        stop_signal: what the program takes for "write what you have, and end".
+        grace_s: how long it may take for that before it is killed, s.
+        startup_s: how long to wait for the first row, s.
+        exit_codes: exit codes that mean success, beside those of the stop signal.
+        origin: where the values come from; ESTIMATED for a program that computes power from a model.
+        install: how to get the program, in one imperative sentence, for the finding that says that it is missing.
+
+    Raises:
+        PluginError: the command is empty, there are no columns, two yield one measure, or a time is not positive.
+
+    Example:
+        >>> from robot_runner.plugins import Measure
+        >>> from robot_runner.plugins.profilers import Aggregate, CommandColumn
+        >>> energy = Measure("Energy", "J", "Integral of power over the measured window.")
+        >>> column = CommandColumn("watts", energy, Aggregate.INTEGRAL)
+        >>> CommandProfiler(command=["wattmeter", "--csv"], columns=[column], name="Wall").measures[0].name
+        'Energy'
+    """
+
+    needs: ClassVar[str] = "The program, and the right to execute it."
+    bytes_per_run: int = 100_000  # a row a second of 500 bytes for a mission of 95 s, twice: as it came and as samples
+
+    _process: MeterProcess | None
+    _clock: Clock
+    _start: float | None
+    _window: Window | None
+    _measured: Measured | None
+    _fault: str
+    _utc_offset: float
+
+    def __init__(  # noqa: PLR0913 - each is one habit of a program that we did not write
+        self,
+        *,
+        command: Sequence[str],
+        columns: Sequence[CommandColumn],
+        name: str | None = None,
+        output: str | None = None,
+        parse: Parse | None = None,
+        separator: str = "\n",
+        time: TimeColumn | None = None,
+        period_s: float = 1.0,
+        stop_signal: signal.Signals = signal.SIGINT,
+        grace_s: float = 5.0,
+        startup_s: float = 5.0,
+        exit_codes: Sequence[int] = (0,),
+        origin: Origin = Origin.MEASURED,
+        install: str = "Install it, or give its full path.",
+    ) -> None:
+        super().__init__(name=name)
+        self.command = [str(word) for word in command]
+        self.columns = tuple(columns)
+        self.measures: Sequence[Measure] = tuple(column.measure for column in self.columns)
+        self.output = output
+        self.period_s = period_s
+        self.grace_s = grace_s
+        self.startup_s = startup_s
+        self.exit_codes = tuple(exit_codes)
+        self.origin = origin
+        self._parse = parse or parse_csv
+        self._separator = separator
+        self._time = time
+        self._stop_signal = signal.Signals(stop_signal)
+        self._install = install
+        self._refuse_what_cannot_be()
+        self._forget()
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: the program is not there."""
+        del circumstances
+        return self._missing_programs(self.command[0])
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Forget the run before."""
+        del context
+        self._forget()
+
+    def start_measurement(self, context: RobotRunnerContext) -> None:
+        """Start the program and wait for its first row.
+
+        Raises:
+            PluginError: it cannot be started, or it ends before it has said anything.
+        """
+        folder, self._clock = context.raw_data_folder, machine_clock(context)
+        self._utc_offset = self._clock.now() - time.time()
+        self._process = process = MeterProcess(
+            self.words(folder),
+            output=self._output_file(folder),
+            folder=folder,
+            clock=self._clock,
+            separator=self._separator,
+        )
+        has_begun = process.wait(lambda: self._has_row(process.records), seconds=self.startup_s)
+        if not has_begun and not process.is_running:
+            ending, self._process = process.stop(self._stop_signal, grace=self.grace_s), None
+            problem = f"{self.command[0]!r} ended at once, with exit code {ending.exit_code}: {ending.complaint}"
+            raise PluginError(problem, where=self.name, fix="Execute it by hand to see why: " + " ".join(self.command))
+        self._start = self._clock.now()
+
+    def stop_measurement(self, context: RobotRunnerContext) -> None:
+        """End the measured window. The program goes on until `stop_run`, so that no other profiler waits for it."""
+        del context
+        if self._start is not None and self._window is None:
+            self._window = Window(self._start, self._clock.now())
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Wait for the row that tells of the window's last moments, end the program, and write the samples."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        count = len(process.records)
+        aftermath = min(_AFTERMATH_PERIODS * self.period_s, _LONGEST_AFTERMATH)
+        if self._window is not None:
+            process.wait(lambda: len(process.records) > count, seconds=aftermath)
+        ending = process.stop(self._stop_signal, grace=self.grace_s)
+        if self._window is None:
+            return
+        try:
+            self._measured = self._read(process.records, self._window, ending)
+        except Exception as error:  # noqa: BLE001 - a parse function may raise anything; the meter costs its values only
+            self._fault = f"its output cannot be read: {type(error).__name__}: {error}"
+            return
+        self._write(context.raw_data_folder, self._measured)
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish one value for each column; no value where the rows do not tell."""
+        values: Mapping[str, float | None] = {}
+        if self._measured is None:
+            context.warn(self._fault or "nothing was measured: the measurement was never started", fix=self._look)
+        else:
+            for problem in self.doubts(self._measured):
+                context.warn(problem, fix=self._look)
+            values = self._values(context, self._measured)
+        for measure in self.measures:
+            context.publish(measure.name, values.get(measure.name), origin=self.origin)
+
+    def words(self, folder: Path) -> list[str]:
+        """Return the command with the path of the output file in it."""
+        output = self._output_file(folder)
+        return [word.replace("{output}", str(output)) if output else word for word in self.command]
+
+    def doubts(self, measured: Measured) -> Iterable[str]:
+        """Yield what is doubtful about the output, besides the quality of its samples; a subclass may add to it."""
+        ending = measured.ending
+        asked = {*self.exit_codes, -self._stop_signal, 128 + self._stop_signal}
+        said = f": {ending.complaint}" if ending.complaint else ""
+        if not ending.was_asked:
+            yield f"the program ended by itself, with exit code {ending.exit_code}{said}"
+        elif ending.exit_code is None:
+            yield "the program could not be ended, not even by SIGKILL: end it by hand"
+        elif ending.was_killed:
+            yield f"the program did not end on {self._stop_signal.name} and had to be killed"
+        elif ending.exit_code not in asked:
+            yield f"the program ended with exit code {ending.exit_code}{said}"
+        there = dict.fromkeys(name for row in measured.rows for name in row)
+        missing = [column.source for column in self.columns if column.source not in there]
+        if measured.rows and missing:
+            yield f"its output has no column {', '.join(map(repr, missing))}; it has {', '.join(map(repr, there))}"
+
+    def _values(self, context: RobotRunnerContext, measured: Measured) -> Mapping[str, float | None]:
+        moments = list(dict.fromkeys(measured.times))  # some programs write several rows at once
+        quality = quality_of(moments, measured.window, 1 / self.period_s)
+        details = {**clock_details(context), "command": self.command, "program": asdict(measured.ending)}
+        if not report_quality(context, quality, measured.window, fix=self._look, details=details):
+            return {}
+        return {
+            column.measure.name: column.value(measured.times, measured.rows, measured.window, reach=2 * self.period_s)
+            for column in self.columns
+        }
+
+    def _read(self, records: Sequence[Record], window: Window, ending: Ending) -> Measured:
+        parsed = self._parse([record.text for record in records])
+        pairs = [(row, record) for row, record in zip(parsed, records, strict=True) if row is not None]
+        rows = [row for row, _ in pairs]
+        received = [record.received_at for _, record in pairs]
+        times = row_times(rows, received, self._time, utc_offset=self._utc_offset)
+        return Measured(rows, times, window, ending)
+
+    def _write(self, folder: Path, measured: Measured) -> None:
+        sources = dict.fromkeys(column.source for column in self.columns)
+        by_source = {column.source: column for column in reversed(self.columns)}
+        plain = [(source, by_source[source]) for source in sources]
+        columns = [
+            Column(_heading(source), CommandColumn(source, one.measure).values(measured.rows)) for source, one in plain
+        ]
+        write_samples(folder / "samples.csv", [Column("time_s", measured.times), *columns])
+
+    def _has_row(self, records: Sequence[Record]) -> bool:
+        try:
+            return any(row is not None for row in self._parse([record.text for record in records]))
+        except Exception:  # noqa: BLE001 - a parse function may stumble over half an output; stop_run tells of it
+            return False
+
+    def _missing_programs(self, *programs: str) -> list[Finding]:
+        missing = [program for program in programs if shutil.which(program) is None]
+        return [
+            Finding.error(f"plugin {self.name}", f"the program {program!r} is not there", self._install)
+            for program in missing
+        ]
+
+    def _output_file(self, folder: Path) -> Path | None:
+        return folder / self.output if self.output else None
+
+    @property
+    def _look(self) -> str:
+        return f"Look at {self.output or 'stdout.txt'} and stderr.txt in the folder of {self.name}."
+
+    def _forget(self) -> None:
+        self._process = self._start = self._window = self._measured = None
+        self._fault = ""
+
+    def _refuse_what_cannot_be(self) -> None:
+        names = [measure.name for measure in self.measures]
+        times: dict[str, Any] = {"period_s": self.period_s, "grace_s": self.grace_s, "startup_s": self.startup_s}
+        wrong = [f"{name} is {value!r}" for name, value in times.items() if not value > 0]
+        if not self.command:
+            wrong.append("command is empty")
+        if len(set(names)) < max(len(names), 1):
+            wrong.append(f"columns yield the measures {names}")
+        if wrong:
+            fix = "Give a command, columns that yield different measures, and times above 0."
+            raise PluginError(wrong[0], where=self.name, fix=fix)
+
+
+def _heading(source: str) -> str:
+    """Return the name of a column as it can stand in a file of samples."""
+    plain = source.encode("ascii", "replace").decode()
+    return '"' + plain.replace('"', '""') + '"' if set(plain) & set(',"\n') else plain

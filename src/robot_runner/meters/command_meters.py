@@ -1,0 +1,349 @@
+"""powermetrics, which comes with macOS."""
+
+from __future__ import annotations
+
+import math
+import os
+import plistlib
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.meters.command import CommandProfiler, Measured
+from robot_runner.meters.command_output import Aggregate, CommandColumn, Row, TimeColumn, TimeKind, parse_csv
+from robot_runner.meters.polled import simulation_findings
+from robot_runner.meters.rapl import POWERCAP, permission_findings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from robot_runner.core.plugin import Circumstances
+
+__all__ = [
+    "EnergiBridge",
+    "PowerJoular",
+    "Powermetrics",
+    "parse_energibridge",
+    "parse_powerjoular",
+    "parse_powermetrics",
+]
+
+
+# EnergiBridge, a command-line meter for the processors of Intel, AMD and Apple.
+
+#: Where the energy of the processor is, in the order of EnergiBridge's own summary (src/main.rs): power in W of Apple's
+#: processors, else a counter in J.
+_POWERS = ("CPU_POWER (Watts)", "SYSTEM_POWER (Watts)")
+_COUNTERS = ("CPU_ENERGY (J)", "PACKAGE_ENERGY (J)")
+#: A counter that falls by more than this share of itself has begun at 0 again; its range is a power of two in joules.
+_WRAP = 0.5
+_INSTALL = "Build it from https://github.com/tdurieux/EnergiBridge (cargo build -r), and put it on the PATH."
+
+
+def parse_energibridge(records: Sequence[str]) -> list[Row | None]:
+    """Return rows with the time, the energy so far (J), and CPU and memory utilisation (%).
+
+    Example:
+        >>> rows = parse_energibridge(["Delta,Time,CPU_ENERGY (J),CPU_USAGE_0", "0,1000,50.0,20", "200,1200,51.5,30"])
+        >>> rows[-1]
+        {'Time': 1200.0, 'energy_J': 1.5, 'cpu_percent': 30.0, 'memory_percent': None}
+    """
+    rows: list[Row | None] = []
+    sooner: Row | None = None
+    joules = 0.0
+    for row in parse_csv(records):
+        if row is not None:
+            joules += _joules_between(sooner, row) if sooner is not None else 0.0
+            sooner = row
+            row = _summary(row, joules)  # noqa: PLW2901 - the row as it is passed on
+        rows.append(row)
+    return rows
+
+
+def _summary(row: Row, joules: float) -> Row:
+    usages = [float(cell) for name, cell in row.items() if name.startswith("CPU_USAGE_") and cell]
+    total, used = float(row.get("TOTAL_MEMORY") or 0), float(row.get("USED_MEMORY") or 0)
+    has_energy = any(name in row for name in (*_POWERS, *_COUNTERS))
+    return {
+        "Time": float(row["Time"] or math.nan),
+        "energy_J": joules if has_energy else None,
+        "cpu_percent": math.fsum(usages) / len(usages) if usages else None,
+        "memory_percent": 100.0 * used / total if total else None,
+    }
+
+
+def _joules_between(sooner: Row, later: Row) -> float:
+    for name in _POWERS:
+        if later.get(name):
+            seconds = (float(later["Time"] or 0) - float(sooner["Time"] or 0)) / 1000
+            return float(later[name] or 0) * seconds
+    for name in _COUNTERS:
+        if later.get(name):
+            return _growth(float(sooner.get(name) or 0), float(later[name] or 0))
+    return 0.0
+
+
+def _growth(sooner: float, later: float) -> float:
+    """Return by how much a 32-bit counter of 2^-n J grew: its range is the power of two above what it last showed."""
+    if later >= sooner * _WRAP:
+        return later - sooner
+    return later - sooner + float(2 ** math.ceil(math.log2(sooner)))
+
+
+class EnergiBridge(CommandProfiler):
+    """Measures energy of the processor, CPU and memory utilisation of this machine with EnergiBridge.
+
+    It wraps a program that does nothing but wait; the mission is not its child.
+
+    Args:
+        name: tells several instances apart; the class's name if left out.
+        interval_ms: time between two rows, ms; at least 200 for its CPU utilisation to be true.
+        program: the program, if it is not on the PATH.
+        devices: where the model-specific registers are.
+
+    Raises:
+        PluginError: the interval is not positive.
+
+    Example:
+        >>> EnergiBridge(interval_ms=500).period_s
+        0.5
+    """
+
+    measures: Sequence[Measure] = (
+        Measure("Energy", "J", "Energy of the processor over the measured window, by EnergiBridge."),
+        Measure("MeanPower", "W", "Energy divided by the duration of the measured window."),
+        Measure("CPU", "%", "CPU utilisation of all cores together, mean over the measured window, by EnergiBridge."),
+        Measure("Memory", "%", "Physical memory in use, mean over the measured window, by EnergiBridge."),
+    )
+    needs: ClassVar[str] = "EnergiBridge, and the right to read the processor's registers (/dev/cpu/*/msr)."
+    bytes_per_run: int = 300_000  # 5 rows a second of 500 bytes for a mission of 95 s on 8 cores, and the samples
+
+    def __init__(
+        self,
+        *,
+        name: str | None = None,
+        interval_ms: int = 200,
+        program: str = "energibridge",
+        devices: Path = Path("/dev/cpu"),
+    ) -> None:
+        if not interval_ms > 0:
+            raise PluginError(f"interval_ms is {interval_ms!r}", where=name or "EnergiBridge", fix="Give one above 0.")
+        sources = ("energy_J", "energy_J", "cpu_percent", "memory_percent")
+        aggregates = (Aggregate.INCREASE, Aggregate.RATE, Aggregate.MEAN, Aggregate.MEAN)
+        columns = zip(sources, type(self).measures, aggregates, strict=True)
+        super().__init__(
+            name=name,
+            # `cat` waits for the end of its input, which comes when we stop or die.
+            command=[program, "--output", "{output}", "--interval", str(interval_ms), "--", "cat"],
+            output="energibridge.csv",
+            columns=[CommandColumn(source, measure, aggregate) for source, measure, aggregate in columns],
+            parse=parse_energibridge,
+            time=TimeColumn("Time", TimeKind.UTC, unit=0.001),
+            period_s=interval_ms / 1000,
+            stop_signal=signal.SIGINT,
+            exit_codes=(0, 1),  # it ends with 1 when it was interrupted
+            install=_INSTALL,
+        )
+        self.devices = devices
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no program, or no right to read the registers."""
+        findings = [*super().check(circumstances), *simulation_findings(self.name, circumstances)]
+        registers = self.devices / "0" / "msr"
+        if sys.platform == "linux" and not os.access(registers, os.R_OK):
+            fix = "Give the right: sudo modprobe msr; sudo chgrp -R msr /dev/cpu/*/msr; sudo chmod g+r /dev/cpu/*/msr."
+            findings.append(Finding.error(f"plugin {self.name}", f"{registers} cannot be read", fix))
+        return findings
+
+
+# PowerJoular, a command-line meter for PCs, servers and Raspberry Pis.
+
+_POWER = "Total Power"
+_POWERJOULAR_INSTALL = "Build it from https://github.com/joular/powerjoular, and put it on the PATH."
+#: Boards whose device tree has a model: their power is the result of a regression model (PowerJoular's README).
+_BOARD = Path("/proc/device-tree/model")
+
+
+def parse_powerjoular(records: Sequence[str]) -> list[Row | None]:
+    """Return the rows. A power of exactly 0 is what PowerJoular writes where it found nothing to measure: no value.
+
+    Example:
+        >>> parse_powerjoular(["Date,CPU Utilization,Total Power", "2026-01-01 10:00:00,0.5,0.00000000000000"])[1]
+        {'Date': '2026-01-01 10:00:00', 'CPU Utilization': '0.5', 'Total Power': None}
+    """
+    rows = parse_csv(records)
+    return [row if row is None or float(row.get(_POWER) or 0) else {**row, _POWER: None} for row in rows]
+
+
+class PowerJoular(CommandProfiler):
+    """Measures power of the processor (and of an NVIDIA GPU) of this machine with PowerJoular, once a second.
+
+    On a Raspberry Pi or an Asus Tinker Board, PowerJoular estimates from CPU utilisation by a regression model; there
+    the values are labelled as estimated.
+
+    Args:
+        name: tells several instances apart; the class's name if left out.
+        program: the program, if it is not on the PATH.
+        arguments: further arguments, such as `["-l"]` for its linear models.
+        powercap: where the energy counters of the processor are.
+        board: the file that names the model of a board.
+
+    Example:
+        >>> PowerJoular().measures[0].unit
+        'J'
+    """
+
+    measures: Sequence[Measure] = (
+        Measure("Energy", "J", "Energy of the processor and GPU over the measured window, by PowerJoular."),
+        Measure("MeanPower", "W", "Power of the processor and GPU, mean over the measured window, by PowerJoular."),
+        Measure("CPU", "%", "CPU utilisation of all cores together, mean over the measured window, by PowerJoular."),
+    )
+    needs: ClassVar[str] = "PowerJoular, and the right to read /sys/class/powercap (PC) or a supported board."
+    bytes_per_run: int = 20_000  # a row a second of 100 bytes for a mission of 95 s, and the samples
+
+    def __init__(
+        self,
+        *,
+        name: str | None = None,
+        program: str = "powerjoular",
+        arguments: Sequence[str] = (),
+        powercap: Path = POWERCAP,
+        board: Path = _BOARD,
+    ) -> None:
+        energy, power, cpu = type(self).measures
+        super().__init__(
+            name=name,
+            command=[program, "-f", "{output}", *arguments],
+            output="powerjoular.csv",
+            columns=[
+                CommandColumn(_POWER, energy, Aggregate.INTEGRAL),
+                CommandColumn(_POWER, power, Aggregate.MEAN),
+                CommandColumn("CPU Utilization", cpu, Aggregate.MEAN, factor=100.0),
+            ],
+            parse=parse_powerjoular,
+            period_s=1.0,
+            stop_signal=signal.SIGINT,
+            origin=Origin.ESTIMATED if board.exists() else Origin.MEASURED,
+            install=_POWERJOULAR_INSTALL,
+        )
+        self.powercap = powercap
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no program, or no counters that it could read, so that it would say 0 W."""
+        findings = [*super().check(circumstances), *simulation_findings(self.name, circumstances)]
+        if self.origin is Origin.MEASURED and "-m" not in self.command:
+            findings += permission_findings(self.name, self.powercap, ("package",))
+        return findings
+
+    def doubts(self, measured: Measured) -> Iterable[str]:
+        """Yield what is doubtful, and that it found nothing to measure."""
+        yield from super().doubts(measured)
+        silent = sum(row.get(_POWER, "") is None for row in measured.rows)
+        if silent:
+            yield f"PowerJoular said 0 W in {silent} of {len(measured.rows)} rows: it found no energy counter to read"
+
+
+_NANO = 1e-9
+#: Where a Mac tells its power: Apple's processors in mW, Intel's in W.
+_APPLE = ("combined_power", 1e-3)
+_INTEL = ("package_watts", 1.0)
+
+
+def parse_powermetrics(records: Sequence[str]) -> list[Row | None]:
+    """Return one row for each property list: the seconds that it is about, and power in W.
+
+    Example:
+        >>> processor = "<key>processor</key><dict><key>combined_power</key><real>3248.0</real></dict>"
+        >>> start = '<plist version="1.0"><dict><key>elapsed_ns</key><integer>1000000000</integer>'
+        >>> parse_powermetrics([start + processor + "</dict></plist>"])
+        [{'seconds': 1.0, 'power_W': 3.248, 'cpu_W': None, 'gpu_W': None}]
+    """
+    return [_row(record) for record in records]
+
+
+def _row(record: str) -> Row | None:
+    text = record.strip()
+    if not text.endswith("</plist>"):  # nothing, or torn when it was ended
+        return None
+    document: dict[str, Any] = plistlib.loads(text.encode())
+    processor: dict[str, Any] = document.get("processor", {})
+    name, unit = _APPLE if _APPLE[0] in processor else _INTEL
+    cpu, gpu = processor.get("cpu_power"), processor.get("gpu_power")
+    return {
+        "seconds": float(document["elapsed_ns"]) * _NANO,
+        "power_W": float(processor[name]) * unit if name in processor else None,
+        "cpu_W": None if cpu is None else float(cpu) * _APPLE[1],
+        "gpu_W": None if gpu is None else float(gpu) * _APPLE[1],
+    }
+
+
+class Powermetrics(CommandProfiler):
+    """Measures power of the processor of this Mac with Apple's powermetrics.
+
+    Apple says of its figures that they are estimates, to be compared only between runs on one machine (man
+    powermetrics); the values are labelled as estimated.
+
+    Args:
+        name: tells several instances apart; the class's name if left out.
+        interval_ms: time between two rows, ms.
+        command: how it is called, up to its options; powermetrics needs root.
+
+    Raises:
+        PluginError: the interval is not positive.
+
+    Example:
+        >>> Powermetrics(interval_ms=500).period_s
+        0.5
+    """
+
+    measures: Sequence[Measure] = (
+        Measure("Energy", "J", "Energy of the processor over the measured window, estimated by powermetrics."),
+        Measure("MeanPower", "W", "Power of the processor, mean over the measured window, estimated by powermetrics."),
+    )
+    needs: ClassVar[str] = "macOS, and the right to execute `sudo -n powermetrics`."
+    bytes_per_run: int = 1_000_000  # a property list a second of 10 kB for a mission of 95 s
+
+    def __init__(
+        self,
+        *,
+        name: str | None = None,
+        interval_ms: int = 1000,
+        command: Sequence[str] = ("sudo", "-n", "powermetrics"),
+    ) -> None:
+        if not interval_ms > 0:
+            raise PluginError(f"interval_ms is {interval_ms!r}", where=name or "Powermetrics", fix="Give one above 0.")
+        energy, power = type(self).measures
+        options = [
+            "--samplers",
+            "cpu_power",
+            "--format",
+            "plist",
+            "--sample-rate",
+            str(interval_ms),
+            "--buffer-size",
+            "0",
+        ]
+        super().__init__(
+            name=name,
+            command=[*command, *options, "--output-file", "{output}"],
+            output="powermetrics.plist",
+            columns=[
+                CommandColumn("power_W", energy, Aggregate.INTEGRAL),
+                CommandColumn("power_W", power, Aggregate.MEAN),
+            ],
+            parse=parse_powermetrics,
+            separator="\0",
+            time=TimeColumn("seconds", TimeKind.SPAN),
+            period_s=interval_ms / 1000,
+            stop_signal=signal.SIGINT,
+            origin=Origin.ESTIMATED,
+            install="Use it on macOS, where it comes with the system.",
+        )
+        self._programs = [word for word in command if not word.startswith("-")]
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: this is no Mac, or the program is not there."""
+        return [*self._missing_programs(*self._programs), *simulation_findings(self.name, circumstances)]

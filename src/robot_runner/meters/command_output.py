@@ -1,0 +1,226 @@
+"""What the output of a command-line meter amounts to: rows, their times, and one value for each measure."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from itertools import accumulate, pairwise
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import PluginError
+from robot_runner.core.sampling.device_clock import fit_clock
+from robot_runner.core.sampling.series import Series, cut, mean_of_intervals
+
+if TYPE_CHECKING:
+    from robot_runner.core.events.measure import Measure
+    from robot_runner.core.sampling.series import Window
+
+__all__ = ["Aggregate", "CommandColumn", "Parse", "Row", "TimeColumn", "TimeKind", "parse_csv", "row_times"]
+
+#: The cells of one row by the name of their column, as text or as numbers.
+Row = Mapping[str, str | float | None]
+#: From the records of the output to one row for each of them; None for a record that is no row, such as a heading.
+Parse = Callable[[Sequence[str]], Sequence[Row | None]]
+
+
+class Aggregate(Enum):
+    """How the rows of a column become the value of a measure.
+
+    For MEAN, INTEGRAL and SUM each row tells of the time since the row before; where the window begins or ends
+    between two rows, it counts by its share.
+    """
+
+    MEAN = "mean over the measured window"
+    INTEGRAL = "integral over the measured window"
+    SUM = "sum over the measured window"
+    INCREASE = "increase of a counter over the measured window"
+    RATE = "increase of a counter over the measured window, divided by its duration"
+    MINIMUM = "smallest row in the measured window"
+    MAXIMUM = "largest row in the measured window"
+    LAST = "last row in the measured window"
+
+
+class TimeKind(Enum):
+    """What a column that tells of time holds."""
+
+    UTC = "seconds since 1970"
+    SPAN = "seconds since the row before"
+    SINCE_START = "seconds since the program was started"
+
+
+@dataclass(frozen=True, slots=True)
+class TimeColumn:
+    """The column that says when a row was taken.
+
+    Attributes:
+        source: its heading.
+        kind: what it holds.
+        unit: how many seconds its unit is; 0.001 for milliseconds.
+
+    Example:
+        >>> TimeColumn("Time", TimeKind.UTC, unit=0.001).unit
+        0.001
+    """
+
+    source: str
+    kind: TimeKind = TimeKind.UTC
+    unit: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class CommandColumn:
+    """A column of the output, and the measure that it becomes.
+
+    Attributes:
+        source: its heading.
+        measure: what it yields.
+        aggregate: how its rows become one value.
+        factor: by what a cell is multiplied, so that the value comes in the unit of the measure.
+
+    Example:
+        >>> from robot_runner.plugins import Measure
+        >>> energy = Measure("Energy", "J", "Integral of power over the measured window.")
+        >>> CommandColumn("power_mW", energy, Aggregate.INTEGRAL, factor=0.001).source
+        'power_mW'
+    """
+
+    source: str
+    measure: Measure
+    aggregate: Aggregate = Aggregate.MEAN
+    factor: float = 1.0
+
+    def values(self, rows: Sequence[Row]) -> list[float | None]:
+        """Return the number of each row in the unit of the measure; None where the cell holds none."""
+        numbers = (_number(row.get(self.source)) for row in rows)
+        return [None if number is None else number * self.factor for number in numbers]
+
+    def value(self, times: Sequence[float], rows: Sequence[Row], window: Window, *, reach: float) -> float | None:
+        """Return the value of the measure; None where the rows tell nothing of the window.
+
+        Args:
+            times: when each row was taken, s on the run's clock.
+            rows: the rows.
+            window: the measured one.
+            reach: how far beyond the outermost rows their values hold, s.
+        """
+        known = [(time, value) for time, value in zip(times, self.values(rows), strict=True) if value is not None]
+        series = Series([time for time, _ in known], [value for _, value in known])
+        if self.aggregate in _PICK:
+            within = [value for time, value in known if window.start <= time <= window.end]
+            return _PICK[self.aggregate](within) if within else None
+        value = _MEASURE[self.aggregate](series, window, reach)
+        if self.aggregate is Aggregate.RATE and value is not None:
+            return value / window.duration if window.duration else None
+        return value
+
+
+_PICK: Mapping[Aggregate, Callable[[list[float]], float]] = {
+    Aggregate.MINIMUM: min,
+    Aggregate.MAXIMUM: max,
+    Aggregate.LAST: lambda values: values[-1],
+}
+
+
+def _integral(series: Series, window: Window, reach: float) -> float | None:
+    del reach
+    mean = mean_of_intervals(series, window)
+    return None if mean is None else mean * window.duration
+
+
+def _mean(series: Series, window: Window, reach: float) -> float | None:
+    del reach
+    return mean_of_intervals(series, window)
+
+
+def _sum(series: Series, window: Window, reach: float) -> float | None:
+    del reach
+    shares = [
+        value * (min(later, window.end) - max(sooner, window.start)) / (later - sooner)
+        for (sooner, later), value in zip(pairwise(series.times), series.values[1:], strict=False)
+        if sooner < window.end and later > window.start
+    ]
+    return math.fsum(shares) if shares else None
+
+
+def _increase(series: Series, window: Window, reach: float) -> float | None:
+    """Return by how much a counter grew; None where it fell, for nobody knows what it counted in between."""
+    counter = cut(series, window, reach=reach).values
+    falls = any(later < sooner for sooner, later in pairwise(counter))
+    return None if len(counter) < 2 or falls else counter[-1] - counter[0]  # noqa: PLR2004 - one value shows no growth
+
+
+_MEASURE: Mapping[Aggregate, Callable[[Series, Window, float], float | None]] = {
+    Aggregate.MEAN: _mean,
+    Aggregate.INTEGRAL: _integral,
+    Aggregate.SUM: _sum,
+    Aggregate.INCREASE: _increase,
+    Aggregate.RATE: _increase,
+}
+
+
+def _number(cell: str | float | None) -> float | None:
+    try:
+        number = float(cell) if cell is not None else math.nan
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+def parse_csv(records: Sequence[str], *, delimiter: str = ",", comment: str = "#") -> list[Row | None]:
+    """Return one row for each line of CSV; the first line that is not empty is the heading.
+
+    A line that has not as many cells as the heading (torn, or said by the program in between) is no row.
+
+    Example:
+        >>> parse_csv(["watts,volts", "7.5,12.1", "bye"])
+        [None, {'watts': '7.5', 'volts': '12.1'}, None]
+    """
+    heading: list[str] | None = None
+    rows: list[Row | None] = []
+    for record in records:
+        is_silent = not record.strip() or record.startswith(comment)
+        cells = [] if is_silent else [cell.strip() for cell in next(csv.reader([record], delimiter=delimiter))]
+        is_row = heading is not None and len(cells) == len(heading) and cells != heading
+        rows.append(dict(zip(heading, cells, strict=True)) if is_row and heading else None)
+        if heading is None and cells:
+            heading = cells
+    return rows
+
+
+def row_times(
+    rows: Sequence[Row], received: Sequence[float], column: TimeColumn | None, *, utc_offset: float
+) -> list[float]:
+    """Return when each row was taken, s on the run's clock, never falling.
+
+    Times that the program counts itself are laid on the run's clock by the row that came with the least delay.
+
+    Args:
+        rows: the rows.
+        received: when they arrived, s on the run's clock.
+        column: which column tells; None for none: then they were taken when they arrived.
+        utc_offset: the run's clock less UTC, s.
+
+    Raises:
+        PluginError: the column is not there, or holds no number.
+    """
+    if column is None:
+        return list(received)
+    stamps = list(_stamps(rows, column))
+    if column.kind is TimeKind.UTC:
+        times = [stamp + utc_offset for stamp in stamps]
+    else:
+        passed = list(accumulate(stamps)) if column.kind is TimeKind.SPAN else stamps
+        times = list(map(fit_clock(passed, received).to_run, passed)) if passed else []
+    return list(accumulate(times, max))
+
+
+def _stamps(rows: Sequence[Row], column: TimeColumn) -> Iterator[float]:
+    for row in rows:
+        stamp = _number(row.get(column.source))
+        if stamp is None:
+            problem = f"a row has no time in column {column.source!r}: {dict(row)}"
+            raise PluginError(problem, where="output", fix="Name the column that says when a row was taken, or none.")
+        yield stamp * column.unit

@@ -1,0 +1,170 @@
+"""Fit a software power model to the measured runs of an experiment.
+
+The model estimates power from CPU utilisation, motion and task, by least squares. What it writes is for the profiler
+PowerModel, which estimates energy where no meter is. The experiment must have measured power (Ina219, say), and sampled
+what the power is to be explained by (PsUtil, BasicTurtlebot3).
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, cast
+
+from rich.text import Text
+
+from robot_runner.cli.console import UserConsole, output, print_facts, print_json, shown_path
+from robot_runner.cli.parser import UsageError, add_json, add_set, add_target
+from robot_runner.cli.planning import folder_of_target
+from robot_runner.cli.templating import write_new_file
+from robot_runner.core.errors import did_you_mean
+from robot_runner.core.plugin import find_plugin
+from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.table_columns import TableLayout
+from robot_runner.core.storage.table_schema import read_schema
+from robot_runner.core.words import counted, listed, shown_duration
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Sequence
+
+    from robot_runner.cli.parser import Parser
+    from robot_runner.core.storage.layout import ExperimentFolder
+
+__all__ = ["add_arguments", "execute"]
+
+_NONE = "none"
+
+
+class _Fitting(Protocol):
+    """The part of the profiler PowerModel that is called here; it comes in through an entry point, as any plugin."""
+
+    def fit(
+        self,
+        experiment: Path,
+        run_ids: Sequence[str],
+        *,
+        power: str,
+        utilisation: str | None,
+        phases: str | None,
+        terms: Sequence[str] | None,
+    ) -> dict[str, Any]: ...
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add what the command takes."""
+    add_target(parser)
+    add_set(parser)
+    parser.add_argument(
+        "--out", metavar="FILE", help="where to write the model (JSON); an existing file is never overwritten"
+    )
+    parser.add_argument(
+        "--power", metavar="PLUGIN", default="Ina219", help="the plugin that measured power (%(default)s)"
+    )
+    parser.add_argument(
+        "--utilisation",
+        metavar="PLUGIN",
+        default="PsUtil",
+        help="the plugin that sampled CPU and memory, or none (%(default)s)",
+    )
+    parser.add_argument(
+        "--phases",
+        metavar="PLUGIN",
+        default="BasicTurtlebot3",
+        help="the plugin that recorded the phases of the mission, or none (%(default)s)",
+    )
+    parser.add_argument(
+        "--terms",
+        metavar="TERMS",
+        help="what power is explained by, such as constant,cpu,has_moved,motion:forward,task:video; all that was seen "
+        "if it is left out",
+    )
+    parser.add_argument(
+        "--runs", metavar="RUNS", help="the runs to fit on, such as r_1,r_2; all that are done if it is left out"
+    )
+    add_json(parser)
+
+
+def execute(arguments: Namespace) -> int:
+    """Fit the model, print how well it fits, and write it if a file was named."""
+    folder = folder_of_target(arguments.target, arguments.set)
+    fitting = cast("_Fitting", find_plugin("profilers", "PowerModel").load())
+    model = fitting.fit(
+        folder.root,
+        _chosen(_done_runs(folder), arguments.runs),
+        power=arguments.power,
+        utilisation=_optional(arguments.utilisation),
+        phases=_optional(arguments.phases),
+        terms=_split(arguments.terms) or None,
+    )
+    if arguments.out:
+        text = json.dumps(model, indent=2, ensure_ascii=False) + "\n"
+        write_new_file(Path(arguments.out).expanduser(), text, instead="Choose another name, or remove the old model.")
+    if arguments.json:
+        print_json(model)
+    else:
+        _print(output(), model, arguments.out)
+    return 0
+
+
+def _optional(plugin: str) -> str | None:
+    return None if plugin.casefold() == _NONE else plugin
+
+
+def _split(text: str | None) -> list[str]:
+    return [word.strip() for word in (text or "").split(",") if word.strip()]
+
+
+def _done_runs(folder: ExperimentFolder) -> list[str]:
+    rows = read_run_table(folder.run_table, TableLayout.of_schema(read_schema(folder.schema)))
+    return [rows.run_id(place) for place in range(len(rows)) if rows.status(place) is RunStatus.DONE]
+
+
+def _chosen(done: Sequence[str], wanted: str | None) -> Sequence[str]:
+    chosen = _split(wanted)
+    for run_id in chosen:
+        if run_id not in done:
+            fix = did_you_mean(run_id, done) if done else "Execute the experiment first."
+            raise UsageError(f"no run {run_id!r} is done", where="robot-runner fit-power-model", fix=fix)
+    return chosen or done
+
+
+def _print(console: UserConsole, model: dict[str, Any], path: str | None) -> None:
+    fit = model["fit"]
+    for term, watts in model["coefficients_W"].items():
+        error = fit["standard_errors"].get(term)
+        unit = "W per %" if term in {"cpu", "memory"} else "W"
+        plus_minus = "" if error is None else f"  ± {error:.4f}"
+        console.print(Text("  ").append(f"{term:24}", style="bold").append(f"{watts:9.4f}{plus_minus}  {unit}"))
+    console.print()
+    kept = "not kept; --out FILE keeps it, for PowerModel(model=FILE)"
+    print_facts(
+        console,
+        [
+            (
+                "Fitted on",
+                f"{counted(len(fit['runs']), 'run')}, {shown_duration(fit['seconds'])} of {fit['power_source']}",
+            ),
+            ("Origin", "power was simulated, not measured" if fit["is_simulated"] else ""),
+            ("Explained", f"{100 * fit['r_squared']:.1f} % of the variance of power (R² {fit['r_squared']:.3f})"),
+            ("Residual", f"{fit['residual_W']:.3f} W (root mean square)"),
+            ("Held out", _held_out(fit["energy_errors"], len(fit["runs"]))),
+            (
+                "Range",
+                "; ".join(f"{term} {low:.0f} to {high:.0f} %" for term, (low, high) in model["ranges_percent"].items()),
+            ),
+            ("Left out", listed(f"{run} ({why})" for run, why in fit["left_out"].items())),
+            ("Model", shown_path(Path(path).expanduser().resolve()) if path else kept),
+        ],
+    )
+
+
+def _held_out(errors: dict[str, float], run_count: int) -> str:
+    """Return how far off the energy of a run is, by a model that was fitted on the others."""
+    if not errors:
+        why = "there is one run only" if run_count == 1 else "each run has something, such as a task, that no other has"
+        return f"no run: {why}; repeat the runs to learn how far off the model is on others"
+    sizes = [abs(error) for error in errors.values()]
+    mean, worst = sum(sizes) / len(sizes), max(errors, key=lambda run: abs(errors[run]))
+    return f"a run's energy is off by {mean:.1f} % on average, {abs(errors[worst]):.1f} % at worst ({worst})"

@@ -1,0 +1,222 @@
+"""The meter that records on its card: the samples of a run are in a file that is copied from it after the mission."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.serial_line import Chunk
+from robot_runner.core.sampling.series import Window
+from robot_runner.meters.ina219.frames import FrameDecoder, Hello, SampleStream
+from robot_runner.meters.ina219.registers import evaluate_registers
+
+if TYPE_CHECKING:
+    from array import array
+    from collections.abc import Iterator
+
+    from robot_runner.core.events.context import Clock
+    from robot_runner.meters.ina219.registers import Evaluation
+
+__all__ = ["CardMeter", "CardRecording", "read_card"]
+
+
+# Recordings that were copied from the meter's SD card (`docs/ina219-protocol.md`, "On a card").
+
+_BLOCK = 512
+_HELLO_BEGINS, _HELLO_SIZE = b"\xa5\x5a\x12\x0c", 20
+#: The device says its first hello within this time after it was switched on, µs.
+_BEGINNING = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class CardRecording:
+    """What the meter recorded from one switching on to the next.
+
+    Attributes:
+        stream: the samples.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> file = Path(tempfile.mkdtemp()) / "INA219.BIN"
+        >>> hello = "a55a 120c 0000 00000000 c800 a0860100 cf1c 0b0d"
+        >>> _ = file.write_bytes(bytes.fromhex(hello + "a55a 1108 0100 88130000 f217 e260 15df").ljust(512, bytes(1)))
+        >>> [len(recording.times) for recording in read_card(file)]
+        [1]
+    """
+
+    stream: SampleStream
+
+    @property
+    def times(self) -> array[float]:
+        """When each sample was taken, s since the first one, by the device's clock."""
+        return self.stream.device_seconds
+
+    @property
+    def marked(self) -> tuple[Window, ...]:
+        """The spans of time in which the mark was on; one that never ended reaches to the last sample."""
+        return tuple(self._marked())
+
+    def evaluate(
+        self, window: Window | None = None, *, shunt_ohm: float | None = None, rate_hz: float | None = None
+    ) -> Evaluation:
+        """Return energy, mean power and quality of a span of time, of the whole recording if left out.
+
+        Raises:
+            LinkError: the recording has no samples.
+        """
+        if not len(self.stream):
+            raise LinkError("the recording has no samples", where="INA219 card", fix="Look at the sensor's wires.")
+        whole = window or Window(self.times[0], self.times[-1])
+        return evaluate_registers(self.stream, self.times, whole, shunt_ohm=shunt_ohm, rate_hz=rate_hz)
+
+    def _marked(self) -> Iterator[Window]:
+        begun: float | None = None
+        for mark in self.stream.marks:
+            if mark.is_on and begun is None:
+                begun = mark.seconds
+            elif not mark.is_on and begun is not None:
+                yield Window(begun, mark.seconds)
+                begun = None
+        if begun is not None and len(self.stream):
+            yield Window(begun, max(begun, self.times[-1]))
+
+
+def read_card(path: Path | str) -> list[CardRecording]:
+    """Return the recordings of a file copied from the meter's card, oldest first.
+
+    Raises:
+        LinkError: the file cannot be read, or holds no recording.
+    """
+    file = Path(path)
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        problem = f"it cannot be read: {error.strerror or error}"
+        raise LinkError(problem, where=str(file), fix="Name the file copied from the card.") from error
+    found = [CardRecording(stream) for stream in map(_stream_of, _recordings(data)) if len(stream) or stream.hello]
+    if not found:
+        fix = "Copy INA219.BIN again, and see that the lamp at D5 was lit."
+        raise LinkError("it holds no recording", where=str(file), fix=fix)
+    return found
+
+
+def _recordings(data: bytes) -> Iterator[bytes]:
+    """Cut the file at the blocks where the device was switched on; behind the last one it is all zeros."""
+    begins = [at for at in range(0, len(data), _BLOCK) if _is_beginning(data[at : at + _BLOCK])]
+    begins = begins if begins and begins[0] == 0 else [0, *begins]
+    for begin, end in zip(begins, [*begins[1:], len(data)], strict=True):
+        yield data[begin:end]
+
+
+def _is_beginning(block: bytes) -> bool:
+    if not block.startswith(_HELLO_BEGINS):
+        return False
+    frames = FrameDecoder().feed(block[:_HELLO_SIZE])
+    return any(isinstance(one, Hello) and one.next_sequence == 0 and one.microseconds < _BEGINNING for one in frames)
+
+
+def _stream_of(data: bytes) -> SampleStream:
+    stream = SampleStream(has_arrivals=False)
+    stream.take([Chunk(0.0, data)])
+    stream.finish()
+    return stream
+
+
+_POLL = 0.5
+#: Share of the run's own measured time by which the marked span may differ from it before it is doubted, and s that a
+#: hand or an input pin may be late.
+_DIFFERENCE, _REACTION = 0.05, 1.0
+
+_MARK = "Pull the meter's input D4 to ground while the mission lasts, or evaluate the file with read_card."
+
+
+class CardMeter:
+    """Takes the newest span of time in which the mark was on from a file that is new since the run began.
+
+    Args:
+        file: where the file is copied to, or appears once the card is in its reader.
+        clock: the run's.
+        patience: how long to wait for the file, s.
+        shunt_ohm: resistance of the shunt, ohm; None takes what the device says.
+        rate_hz: nominal rate, Hz; None takes what the device says.
+    """
+
+    has_samples_at_once = False
+
+    def __init__(
+        self,
+        file: Path | str,
+        clock: Clock,
+        *,
+        patience: float = 0.0,
+        shunt_ohm: float | None = None,
+        rate_hz: float | None = None,
+    ) -> None:
+        self._file = Path(file).expanduser()
+        self._clock = clock
+        self._patience = patience
+        self._shunt_ohm = shunt_ohm
+        self._rate_hz = rate_hz
+        self._before = _state(self._file)
+        self._start = clock.now()
+        self._window: Window | None = None
+
+    def begin(self) -> None:
+        """Begin the window on the run's clock; with that of the mark it is only compared."""
+        self._before = _state(self._file)
+        self._start = self._clock.now()
+
+    def end(self) -> None:
+        """End the window on the run's clock; a second call does nothing."""
+        if self._window is None:
+            self._window = Window(self._start, self._clock.now())
+
+    def evaluate(self) -> Evaluation:
+        """Wait for the file and return what its newest marked span amounts to.
+
+        Raises:
+            LinkError: the file did not come, holds no recording, or its newest recording has no mark.
+        """
+        self._wait()
+        recording, marked = _newest(read_card(self._file), str(self._file))
+        evaluation = recording.evaluate(marked, shunt_ohm=self._shunt_ohm, rate_hz=self._rate_hz)
+        details = {**evaluation.details, "clock": "the device's, from the recording's first sample"}
+        return replace(evaluation, doubts=(*evaluation.doubts, *self._doubts(marked)), details=details)
+
+    def _wait(self) -> None:
+        deadline = self._clock.now() + self._patience
+        while _state(self._file) in {None, self._before}:
+            if self._clock.now() >= deadline:
+                raise LinkError(
+                    f"no new recording came within {self._patience:g} s",
+                    where=str(self._file),
+                    fix="Copy INA219.BIN from the meter's card to it after each mission, or give card_patience_s more.",
+                )
+            self._clock.sleep(_POLL)
+
+    def _doubts(self, marked: Window) -> tuple[str, ...]:
+        if self._window is None:
+            return ()
+        lasted = self._window.duration
+        if abs(marked.duration - lasted) <= _REACTION + _DIFFERENCE * lasted:
+            return ()
+        return (f"the mark lasted {marked.duration:.1f} s and the measurement {lasted:.1f} s: is it this run's?",)
+
+
+def _newest(recordings: list[CardRecording], where: str) -> tuple[CardRecording, Window]:
+    newest = recordings[-1]
+    if not newest.marked:
+        raise LinkError("the newest recording has no mark", where=where, fix=_MARK)
+    return newest, newest.marked[-1]
+
+
+def _state(file: Path) -> tuple[int, int, int] | None:
+    """Return what changes when a file is replaced or written, or None where there is none."""
+    try:
+        found = file.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_size, found.st_mtime_ns

@@ -1,0 +1,134 @@
+"""The meter at the end of a serial line: one run's samples, from the opening of the line to the end of the window."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+from robot_runner.core.sampling.series import Window
+from robot_runner.meters.ina219.frames import SampleStream
+from robot_runner.meters.ina219.registers import evaluate_registers
+
+if TYPE_CHECKING:
+    from robot_runner.core.events.context import Clock
+    from robot_runner.core.links.serial_line import SerialLine
+    from robot_runner.meters.ina219.registers import Evaluation
+
+__all__ = ["LineMeter", "Meter"]
+
+
+# What every way to the sensor can do: a serial line, a recording on a card, a kernel driver.
+
+
+class Meter(Protocol):
+    """The sensor during one run.
+
+    Attributes:
+        has_samples_at_once: whether the samples are there when the measurement has ended; else they come later.
+    """
+
+    has_samples_at_once: bool
+
+    def begin(self) -> None:
+        """Begin the measured window.
+
+        Raises:
+            LinkError: the sensor cannot be reached.
+        """
+        ...
+
+    def end(self) -> None:
+        """End the measured window; a second call does nothing.
+
+        Raises:
+            LinkError: the sensor was lost; the samples until then are kept.
+        """
+        ...
+
+    def evaluate(self) -> Evaluation:
+        """Return what was measured, after `end`.
+
+        Raises:
+            LinkError: there are no samples to be had.
+        """
+        ...
+
+
+#: How long to wait for the first sample, s: a board that was reset by opening its port needs up to two for its boot
+#: loader and one for its card (docs/ina219-protocol.md).
+_PATIENCE = 4.0
+_POLL = 0.01
+#: How long the sample behind the end of the window usually takes, s: a period, and the latency of a USB bridge (16 ms).
+_AFTERMATH = 0.03
+#: How long to wait for it at most, s, where a busy machine hands bytes over late.
+_LONGEST_AFTERMATH = 0.5
+
+
+class LineMeter:
+    """Listens to a line that keeps what arrives, so that nothing has to be read while the mission goes on.
+
+    Args:
+        line: where the samples arrive.
+        clock: the run's.
+        shunt_ohm: resistance of the shunt, ohm; None takes what the device says.
+        rate_hz: nominal rate, Hz; None takes what the device says.
+    """
+
+    has_samples_at_once = True
+
+    def __init__(
+        self, line: SerialLine, clock: Clock, *, shunt_ohm: float | None = None, rate_hz: float | None = None
+    ) -> None:
+        self._line = line
+        self._clock = clock
+        self._shunt_ohm = shunt_ohm
+        self._rate_hz = rate_hz
+        self._stream = SampleStream()
+        self._start = clock.now()
+        self._window: Window | None = None
+
+    def begin(self) -> None:
+        """Wait for a first sample, for a few seconds at most, then begin the window.
+
+        Raises:
+            LinkError: the line was lost.
+        """
+        deadline = self._clock.now() + _PATIENCE
+        self._stream.take(self._line.drain())
+        while not len(self._stream) and self._clock.now() < deadline:
+            self._clock.sleep(_POLL)
+            self._stream.take(self._line.drain())
+        self._start = self._clock.now()
+
+    def end(self) -> None:
+        """End the window and take what arrived; a second call does nothing.
+
+        Raises:
+            LinkError: the line was lost; what arrived until then is kept.
+        """
+        if self._window is not None:
+            return
+        self._window = Window(self._start, self._clock.now())
+        try:
+            self._take_the_rest(self._window.end)
+        finally:
+            self._stream.finish()
+
+    def _take_the_rest(self, end: float) -> None:
+        deadline = self._clock.now() + _LONGEST_AFTERMATH
+        while self._clock.now() < deadline:
+            self._clock.sleep(_AFTERMATH)
+            self._stream.take(self._line.drain())
+            times = self._stream.times()
+            if times and times[-1] >= end:
+                return
+
+    def evaluate(self) -> Evaluation:
+        """Return what was measured until `end`, or until now."""
+        return evaluate_registers(
+            self._stream,
+            self._stream.times(),
+            self._window or Window(self._start, self._clock.now()),
+            shunt_ohm=self._shunt_ohm,
+            rate_hz=self._rate_hz,
+            is_simulated=self._line.is_simulated,
+        )

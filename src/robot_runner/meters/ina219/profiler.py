@@ -1,0 +1,288 @@
+"""The profiler that measures power and energy with an INA219 sensor."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from robot_runner.core.errors import Finding, LinkError, PluginError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.links.connect import SIMULATED, connect_host, is_simulated, open_serial_line
+from robot_runner.core.links.host import LOCAL, FileHost
+from robot_runner.core.links.serial_line import found_ports, port_problem
+from robot_runner.core.links.ssh_host import ssh_findings
+from robot_runner.core.plugin import Profiler
+from robot_runner.meters.ina219.card import CardMeter
+from robot_runner.meters.ina219.line_meter import LineMeter
+from robot_runner.meters.ina219.registers import DEFAULT_RATE
+from robot_runner.meters.ina219.sysfs import DEFAULT_SYSFS_RATE, SysfsMeter, find_sensor
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.plugin import Circumstances
+    from robot_runner.meters.ina219.line_meter import Meter
+    from robot_runner.meters.ina219.registers import Evaluation
+
+__all__ = ["Ina219", "Way", "way_findings"]
+
+
+# What stands in the way of the INA219, found before anything is executed.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Way:
+    """Which sensor a profiler reads, and how: by one of the three that is not None, else the simulated robot's.
+
+    Attributes:
+        port: the serial port of a meter.
+        card: the file copied from a meter's card.
+        sysfs: the folder of a kernel driver, or `auto`.
+        host: the computer that has the driver.
+        ssh_config: a file to take the place of the user's ssh config.
+        namespace: whose simulated meter it is.
+
+    Example:
+        >>> Way(port="/dev/ttyUSB0").clashes_with(Way(port="/dev/ttyUSB0", namespace="/alice"))
+        True
+    """
+
+    port: str | None = None
+    card: str | None = None
+    sysfs: str | None = None
+    host: str = LOCAL
+    ssh_config: Path | None = None
+    namespace: str = ""
+
+    @property
+    def given(self) -> dict[str, str]:
+        """The parameters that name a real sensor."""
+        named = {"port": self.port, "card": self.card, "sysfs": self.sysfs}
+        return {name: value for name, value in named.items() if value is not None}
+
+    def clashes_with(self, other: Way) -> bool:
+        """Whether both would take what one line, or one file, brings."""
+        return self.sysfs is None and self._source == other._source
+
+    @property
+    def _source(self) -> tuple[str, str]:
+        if self.port is not None:
+            return "port", os.path.realpath(self.port)  # links such as those of /dev/serial/by-id lead to one device
+        if self.card is not None:
+            return "card", os.path.realpath(self.card)
+        if self.sysfs is not None:
+            return f"sysfs {self.host}", self.sysfs
+        return "the meter of the simulated robot", self.namespace.strip("/")
+
+
+def way_findings(where: str, way: Way, robot: str | None) -> Iterator[Finding]:
+    """Yield what stands in the way of reading this sensor; nothing is opened by asking.
+
+    Args:
+        where: the plugin.
+        way: to the sensor.
+        robot: how the robot is reached, or None.
+    """
+    if is_simulated(robot):
+        for name, value in way.given.items():
+            problem = f"{name} is {value!r}, and a simulated robot has a power meter of its own"
+            yield Finding.error(where, problem, f"Leave {name} out, or execute it on a real robot.")
+    elif not way.given:
+        yield Finding.error(where, "nothing says where the power meter is", _fix_without_way())
+    elif way.port is not None:
+        yield from _found(where, port_problem(way.port))
+    elif way.card is not None:
+        yield from _card_findings(where, Path(way.card).expanduser())
+    elif way.sysfs is not None and way.host != LOCAL:
+        yield from ssh_findings(where, way.host, config=way.ssh_config)
+    elif way.sysfs is not None:
+        yield from _sysfs_findings(where, way.sysfs)
+
+
+def _fix_without_way() -> str:
+    ports = found_ports()
+    port = ports[-1] if ports else "/dev/ttyUSB0"
+    return f"Name its serial port, as in Ina219(port={port!r}). Or: --set robot={SIMULATED}."
+
+
+def _found(where: str, problem: LinkError | None) -> list[Finding]:
+    return [] if problem is None else [replace(problem.as_finding(), where=where)]
+
+
+def _card_findings(where: str, card: Path) -> list[Finding]:
+    if card.is_dir():
+        return [Finding.error(where, f"card is {str(card)!r}, a folder", "Name the file, such as INA219.BIN in it.")]
+    return []
+
+
+def _sysfs_findings(where: str, folder: str) -> list[Finding]:
+    from robot_runner.core.links.local_host import LocalHost  # noqa: PLC0415  # only where it is asked for
+
+    host = LocalHost(SystemClock())
+    try:
+        find_sensor(host, folder, where=where)
+    except LinkError as error:
+        return [error.as_finding()]
+    finally:
+        host.close()
+    return []
+
+
+_REMEDY = "Look at the sensor, its cable and samples.csv before you use this run."
+#: What one row of samples.csv takes, and how long a mission is taken to be where nobody knows: the paper's, s.
+_BYTES_PER_ROW, _USUAL_SECONDS = 55, 95
+
+
+class Ina219(Profiler):
+    """Measures the power that the robot draws from its battery, and the energy over the measured window.
+
+    A microcontroller on board reads a Texas Instruments INA219 and sends its registers up a serial line, as
+    `docs/ina219-protocol.md` says. Nothing is computed while the mission goes on: the line keeps what arrives. The same
+    microcontroller may record on an SD card instead, and the sensor may be connected to a Linux computer's own bus.
+
+    Args:
+        name: tells several meters apart; the class's name if left out.
+        port: the serial port of a meter, or a URL of pyserial's such as `rfc2217://robot.local:4000`.
+        card: the file that is copied from a meter's card after each mission.
+        card_patience_s: how long to wait for that file at the end of a run, s.
+        sysfs: the folder of a kernel driver, such as `/sys/class/hwmon/hwmon3`, or `auto` for the only sensor there is.
+        host: the computer whose driver that is: `localhost`, or as ssh takes it (`pi@robot`).
+        ssh_config: a file to take the place of your ssh config.
+        shunt_ohm: resistance of the shunt, ohm; None takes what the meter says (0.1 ohm if it says nothing).
+        rate_hz: nominal rate of sampling, Hz; None takes what the meter says (200 Hz if it says nothing; a driver: 50).
+        namespace: whose meter it is, on several simulated robots.
+
+    Raises:
+        PluginError: the shunt or the rate is not positive, or two ways to the sensor are named.
+
+    Example:
+        >>> Ina219(port="/dev/ttyUSB0", shunt_ohm=0.05).measures[0].unit
+        'J'
+    """
+
+    measures: Sequence[Measure] = (
+        Measure("Energy", "J", "Energy drawn over the measured window: the integral of power by the trapezoid rule."),
+        Measure("EnergyPt", "J", "The paper's E = P x t: the mean of the power samples times the window's duration."),
+        Measure("MeanPower", "W", "Mean power over the measured window: Energy divided by its duration."),
+    )
+    needs: ClassVar[str] = "An INA219 on a serial line, a card or a kernel driver, or robot='simulated'."
+
+    def __init__(  # noqa: PLR0913 - three ways to one sensor
+        self,
+        *,
+        name: str | None = None,
+        port: str | None = None,
+        card: str | None = None,
+        card_patience_s: float = 0.0,
+        sysfs: str | None = None,
+        host: str = LOCAL,
+        ssh_config: str | Path | None = None,
+        shunt_ohm: float | None = None,
+        rate_hz: float | None = None,
+        namespace: str = "",
+    ) -> None:
+        super().__init__(name=name)
+        for parameter, value in (("shunt_ohm", shunt_ohm), ("rate_hz", rate_hz)):
+            if value is not None and not value > 0:
+                raise PluginError(
+                    f"{parameter} is {value!r}",
+                    where=self.name,
+                    fix=f"Give {parameter} a number above 0, or leave it out.",
+                )
+        config = None if ssh_config is None else Path(ssh_config).expanduser()
+        self.way = Way(port=port, card=card, sysfs=sysfs, host=host, ssh_config=config, namespace=namespace)
+        if len(self.way.given) > 1:
+            named = " and ".join(self.way.given)
+            raise PluginError(f"both {named} are named", where=self.name, fix="Name one way to the sensor.")
+        self.card_patience_s = card_patience_s
+        self.shunt_ohm = shunt_ohm
+        self.rate_hz = rate_hz
+        rate = rate_hz or (DEFAULT_RATE if sysfs is None else DEFAULT_SYSFS_RATE)
+        self.bytes_per_run = round(rate * _USUAL_SECONDS * _BYTES_PER_ROW)
+        self._meter: Meter | None = None
+        self._evaluation: Evaluation | None = None
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no meter, a port that cannot be opened, or two profilers on one line."""
+        yield from way_findings(self._where, self.way, circumstances.robot)
+        yield from self._clashes(circumstances)
+
+    def start_measurement(self, context: RobotRunnerContext) -> None:
+        """Open the way to the sensor and begin the measured window.
+
+        Raises:
+            LinkError: the sensor cannot be reached.
+        """
+        self._meter = self._evaluation = None
+        meter = self._open_meter(context)
+        meter.begin()
+        self._meter = meter
+
+    def stop_measurement(self, context: RobotRunnerContext) -> None:
+        """End the measured window and take what the line has kept.
+
+        Raises:
+            LinkError: the sensor was lost meanwhile; the samples until then are kept all the same.
+        """
+        del context
+        if self._meter is not None:
+            self._meter.end()
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Write the raw samples: later than `stop_measurement`, so that other profilers need not wait for the disk."""
+        if self._meter is not None and self._meter.has_samples_at_once:
+            self._evaluate(self._meter, context)
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish energy and mean power; no value where too little was seen.
+
+        Raises:
+            LinkError: the file from the meter's card did not come, or is not what was expected.
+        """
+        if self._meter is None:
+            context.warn("nothing was measured: the measurement was never started", fix=_REMEDY)
+            for measure in self.measures:
+                context.publish(measure.name, None)
+            return
+        evaluation = self._evaluate(self._meter, context)
+        for problem in evaluation.warnings():
+            context.warn(problem, fix=_REMEDY)
+        origin = Origin.SIMULATED if evaluation.is_simulated else Origin.MEASURED
+        for name, value in evaluation.values().items():
+            context.publish(name, value, origin=origin)
+
+    @property
+    def _where(self) -> str:
+        return f"plugin {self.name}"
+
+    def _evaluate(self, meter: Meter, context: RobotRunnerContext) -> Evaluation:
+        if self._evaluation is None:
+            self._evaluation = meter.evaluate()
+            self._evaluation.write(context.raw_data_folder)
+        return self._evaluation
+
+    def _open_meter(self, context: RobotRunnerContext) -> Meter:
+        way, clock, shunt, rate = self.way, context.clock, self.shunt_ohm, self.rate_hz
+        if way.card is not None:
+            return CardMeter(way.card, clock, patience=self.card_patience_s, shunt_ohm=shunt, rate_hz=rate)
+        if way.sysfs is not None:
+            host = connect_host(context, way.host, ssh_config=way.ssh_config)
+            if not isinstance(host, FileHost):
+                fix = f"Leave host out, or name another one than {way.host!r}."
+                raise LinkError("files of this computer cannot be read", where=self._where, fix=fix)
+            return SysfsMeter(host, clock, folder=way.sysfs, shunt_ohm=shunt, rate_hz=rate, where=self._where)
+        line = open_serial_line(context, way.port, namespace=way.namespace)
+        return LineMeter(line, clock, shunt_ohm=shunt, rate_hz=rate)
+
+    def _clashes(self, circumstances: Circumstances) -> Iterator[Finding]:
+        """Yield those that come before this one and would take the samples away from it, or it from them."""
+        for other in circumstances.plugins:
+            if other is self:
+                return
+            if isinstance(other, Ina219) and self.way.clashes_with(other.way):
+                problem = f"it would share one line with plugin {other.name}, and each would get some of the samples"
+                yield Finding.error(self._where, problem, "Give each a port of its own, or leave one of them out.")

@@ -1,0 +1,240 @@
+"""What the samples of a run amount to: energy, mean power, and how far they can be trusted."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import asdict, dataclass
+from operator import mul
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.sampling.quality import Column, quality_of, write_quality, write_samples
+from robot_runner.core.sampling.series import Series, energy, energy_from_mean_power
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.core.sampling.quality import SampleQuality
+    from robot_runner.core.sampling.series import Window
+    from robot_runner.meters.ina219.frames import SampleStream
+
+__all__ = [
+    "BUS_VOLT_PER_STEP",
+    "DEFAULT_RATE",
+    "DEFAULT_SHUNT",
+    "POWER_ON_CONFIGURATION",
+    "SHUNT_VOLT_PER_STEP",
+    "Calibration",
+    "Evaluation",
+    "Ranges",
+    "evaluate_registers",
+]
+
+
+# From the INA219's registers to volts, amperes and watts, on the host, so that raw data stay raw.
+
+#: One step of the shunt voltage register (0x01), V.
+SHUNT_VOLT_PER_STEP = 10e-6
+#: One step of the bus voltage register (0x02), V; the voltage stands in its bits 15 to 3.
+BUS_VOLT_PER_STEP = 4e-3
+#: The configuration of a sensor that was without power: 32 V, ±320 mV, single 12-bit conversions.
+POWER_ON_CONFIGURATION = 0x399F
+
+_BUS_SHIFT = 3
+#: What the protocol promises where the device says nothing of itself: 16 V, ±320 mV, two conversions averaged.
+_USUAL_CONFIGURATION = 0x1CCF
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """What turns registers into currents.
+
+    Attributes:
+        shunt_ohm: resistance of the shunt, ohm; 0.1 on the common breakout boards.
+
+    Example:
+        >>> calibration = Calibration(shunt_ohm=0.1)
+        >>> round(calibration.current(6130), 6), round(calibration.voltage(0x60E2), 6)
+        (0.613, 12.4)
+    """
+
+    shunt_ohm: float = 0.1
+
+    def current(self, shunt_raw: int) -> float:
+        """Return the current through the shunt in amperes."""
+        return shunt_raw * (SHUNT_VOLT_PER_STEP / self.shunt_ohm)
+
+    def voltage(self, bus_raw: int) -> float:
+        """Return the bus voltage behind the shunt in volts; the register's flags (bits 2 to 0) are ignored."""
+        return (bus_raw >> _BUS_SHIFT) * BUS_VOLT_PER_STEP
+
+
+@dataclass(frozen=True, slots=True)
+class Ranges:
+    """Where the registers end: a reading at the end may stand for more.
+
+    Attributes:
+        shunt: largest magnitude of the shunt voltage register.
+        bus: largest voltage in the bus voltage register, in its steps.
+
+    Example:
+        >>> Ranges.of(0x1CCF)
+        Ranges(shunt=32000, bus=4000)
+    """
+
+    shunt: int
+    bus: int
+
+    @classmethod
+    def of(cls, configuration: int) -> Ranges:
+        """Return the ranges that a configuration register sets; those of the protocol where it is 0, not known.
+
+        The gain (bits 12 and 11) sets ±40, 80, 160 or 320 mV, bit 13 sets 16 or 32 V.
+        """
+        known = configuration or _USUAL_CONFIGURATION
+        return cls(shunt=4000 << (known >> 11 & 3), bus=8000 if known & 0x2000 else 4000)
+
+    def count_saturated(self, shunt_raw: Iterable[int], bus_raw: Iterable[int]) -> int:
+        """Return how many samples have one of their readings at the end of its range."""
+        pairs = zip(shunt_raw, bus_raw, strict=True)
+        return sum(abs(shunt) >= self.shunt or bus >> _BUS_SHIFT >= self.bus for shunt, bus in pairs)
+
+
+#: Periods of sampling over which a sample may stand for the edge of the window, or for an edge without one beyond it.
+_REACH = 5.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evaluation:
+    """The power samples of a run, wherever they came from.
+
+    Attributes:
+        window: the measured window.
+        power: W, drawn by the robot, at times in s.
+        quality: of the samples.
+        columns: what was read, as it was read, and what it means; written beside `time_s` and `power_W`.
+        details: of the meter, plain values.
+        doubts: what the meter's own ways make doubtful, one sentence each.
+        is_simulated: whether a simulated sensor took the samples.
+    """
+
+    window: Window
+    power: Series
+    quality: SampleQuality
+    columns: tuple[Column, ...] = ()
+    details: Mapping[str, Any]
+    doubts: tuple[str, ...] = ()
+    is_simulated: bool = False
+
+    def values(self) -> Mapping[str, float | None]:
+        """Return energy (J), energy as P x t (J) and mean power (W); all None where too little was seen."""
+        reach = _REACH * self.quality.period
+        joules = energy(self.power, self.window, reach=reach) if self.quality.is_sufficient else None
+        if joules is None:
+            return {"Energy": None, "EnergyPt": None, "MeanPower": None}
+        return {
+            "Energy": joules,
+            "EnergyPt": energy_from_mean_power(self.power, self.window),
+            "MeanPower": joules / self.window.duration,
+        }
+
+    def warnings(self) -> Iterator[str]:
+        """Yield what is doubtful, with figures."""
+        yield from self.quality.warnings()
+        if not self.quality.is_sufficient and self.quality.got:
+            yield "the samples do not cover the measured window, so no energy was computed from them"
+        yield from self.doubts
+
+    def write(self, folder: Path) -> None:
+        """Write `samples.csv` and `quality.json`."""
+        times, power = Column("time_s", self.power.times), Column("power_W", self.power.values)
+        write_samples(folder / "samples.csv", (times, *self.columns, power))
+        details = {"is_simulated": self.is_simulated, **self.details}
+        write_quality(folder / "quality.json", self.quality, self.window, details)
+
+
+# The evaluation of the sensor's raw registers, as they come up a serial line or from an SD card.
+
+#: What holds where neither the user nor the device says otherwise: the paper's 200 Hz, and the shunt of the common
+#: breakout boards.
+DEFAULT_RATE = 200.0
+DEFAULT_SHUNT = 0.1
+
+
+def evaluate_registers(
+    stream: SampleStream,
+    times: Sequence[float],
+    window: Window,
+    *,
+    shunt_ohm: float | None = None,
+    rate_hz: float | None = None,
+    is_simulated: bool = False,
+) -> Evaluation:
+    """Return the samples of a stream in physical units; what is None is taken from the device's hello.
+
+    Args:
+        stream: the samples.
+        times: when each was taken, s.
+        window: the measured one, on the clock of `times`.
+        shunt_ohm: resistance of the shunt, ohm.
+        rate_hz: nominal rate, Hz.
+        is_simulated: whether a simulated sensor took them.
+    """
+    hello = stream.hello
+    shunt = shunt_ohm or (hello.shunt_ohm if hello else 0.0) or DEFAULT_SHUNT
+    rate = rate_hz or (float(hello.rate_hz) if hello else 0.0) or DEFAULT_RATE
+    calibration = Calibration(shunt)
+    current = array("d", map(calibration.current, stream.shunt_raw))
+    voltage = array("d", map(calibration.voltage, stream.bus_raw))
+    ranges = Ranges.of(hello.configuration if hello else 0)
+    return Evaluation(
+        window=window,
+        power=Series(times, array("d", map(mul, current, voltage))),
+        quality=quality_of(
+            times,
+            window,
+            rate,
+            duplicates=stream.duplicates,
+            lost=stream.lost,
+            corrupt=stream.counts.corrupt,
+            saturated=ranges.count_saturated(stream.shunt_raw, stream.bus_raw),
+        ),
+        columns=(
+            Column("shunt_raw", stream.shunt_raw, "%d"),
+            Column("bus_raw", stream.bus_raw, "%d"),
+            Column("current_A", current),
+            Column("voltage_V", voltage, "%.3f"),
+        ),
+        details=_details(stream, shunt, rate),
+        doubts=tuple(_doubts(stream, shunt, rate)),
+        is_simulated=is_simulated,
+    )
+
+
+def _details(stream: SampleStream, shunt: float, rate: float) -> dict[str, Any]:
+    return {
+        "shunt_ohm": shunt,
+        "rate_hz": rate,
+        "restarts": stream.restarts,
+        "line": asdict(stream.counts),
+        "hello": None if stream.hello is None else asdict(stream.hello),
+    }
+
+
+def _doubts(stream: SampleStream, shunt: float, rate: float) -> Iterator[str]:
+    if stream.restarts:
+        times = "once" if stream.restarts == 1 else f"{stream.restarts} times"
+        yield f"the power meter was restarted {times}"
+    if stream.counts.foreign_versions:
+        yield "the power meter speaks another version of the protocol"
+    if 0 in stream.configurations:
+        yield "the power meter answered, its sensor did not: look at the four wires between them"
+    if POWER_ON_CONFIGURATION in stream.configurations:
+        yield "the sensor was without power for a moment and measured in another range for up to a second"
+    hello = stream.hello
+    if hello is None:
+        return
+    if abs(hello.shunt_ohm - shunt) > 0.001 * shunt:
+        yield f"the power meter says that its shunt has {hello.shunt_ohm:g} ohm, not {shunt:g} ohm"
+    if hello.rate_hz != rate:
+        yield f"the power meter says that it samples at {hello.rate_hz} Hz, not at {rate:g} Hz"

@@ -1,0 +1,248 @@
+"""The meter behind a driver of the Linux kernel, on this machine or on the robot's computer."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.host import ReportingSampler
+from robot_runner.core.sampling.quality import Column, quality_of
+from robot_runner.core.sampling.series import Series, Window
+from robot_runner.meters.ina219.registers import Evaluation
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from robot_runner.core.events.context import Clock
+    from robot_runner.core.links.host import FileHost, FileSampler, SamplingReport
+
+__all__ = ["AUTO", "DEFAULT_SYSFS_RATE", "Reading", "SysfsMeter", "SysfsSensor", "find_sensor"]
+
+
+# The INA219 behind a driver of the Linux kernel: what its files in /sys are called and what they mean.
+
+#: The name under which the one sensor of a computer is taken, wherever its driver put it.
+AUTO = "auto"
+
+#: Where the two drivers put their devices.
+_PATTERNS = ("/sys/class/hwmon/hwmon*/name", "/sys/bus/iio/devices/iio:device*/name")
+_CHIPS = ("ina219", "ina220", "ina226", "ina230", "ina231")
+
+_HWMON = ("power1_input", "curr1_input", "in1_input")
+_HWMON_SHUNT = "shunt_resistor"
+_IIO = ("in_voltage0_raw", "in_voltage1_raw")
+_IIO_SCALES = ("in_voltage0_scale", "in_voltage1_scale", "in_shunt_resistor")
+_SHUNT_VOLT_SCALE, _BUS_VOLT_SCALE, _SHUNT = range(3)
+
+
+class Reading(NamedTuple):
+    """One sample in physical units."""
+
+    current: float
+    voltage: float
+    power: float
+
+
+@dataclass(frozen=True, slots=True)
+class SysfsSensor:
+    """One sensor as its driver shows it.
+
+    Attributes:
+        folder: its folder in /sys.
+        chip: the sensor's type, such as `ina219`.
+        driver: `hwmon` or `iio`.
+        names: the files of one sample.
+        shunt_ohm: resistance of the shunt that the driver was told of, ohm.
+        scales: of an IIO device, mV a step: of the shunt's and of the bus voltage.
+
+    Example:
+        >>> sensor = SysfsSensor("/sys/class/hwmon/hwmon3", "ina219", "hwmon", _HWMON, 0.1)
+        >>> sensor.read(("7600000", "613", "12400"), shunt_ohm=0.1)
+        Reading(current=0.613, voltage=12.4, power=7.6)
+    """
+
+    folder: str
+    chip: str
+    driver: str
+    names: tuple[str, ...]
+    shunt_ohm: float
+    scales: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def paths(self) -> list[str]:
+        """The files to read for one sample, in order."""
+        return [f"{self.folder}/{name}" for name in self.names]
+
+    def read(self, lines: Sequence[str | None], *, shunt_ohm: float) -> Reading | None:
+        """Return what the lines of `paths` say, or None where one is missing or no number."""
+        try:
+            numbers = [int(line) for line in lines if line is not None]
+        except ValueError:
+            return None
+        if len(numbers) != len(self.names):
+            return None
+        return self._of_hwmon(numbers, shunt_ohm) if self.driver == "hwmon" else self._of_iio(numbers, shunt_ohm)
+
+    def _of_hwmon(self, numbers: Sequence[int], shunt_ohm: float) -> Reading:
+        # The driver reckoned with the shunt that it was told of.
+        micro_watt, milli_ampere, milli_volt = numbers
+        mended = self.shunt_ohm / shunt_ohm
+        return Reading(milli_ampere * 1e-3 * mended, milli_volt * 1e-3, micro_watt * 1e-6 * mended)
+
+    def _of_iio(self, numbers: Sequence[int], shunt_ohm: float) -> Reading:
+        shunt_volt, bus_volt = (raw * scale * 1e-3 for raw, scale in zip(numbers, self.scales, strict=True))
+        current = shunt_volt / shunt_ohm
+        return Reading(current, bus_volt, current * bus_volt)
+
+
+def find_sensor(host: FileHost, folder: str = AUTO, *, where: str) -> SysfsSensor:
+    """Return the sensor in this folder of /sys, or the only one there is.
+
+    Args:
+        host: the computer that it is connected to.
+        folder: such as `/sys/class/hwmon/hwmon3`, or `auto`.
+        where: for errors: whose sensor it is.
+
+    Raises:
+        LinkError: there is no such sensor, there are several to choose from, or its driver says too little.
+    """
+    if folder != AUTO:
+        return _open_sensor(host, folder.rstrip("/"), where)
+    names = [path for pattern in _PATTERNS for path in host.list_files(pattern)]
+    chips = zip(names, host.read_files(names), strict=True)
+    folders = [path.removesuffix("/name") for path, chip in chips if chip in _CHIPS]
+    if len(folders) == 1:
+        return _open_sensor(host, folders[0], where)
+    if folders:
+        problem, fix = f"there are {len(folders)} sensors", f"Name one: sysfs={' or '.join(map(repr, folders))}."
+    else:
+        problem = "no driver in /sys shows an INA219"
+        fix = "Load the driver ina2xx for it (docs/ina219.md), or name the sensor's folder: sysfs='/sys/...'."
+    raise LinkError(problem, where=where, fix=fix)
+
+
+def _open_sensor(host: FileHost, folder: str, where: str) -> SysfsSensor:
+    paths = [f"{folder}/{name}" for name in ("name", *_HWMON, _HWMON_SHUNT, *_IIO, *_IIO_SCALES)]
+    lines = dict(zip(paths, host.read_files(paths), strict=True))
+    found = {path.rpartition("/")[2]: line for path, line in lines.items() if line is not None}
+    chip = found.get("name", "")
+    try:
+        if found.keys() >= {*_HWMON, _HWMON_SHUNT}:
+            return SysfsSensor(folder, chip, "hwmon", _HWMON, int(found[_HWMON_SHUNT]) * 1e-6)
+        if found.keys() >= {*_IIO, *_IIO_SCALES}:
+            scales = [float(found[name]) for name in _IIO_SCALES]
+            pair = scales[_SHUNT_VOLT_SCALE], scales[_BUS_VOLT_SCALE]
+            return SysfsSensor(folder, chip, "iio", _IIO, scales[_SHUNT], pair)
+    except ValueError as error:
+        raise LinkError(f"{folder}: {error}", where=where, fix="Look at the sensor's files there.") from error
+    lacking = sorted({*_HWMON, _HWMON_SHUNT} - found.keys())
+    problem = f"{folder} shows no INA219: it has no {', '.join(lacking)}" if found else f"there is nothing at {folder}"
+    raise LinkError(problem, where=where, fix="Name the sensor's folder, or leave it to sysfs='auto'.")
+
+
+#: Hz; each sample is two or three transfers on the sensor's bus, made by the kernel while the reader waits.
+DEFAULT_SYSFS_RATE = 50.0
+
+_SETTLE = "tell the driver of the shunt (docs/ina219.md)"
+
+
+class SysfsMeter:
+    """Reads the driver's files at a rate.
+
+    Args:
+        host: the computer that the sensor is connected to.
+        clock: the run's.
+        folder: the sensor's in /sys, or `auto`.
+        shunt_ohm: resistance of the shunt, ohm; None takes what the driver says.
+        rate_hz: Hz; None for 50.
+        where: for errors: whose sensor it is.
+
+    Raises:
+        LinkError: there is no such sensor.
+    """
+
+    has_samples_at_once = True
+
+    def __init__(
+        self,
+        host: FileHost,
+        clock: Clock,
+        *,
+        folder: str,
+        shunt_ohm: float | None,
+        rate_hz: float | None,
+        where: str,
+    ) -> None:
+        self._host = host
+        self._clock = clock
+        self._rate = rate_hz or DEFAULT_SYSFS_RATE
+        self._sensor = find_sensor(host, folder, where=where)
+        self._shunt_ohm = shunt_ohm or self._sensor.shunt_ohm
+        self._sampler: FileSampler | None = None
+        self._start = clock.now()
+        self._window: Window | None = None
+
+    def begin(self) -> None:
+        """Begin to sample."""
+        self._sampler = self._host.sample_files(self._rate, self._sensor.paths)
+        self._start = self._clock.now()
+
+    def end(self) -> None:
+        """End sampling; a second call does nothing."""
+        if self._window is None:
+            self._window = Window(self._start, self._clock.now())
+            if self._sampler is not None:
+                self._sampler.stop()
+
+    def evaluate(self) -> Evaluation:
+        """Return what was measured; samples that could not be read are left out and counted."""
+        samples = self._sampler.stop() if self._sampler is not None else ()
+        readings = [(each.time, self._sensor.read(each.lines, shunt_ohm=self._shunt_ohm)) for each in samples]
+        good = [(time, reading) for time, reading in readings if reading is not None]
+        times = array("d", [time for time, _ in good])
+        window = self._window or Window(self._start, self._clock.now())
+        failed = len(readings) - len(good)
+        report = self._report()
+        return Evaluation(
+            window=window,
+            power=Series(times, array("d", [reading.power for _, reading in good])),
+            quality=quality_of(
+                times,
+                window,
+                report.rate if report else self._rate,
+                failed=failed,
+                first_failure="a file of the driver could not be read" if failed else "",
+                cpu_seconds=report.cpu_seconds if report else None,
+                clock_uncertainty=report.clock.uncertainty if report and report.clock else None,
+            ),
+            columns=_columns([reading.current for _, reading in good], [reading.voltage for _, reading in good]),
+            details=self._details(report),
+            doubts=self._doubts(report),
+        )
+
+    def _report(self) -> SamplingReport | None:
+        return self._sampler.report() if isinstance(self._sampler, ReportingSampler) else None
+
+    def _details(self, report: SamplingReport | None) -> dict[str, Any]:
+        return {
+            "shunt_ohm": self._shunt_ohm,
+            "rate_hz": report.rate if report else self._rate,
+            "sensor": _facts(self._sensor),
+            "form": report.form if report else "",
+        }
+
+    def _doubts(self, report: SamplingReport | None) -> tuple[str, ...]:
+        told, used = self._sensor.shunt_ohm, self._shunt_ohm
+        contradiction = f"the driver was told of a shunt of {told:g} ohm, not {used:g} ohm: {_SETTLE}"
+        doubts = [contradiction] if abs(told - used) > 0.001 * used else []
+        return (*doubts, *(report.problems if report else ()))
+
+
+def _columns(current: Sequence[float], voltage: Sequence[float]) -> tuple[Column, ...]:
+    return Column("current_A", current), Column("voltage_V", voltage, "%.3f")
+
+
+def _facts(sensor: SysfsSensor) -> dict[str, Any]:
+    return {"folder": sensor.folder, "chip": sensor.chip, "driver": sensor.driver, "shunt_ohm": sensor.shunt_ohm}

@@ -1,0 +1,255 @@
+"""The profiler that watches how warm and how fast the processor is, and whether it is held back."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.events.measure import Measure
+from robot_runner.core.sampling.quality import Column
+from robot_runner.core.sampling.series import Series, mean
+from robot_runner.meters.polled import PolledProfiler, simulation_findings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.plugin import Circumstances
+    from robot_runner.core.sampling.periodic import Sampling
+
+__all__ = ["LinuxThermal", "ThermalReading"]
+
+_MILLI = 1e-3
+_KILO = 1e3
+#: Where a Raspberry Pi's firmware tells of throttling. Bits 1 to 3 are about now: frequency capped, throttled, soft
+#: temperature limit; bit 0 is under-voltage. Source: Raspberry Pi documentation, vcgencmd get_throttled.
+_FIRMWARE = "devices/platform/soc/soc:firmware/get_throttled"
+_HELD_BACK_BITS = 0b1110
+_UNDER_VOLTAGE_BIT = 0b0001
+#: Types of cooling devices that hold the processor back; the others are fans and the like.
+_PROCESSOR_TYPES = ("Processor", "cpufreq", "thermal-cpufreq", "cpuidle", "thermal-idle")
+
+
+@dataclass(frozen=True, slots=True)
+class ThermalReading:
+    """How the processor is at one moment; None for what the machine does not tell.
+
+    Attributes:
+        temperature: of the hottest zone, degC.
+        frequency: mean over the cores, Hz.
+        throttle_count: how often it was throttled since the machine started.
+        is_held_back: whether the kernel or the firmware holds it back now.
+        is_under_voltage: whether the supply voltage is too low now.
+    """
+
+    temperature: float | None
+    frequency: float | None
+    throttle_count: int | None
+    is_held_back: bool | None
+    is_under_voltage: bool = False
+
+
+class _Machine:
+    """The files of a machine that tell of temperature, frequency and throttling, as far as it has them."""
+
+    def __init__(self, root: Path, zones: Sequence[str] | None) -> None:
+        thermal, cpus = root / "class" / "thermal", root / "devices" / "system" / "cpu"
+        self.zone_types = {path: _text(path / "type") for path in sorted(thermal.glob("thermal_zone*"))}
+        chosen = [path for path, kind in self.zone_types.items() if zones is None or kind in zones]
+        self.temperatures = [path / "temp" for path in chosen if _number(path / "temp") is not None]
+        self.frequencies = sorted(cpus.glob("cpu[0-9]*/cpufreq/scaling_cur_freq"))
+        self.counters = sorted(cpus.glob("cpu[0-9]*/thermal_throttle/*_throttle_count"))
+        coolers = [path for path in sorted(thermal.glob("cooling_device*")) if _cools_processor(path)]
+        self.coolers = [path / "cur_state" for path in coolers]
+        self.firmware = [path for path in (root / _FIRMWARE,) if path.exists()]
+
+    @property
+    def tells_of_throttling(self) -> bool:
+        return bool(self.counters or self.coolers or self.firmware)
+
+    def read(self) -> ThermalReading:
+        hottest = max(_numbers(self.temperatures), default=None)
+        frequencies = _numbers(self.frequencies)
+        counts = _numbers(self.counters)
+        states = _numbers(self.coolers)
+        flags = [int(_text(path) or "0", 16) for path in self.firmware]
+        told = bool(states or flags)
+        return ThermalReading(
+            temperature=None if hottest is None else hottest * _MILLI,
+            frequency=math.fsum(frequencies) / len(frequencies) * _KILO if frequencies else None,
+            throttle_count=int(sum(counts)) if counts else None,
+            is_held_back=any(states) or any(flag & _HELD_BACK_BITS for flag in flags) if told else None,
+            is_under_voltage=any(flag & _UNDER_VOLTAGE_BIT for flag in flags),
+        )
+
+    def close(self) -> None:
+        """Do nothing: the files are opened anew for each reading."""
+
+
+def _cools_processor(path: Path) -> bool:
+    return _text(path / "type").startswith(_PROCESSOR_TYPES)
+
+
+def _text(path: Path) -> str:
+    with suppress(OSError):
+        return path.read_text(encoding="ascii", errors="replace").strip()
+    return ""
+
+
+def _number(path: Path) -> float | None:
+    """Return the number in a file; None where a sensor is asleep or gone, as some are."""
+    with suppress(ValueError):
+        return float(_text(path))
+    return None
+
+
+def _numbers(paths: Sequence[Path]) -> list[float]:
+    return [number for path in paths if (number := _number(path)) is not None]
+
+
+class LinuxThermal(PolledProfiler[ThermalReading]):
+    """Measures temperature and frequency of the processor of this machine, and warns of throttling.
+
+    A processor that was held back because it was hot, or starved of voltage, makes a run incomparable with others.
+
+    Args:
+        name: tells several instances apart; the class's name if left out.
+        zones: the types of the thermal zones to read, such as `x86_pkg_temp` or `cpu-thermal`; None for all.
+        rate_hz: readings a second, Hz.
+        root: where sysfs is.
+
+    Raises:
+        PluginError: the rate is not positive.
+
+    Example:
+        >>> LinuxThermal(zones=["cpu-thermal"]).measures[0].unit
+        '°C'
+    """
+
+    measures: Sequence[Measure] = (
+        Measure("MaxTemperature", "°C", "Temperature of the hottest zone, maximum over the measured window."),
+        Measure("MeanTemperature", "°C", "Temperature of the hottest zone, mean over the measured window."),
+        Measure("MeanFrequency", "Hz", "Frequency of the processor, mean over its cores and the measured window."),
+        Measure("Throttled", "%", "Share of the samples in which the processor was held back, or had just been."),
+    )
+    needs: ClassVar[str] = "Linux with thermal zones or cpufreq in /sys."
+    bytes_per_run: int = 10_000  # 2 readings a second of 40 bytes for a mission of 95 s
+
+    def __init__(
+        self,
+        *,
+        name: str | None = None,
+        zones: Sequence[str] | None = None,
+        rate_hz: float = 2.0,
+        root: Path = Path("/sys"),
+    ) -> None:
+        super().__init__(name=name, rate_hz=rate_hz)
+        self.zones = None if zones is None else tuple(zones)
+        self.root = root
+        self._facts: Mapping[str, Any] = {}
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way, and which measures will be missing on this machine."""
+        where, machine = f"plugin {self.name}", _Machine(self.root, self.zones)
+        problem = self._nothing(machine)
+        if problem:
+            return [Finding.error(where, problem, self._fix(machine))]
+        missing = [
+            measures
+            for there, measures in (
+                (machine.temperatures, "MaxTemperature and MeanTemperature"),
+                (machine.frequencies, "MeanFrequency"),
+                (machine.tells_of_throttling, "Throttled"),
+            )
+            if not there
+        ]
+        warnings = [
+            Finding.warning(where, f"this machine does not tell of {measures}: no value") for measures in missing
+        ]
+        return [*warnings, *simulation_findings(self.name, circumstances)]
+
+    def open(self, context: RobotRunnerContext) -> _Machine:
+        """Return the machine's files.
+
+        Raises:
+            PluginError: it tells neither of temperature nor of frequency.
+        """
+        del context
+        machine = _Machine(self.root, self.zones)
+        problem = self._nothing(machine)
+        if problem:
+            raise PluginError(problem, where=self.name, fix=self._fix(machine))
+        zones = [machine.zone_types[path.parent] for path in machine.temperatures]
+        self._facts = {"zones": zones, "cores": len(machine.frequencies), "throttle_counters": len(machine.counters)}
+        return machine
+
+    def columns(self, sampling: Sampling[ThermalReading]) -> Sequence[Column]:
+        """Return the readings."""
+        readings = sampling.readings
+        return [
+            Column("temperature_degC", [each.temperature for each in readings], "%.3f"),
+            Column("frequency_Hz", [each.frequency for each in readings], "%.0f"),
+            Column("throttle_count", [each.throttle_count for each in readings], "%d"),
+            Column("is_held_back", [_digit(each.is_held_back) for each in readings], "%d"),
+            Column("is_under_voltage", [_digit(each.is_under_voltage) for each in readings], "%d"),
+        ]
+
+    def values(self, sampling: Sampling[ThermalReading]) -> Mapping[str, float | None]:
+        """Return the means and the maximum, and how much of the time the processor was held back."""
+        temperature = _series(sampling, "temperature")
+        held_back = _held_back(sampling.readings)
+        return {
+            "MaxTemperature": max(temperature.values, default=None),
+            "MeanTemperature": mean(temperature),
+            "MeanFrequency": mean(_series(sampling, "frequency")),
+            "Throttled": 100.0 * sum(held_back) / len(held_back) if held_back else None,
+        }
+
+    def doubts(self, sampling: Sampling[ThermalReading]) -> Iterable[str]:
+        """Yield that the processor was held back or starved of voltage."""
+        held_back = _held_back(sampling.readings)
+        if any(held_back):
+            hottest = max(_series(sampling, "temperature").values, default=None)
+            at = "" if hottest is None else f", at up to {hottest:.0f} °C"
+            yield f"the processor was held back in {sum(held_back)} of {len(held_back)} samples{at}"
+        if any(reading.is_under_voltage for reading in sampling.readings):
+            yield "the supply voltage of the computer was too low for a time"
+
+    def details(self) -> Mapping[str, Any]:
+        """Return what was read."""
+        return self._facts
+
+    @staticmethod
+    def _nothing(machine: _Machine) -> str:
+        is_silent = not (machine.temperatures or machine.frequencies)
+        return "this machine tells neither of temperature nor of frequency" if is_silent else ""
+
+    def _fix(self, machine: _Machine) -> str:
+        kinds = sorted({kind for kind in machine.zone_types.values() if kind})
+        if self.zones is not None and kinds:
+            return f"Choose zones among: {', '.join(map(repr, kinds))}."
+        return "Leave the plugin out: a virtual machine has no thermal zones."
+
+
+def _digit(flag: bool | None) -> int | None:
+    return None if flag is None else int(flag)
+
+
+def _series(sampling: Sampling[ThermalReading], quantity: str) -> Series:
+    pairs = zip(sampling.times, sampling.readings, strict=True)
+    told = [(time, value) for time, reading in pairs if (value := getattr(reading, quantity)) is not None]
+    return Series([time for time, _ in told], [value for _, value in told])
+
+
+def _held_back(readings: Sequence[ThermalReading]) -> list[bool]:
+    """Return, for each reading that tells, whether the processor was held back then or since the reading before."""
+    told = [each for each in readings if each.is_held_back is not None or each.throttle_count is not None]
+    before = [*told[:1], *told[:-1]]
+    return [
+        bool(now.is_held_back) or (now.throttle_count or 0) > (then.throttle_count or 0)
+        for then, now in zip(before, told, strict=True)
+    ]

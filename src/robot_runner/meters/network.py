@@ -1,0 +1,219 @@
+"""The profiler that counts what goes over the network."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import Finding, PluginError, did_you_mean
+from robot_runner.core.events.measure import Measure
+from robot_runner.core.sampling.quality import Column
+from robot_runner.meters.meter_process import MeterProcess
+from robot_runner.meters.polled import PolledProfiler, machine_clock, simulation_findings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.plugin import Circumstances
+    from robot_runner.core.sampling.periodic import Sampling
+    from robot_runner.meters.meter_process import Ending
+
+__all__ = ["Network", "counted"]
+
+_COUNTERS = ("rx_bytes", "tx_bytes", "rx_packets", "tx_packets", "rx_dropped", "tx_dropped")
+#: Counters are as wide as a machine word: on a 32-bit Raspberry Pi OS they begin at 0 again after 4 GiB.
+_WORD = 1 << 32
+#: What `capture` keeps of each packet: headers, and no more of what is said than it must.
+_SNAP_LENGTH = 128
+_GRACE = 5.0
+_STARTUP = 5.0
+
+#: The counters of each interface, one after the other.
+Counters = tuple[int, ...]
+
+
+def counted(counts: Sequence[int]) -> int:
+    """Return what a counter has counted since its first reading, also where it began at 0 again.
+
+    A fall from below 2^32 to far below it is a counter of 32 bits that went round; any other fall is an interface that
+    was set up anew and counts from 0.
+
+    Example:
+        >>> counted([2**32 - 10, 5, 20]), counted([900, 7])
+        (30, 7)
+    """
+    total = 0
+    for sooner, later in pairwise(counts):
+        went_round = later < sooner < _WORD and sooner - later > _WORD // 2
+        total += later - sooner if later >= sooner else later + (_WORD - sooner if went_round else 0)
+    return total
+
+
+class _Interfaces:
+    def __init__(self, root: Path, names: Sequence[str]) -> None:
+        self._paths = [root / name / "statistics" / counter for name in names for counter in _COUNTERS]
+        self.read()
+
+    def read(self) -> Counters:
+        return tuple(int(path.read_bytes()) for path in self._paths)
+
+    def close(self) -> None:
+        """Do nothing: the files are opened anew for each reading."""
+
+
+class Network(PolledProfiler[Counters]):
+    """Counts bytes and packets that go through the network interfaces of this machine.
+
+    Args:
+        name: tells several instances apart; the class's name if left out.
+        interfaces: which ones, such as `wlan0`; None for all that have a device behind them (no loopback, no bridges).
+        capture: whether to keep the packets too, as `capture.pcapng`, with tshark.
+        capture_filter: which packets to keep, as tcpdump writes it, such as `udp port 7400`.
+        rate_hz: readings a second, Hz.
+        root: where the interfaces are.
+
+    Raises:
+        PluginError: interfaces is empty, or the rate is not positive.
+
+    Example:
+        >>> Network(interfaces=["wlan0"]).measures[0].name
+        'Received'
+    """
+
+    measures: Sequence[Measure] = (
+        Measure("Received", "B", "Bytes received over the measured window, all interfaces together."),
+        Measure("Sent", "B", "Bytes sent over the measured window, all interfaces together."),
+        Measure("PacketsReceived", "1", "Packets received over the measured window."),
+        Measure("PacketsSent", "1", "Packets sent over the measured window."),
+        Measure("PacketsDropped", "1", "Packets that the interfaces dropped over the measured window."),
+    )
+    needs: ClassVar[str] = "Linux; for capture=True also tshark, and the right to capture."
+
+    def __init__(
+        self,
+        *,
+        name: str | None = None,
+        interfaces: Sequence[str] | None = None,
+        capture: bool = False,
+        capture_filter: str = "",
+        rate_hz: float = 2.0,
+        root: Path = Path("/sys/class/net"),
+    ) -> None:
+        super().__init__(name=name, rate_hz=rate_hz)
+        if interfaces is not None and (isinstance(interfaces, str) or not interfaces):
+            fix = "Give a list of names, such as ['wlan0'], or leave it out."
+            raise PluginError(f"interfaces is {interfaces!r}", where=self.name, fix=fix)
+        self.interfaces = None if interfaces is None else tuple(dict.fromkeys(interfaces))
+        self.capture = capture
+        self.capture_filter = capture_filter
+        self.root = root
+        # 2 readings a second of 80 bytes for a mission of 95 s; a capture of 100 packets a second for as long.
+        self.bytes_per_run = 15_000 + (2_000_000 if capture else 0)
+        self._names: list[str] = []
+        self._capturing: MeterProcess | None = None
+        self._ending: Ending | None = None
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no such interface, or no tshark where packets are to be kept."""
+        where = f"plugin {self.name}"
+        findings = [Finding.error(where, error.problem, error.fix) for error in self._faults()]
+        if self.capture and shutil.which("tshark") is None:
+            fix = "Install it: sudo apt install tshark. Or leave capture out."
+            findings.append(Finding.error(where, "capture=True needs the program 'tshark', which is not there", fix))
+        return [*findings, *simulation_findings(self.name, circumstances)]
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Forget the run before."""
+        super().start_run(context)
+        self._ending = None
+
+    def open(self, context: RobotRunnerContext) -> _Interfaces:
+        """Return the counters of the interfaces; begin to keep packets, if that was asked for.
+
+        Raises:
+            PluginError: there is no such interface, or tshark cannot be started.
+        """
+        for fault in self._faults():
+            raise fault
+        self._names = self._chosen()
+        interfaces = _Interfaces(self.root, self._names)
+        if self.capture:
+            folder = context.raw_data_folder
+            capture = folder / "capture.pcapng"
+            self._capturing = MeterProcess(
+                self._tshark(capture), output=None, folder=folder, clock=machine_clock(context)
+            )
+            # tshark begins its file once it listens to the interfaces.
+            self._capturing.wait(lambda: capture.exists() and capture.stat().st_size > 0, seconds=_STARTUP)
+        return interfaces
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """End the capture, and write the raw samples."""
+        capturing, self._capturing = self._capturing, None
+        if capturing is not None:
+            self._ending = capturing.stop(signal.SIGINT, grace=_GRACE)
+        super().stop_run(context)
+
+    def columns(self, sampling: Sampling[Counters]) -> Sequence[Column]:
+        """Return the counters as they were read."""
+        headings = [f"{name}_{counter}" for name in self._names for counter in _COUNTERS]
+        return [Column(heading, counts, "%d") for heading, counts in zip(headings, self._counts(sampling), strict=True)]
+
+    def values(self, sampling: Sampling[Counters]) -> Mapping[str, float | None]:
+        """Return what all interfaces together have counted."""
+        totals = dict.fromkeys(_COUNTERS, 0)
+        for place, counts in enumerate(self._counts(sampling)):
+            totals[_COUNTERS[place % len(_COUNTERS)]] += counted(counts)
+        return {
+            "Received": totals["rx_bytes"],
+            "Sent": totals["tx_bytes"],
+            "PacketsReceived": totals["rx_packets"],
+            "PacketsSent": totals["tx_packets"],
+            "PacketsDropped": totals["rx_dropped"] + totals["tx_dropped"],
+        }
+
+    def doubts(self, sampling: Sampling[Counters]) -> Iterable[str]:
+        """Yield that tshark failed."""
+        del sampling
+        if self._ending is not None and (
+            not self._ending.was_asked or self._ending.exit_code not in {0, -signal.SIGINT}
+        ):
+            yield f"tshark ended with exit code {self._ending.exit_code}: {self._ending.complaint}"
+
+    def details(self) -> Mapping[str, Any]:
+        """Return which interfaces were read."""
+        return {"interfaces": self._names, "is_captured": self.capture}
+
+    def _counts(self, sampling: Sampling[Counters]) -> list[list[int]]:
+        width = len(self._names) * len(_COUNTERS)
+        return [[reading[place] for reading in sampling.readings] for place in range(width)]
+
+    def _there(self) -> list[str]:
+        return sorted(path.name for path in self.root.glob("*") if (path / "statistics").is_dir())
+
+    def _chosen(self) -> list[str]:
+        if self.interfaces is not None:
+            return list(self.interfaces)
+        there = self._there()
+        return [name for name in there if (self.root / name / "device").exists()]
+
+    def _faults(self) -> list[PluginError]:
+        there = self._there()
+        missing = [name for name in self.interfaces or () if name not in there]
+        faults = [
+            PluginError(f"there is no interface {name!r}", where=self.name, fix=did_you_mean(name, there))
+            for name in missing
+        ]
+        if not self._chosen():
+            fix = f"Name some in `interfaces`; there are: {', '.join(map(repr, there)) or 'none'}."
+            faults.append(PluginError("no interface has a device behind it", where=self.name, fix=fix))
+        return faults
+
+    def _tshark(self, path: Path) -> list[str]:
+        chosen = [word for name in self._names for word in ("-i", name)]
+        kept = ["-f", self.capture_filter] if self.capture_filter else []
+        return ["tshark", "-q", "-n", *chosen, *kept, "-s", str(_SNAP_LENGTH), "-w", str(path)]

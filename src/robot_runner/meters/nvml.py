@@ -1,0 +1,217 @@
+"""The profiler that asks NVIDIA's management library about GPUs."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.events.measure import Measure
+from robot_runner.core.sampling.quality import Column
+from robot_runner.core.sampling.series import Series, cut, energy, mean
+from robot_runner.meters.polled import PolledProfiler, simulation_findings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.plugin import Circumstances
+    from robot_runner.core.sampling.periodic import Sampling
+
+__all__ = ["GpuReading", "Nvml"]
+
+_INSTALL = "Install it: pip install 'robot-runner[nvml]'."
+_DRIVER = "Install NVIDIA's driver, and see that `nvidia-smi` works."
+_MILLI = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class GpuReading:
+    """What one GPU says of itself; None for what it cannot tell.
+
+    Attributes:
+        power: W; on most GPUs an average over the last second (NVML's reference manual, nvmlDeviceGetPowerUsage).
+        joules: since the driver was loaded, J; from Volta on.
+        utilisation: share of the last sample period in which a kernel was executing, 0..100 %.
+        memory: share of its memory in use, 0..100 %.
+    """
+
+    power: float | None
+    joules: float | None
+    utilisation: float | None
+    memory: float | None
+
+
+class _Gpus:
+    """The library, initialised, and the GPUs to be read."""
+
+    def __init__(self, indices: Sequence[int] | None) -> None:
+        try:
+            self._library: Any = import_module("pynvml")
+        except ModuleNotFoundError as error:
+            raise PluginError("nvidia-ml-py is not installed", where="Nvml", fix=_INSTALL) from error
+        try:
+            self._library.nvmlInit()
+        except self._library.NVMLError as error:
+            raise PluginError(f"NVIDIA's driver does not answer: {error}", where="Nvml", fix=_DRIVER) from error
+        try:
+            self.handles = [self._library.nvmlDeviceGetHandleByIndex(index) for index in self._chosen(indices)]
+            self.names = [str(self._library.nvmlDeviceGetName(handle)) for handle in self.handles]
+        except Exception:
+            self.close()
+            raise
+
+    def _chosen(self, indices: Sequence[int] | None) -> Sequence[int]:
+        count = self._library.nvmlDeviceGetCount()
+        missing = [index for index in indices or () if index >= count]
+        if missing or not count:
+            problem = (
+                f"there is no GPU {missing[0]}; there are {count}, counted from 0" if missing else "there is no GPU"
+            )
+            raise PluginError(problem, where="Nvml", fix="Choose GPUs that `nvidia-smi -L` lists.")
+        return range(count) if indices is None else indices
+
+    def read(self) -> tuple[GpuReading, ...]:
+        return tuple(self._read(handle) for handle in self.handles)
+
+    def _read(self, handle: Any) -> GpuReading:
+        nvml = self._library
+        power = self._asked(nvml.nvmlDeviceGetPowerUsage, handle)
+        counter = self._asked(nvml.nvmlDeviceGetTotalEnergyConsumption, handle)
+        rates = self._asked(nvml.nvmlDeviceGetUtilizationRates, handle)
+        memory = self._asked(nvml.nvmlDeviceGetMemoryInfo, handle)
+        return GpuReading(
+            power=None if power is None else power * _MILLI,
+            joules=None if counter is None else counter * _MILLI,
+            utilisation=None if rates is None else float(rates.gpu),
+            memory=None if memory is None else 100.0 * memory.used / memory.total,
+        )
+
+    def _asked(self, question: Callable[[Any], Any], handle: Any) -> Any:
+        try:
+            return question(handle)
+        except self._library.NVMLError as error:
+            if error.value == self._library.NVML_ERROR_NOT_SUPPORTED:
+                return None
+            raise
+
+    def close(self) -> None:
+        self._library.nvmlShutdown()
+
+
+class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
+    """Measures power, energy, utilisation and memory of NVIDIA GPUs of this machine, through NVML.
+
+    Energy is that of the GPU's own counter, where it has one; else the integral of its power.
+
+    Args:
+        name: tells several instances apart; the class's name if left out.
+        gpus: which GPUs, as `nvidia-smi -L` counts them; None for all.
+        rate_hz: readings a second, Hz; GPUs renew what they say 10 to 50 times a second.
+
+    Raises:
+        PluginError: a number of a GPU is below 0, or the rate is not positive.
+
+    Example:
+        >>> Nvml(gpus=[0]).measures[2].name
+        'GPU'
+    """
+
+    measures: Sequence[Measure] = (
+        Measure("Energy", "J", "Energy of the GPUs over the measured window, by their counters or their power."),
+        Measure("MeanPower", "W", "Energy divided by the duration of the measured window."),
+        Measure("GPU", "%", "GPU utilisation, mean over the GPUs and the measured window."),
+        Measure("GPUMemory", "%", "Memory of the GPUs in use, mean over the GPUs and the measured window."),
+    )
+    needs: ClassVar[str] = "An NVIDIA GPU with its driver, and robot-runner[nvml]."
+    bytes_per_run: int = 70_000  # 10 readings a second of 70 bytes for one GPU and a mission of 95 s
+
+    def __init__(self, *, name: str | None = None, gpus: Sequence[int] | None = None, rate_hz: float = 10.0) -> None:
+        super().__init__(name=name, rate_hz=rate_hz)
+        if gpus is not None and (not gpus or any(index < 0 for index in gpus)):
+            fix = "Give numbers from 0, or leave gpus out for all."
+            raise PluginError(f"gpus is {list(gpus)!r}", where=self.name, fix=fix)
+        self.gpus = None if gpus is None else tuple(dict.fromkeys(gpus))
+        self._names: list[str] = []
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no library, no driver, or no such GPU."""
+        where = f"plugin {self.name}"
+        if importlib.util.find_spec("pynvml") is None:
+            return [Finding.error(where, "nvidia-ml-py is not installed", _INSTALL)]
+        try:
+            _Gpus(self.gpus).close()
+        except PluginError as error:
+            return [Finding.error(where, error.problem, error.fix)]
+        return simulation_findings(self.name, circumstances)
+
+    def open(self, context: RobotRunnerContext) -> _Gpus:
+        """Return the GPUs.
+
+        Raises:
+            PluginError: the library, its driver or a GPU is not there.
+        """
+        del context
+        gpus = _Gpus(self.gpus)
+        self._names = gpus.names
+        return gpus
+
+    def columns(self, sampling: Sampling[tuple[GpuReading, ...]]) -> Sequence[Column]:
+        """Return what each GPU said of itself."""
+        picks = (
+            ("power_W", "power"),
+            ("energy_J", "joules"),
+            ("gpu_percent", "utilisation"),
+            ("memory_percent", "memory"),
+        )
+        return [
+            Column(
+                f"gpu{place}_{heading}", [getattr(reading[place], quantity) for reading in sampling.readings], "%.3f"
+            )
+            for place in range(len(self._names))
+            for heading, quantity in picks
+        ]
+
+    def values(self, sampling: Sampling[tuple[GpuReading, ...]]) -> Mapping[str, float | None]:
+        """Return the sum of the GPUs' energies, and the means of their utilisations."""
+        places = range(len(self._names))
+        joules = _total([self._energy(sampling, place) for place in places])
+        return {
+            "Energy": joules,
+            "MeanPower": None if joules is None else joules / sampling.window.duration,
+            "GPU": _mean([self._mean(sampling, place, "utilisation") for place in places]),
+            "GPUMemory": _mean([self._mean(sampling, place, "memory") for place in places]),
+        }
+
+    def details(self) -> Mapping[str, Any]:
+        """Return the names of the GPUs."""
+        return {"gpus": self._names}
+
+    def _energy(self, sampling: Sampling[tuple[GpuReading, ...]], place: int) -> float | None:
+        counter = _series(sampling, place, "joules")
+        if len(counter) > 1 and counter.values[-1] >= counter.values[0]:
+            span = counter.times[-1] - counter.times[0]
+            return (counter.values[-1] - counter.values[0]) * sampling.window.duration / span if span else None
+        return energy(_series(sampling, place, "power"), sampling.window, reach=5 / self.rate_hz)
+
+    def _mean(self, sampling: Sampling[tuple[GpuReading, ...]], place: int, quantity: str) -> float | None:
+        return mean(cut(_series(sampling, place, quantity), sampling.window, reach=5 / self.rate_hz))
+
+
+def _series(sampling: Sampling[tuple[GpuReading, ...]], place: int, quantity: str) -> Series:
+    pairs = zip(sampling.times, sampling.readings, strict=True)
+    told = [(time, value) for time, reading in pairs if (value := getattr(reading[place], quantity)) is not None]
+    return Series([time for time, _ in told], [value for _, value in told])
+
+
+def _total(values: Sequence[float | None]) -> float | None:
+    """Return the sum; None where one of them is missing, for the sum of the others would pass for all."""
+    known = [value for value in values if value is not None]
+    return sum(known) if len(known) == len(values) else None
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    total = _total(values)
+    return None if total is None or not values else total / len(values)

@@ -1,0 +1,176 @@
+"""The profiler that counts what the processor and the kernel do, with Linux' perf."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.events.measure import Measure
+from robot_runner.meters.command import CommandProfiler, Measured
+from robot_runner.meters.command_output import Aggregate, CommandColumn, Row, TimeColumn, TimeKind
+from robot_runner.meters.polled import simulation_findings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from robot_runner.core.plugin import Circumstances
+
+__all__ = ["PerfStat", "parse_perf"]
+
+_INSTALL = "Install it: sudo apt install linux-perf (Debian), linux-tools-generic (Ubuntu)."
+_DEFAULT_EVENTS = ("task-clock", "context-switches", "page-faults", "instructions", "cycles", "cache-misses")
+#: Percentage of the time that an event was counted below which it is worth a warning; perf scales up what it missed.
+_FULL_TIME = 90.0
+_SEPARATOR = ";"  # events may have commas in their names
+_NOT_SUPPORTED = ("<not supported>", "<not counted>")
+_TRIAL_SECONDS = 10.0
+#: The highest /proc/sys/kernel/perf_event_paranoid with which a user may count on all processors (man perf_event_open).
+_MOST_PARANOID = 0
+
+
+def parse_perf(records: Sequence[str]) -> list[Row | None]:
+    """Return one row for each event and interval of `perf stat -I ... -x ;`.
+
+    Example:
+        >>> parse_perf(["     1.000116;2003.19;msec;task-clock;2003192961;100.00;2.000;CPUs utilized"])
+        [{'span': '1.000116', 'task-clock': '2003.19', 'task-clock counted': '100.00'}]
+        >>> parse_perf(["     1.000116;<not supported>;;cycles;0;100.00;;"])
+        [{'span': '1.000116', 'cycles': None, 'cycles counted': None}]
+    """
+    return [_row(record.split(_SEPARATOR)) for record in records]
+
+
+def _row(cells: Sequence[str]) -> Row | None:
+    if len(cells) < 6 or cells[0].lstrip().startswith("#"):  # noqa: PLR2004 - time, count, unit, event, run time, share
+        return None
+    time, count, _, event, _, share = (cell.strip() for cell in cells[:6])
+    is_told = count not in _NOT_SUPPORTED
+    return {"span": time, event: count if is_told else None, f"{event} counted": share if is_told else None}
+
+
+class PerfStat(CommandProfiler):
+    """Counts events of processor and kernel with `perf stat`: on the whole machine, or of one process.
+
+    Args:
+        name: tells several instances apart; the class's name if left out.
+        events: what to count, as `perf list` names it, such as `instructions` or `power/energy-pkg/`.
+        pid: the process to count for; None for all processors.
+        interval_ms: time between two readings, ms.
+        program: the program, if it is not on the PATH.
+        paranoia: the file that says what users may count.
+
+    Raises:
+        PluginError: there are no events, two yield one measure, or the interval is not positive.
+
+    Example:
+        >>> [(each.name, each.unit) for each in PerfStat(events=["cache-misses", "task-clock"]).measures]
+        [('CacheMisses', '1'), ('TaskClock', 's')]
+    """
+
+    measures: Sequence[Measure] = ()
+    needs: ClassVar[str] = "Linux' perf, and the right to count (kernel.perf_event_paranoid)."
+
+    def __init__(
+        self,
+        *,
+        name: str | None = None,
+        events: Sequence[str] = _DEFAULT_EVENTS,
+        pid: int | None = None,
+        interval_ms: int = 200,
+        program: str = "perf",
+        paranoia: Path = Path("/proc/sys/kernel/perf_event_paranoid"),
+    ) -> None:
+        if not interval_ms > 0 or isinstance(events, str):
+            problem = f"events is {events!r}" if isinstance(events, str) else f"interval_ms is {interval_ms!r}"
+            fix = "Give a list of events, and an interval above 0."
+            raise PluginError(problem, where=name or "PerfStat", fix=fix)
+        self.events = tuple(events)
+        self.pid = pid
+        self.paranoia = paranoia
+        scope = ["--all-cpus"] if pid is None else ["--pid", str(pid)]
+        counting = [program, "stat", "-x", _SEPARATOR, "-e", ",".join(self.events)]
+        self._trial = [*counting, *(scope if pid is None else ()), "--", "true"]
+        super().__init__(
+            name=name,
+            command=[*counting, "-I", str(interval_ms), *scope, "--output", "{output}"],
+            output="perf.csv",
+            columns=[
+                CommandColumn(event, _measure_of(event), Aggregate.SUM, 1e-3 if _is_clock(event) else 1.0)
+                for event in self.events
+            ],
+            parse=parse_perf,
+            time=TimeColumn("span", TimeKind.SINCE_START),
+            period_s=interval_ms / 1000,
+            stop_signal=signal.SIGINT,
+            install=_INSTALL,
+        )
+        # For each event a line of 70 bytes 5 times a second for a mission of 95 s, and the samples.
+        self.bytes_per_run = 60_000 * len(self.events)
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no perf, no right to count, no such event; and what cannot be counted here."""
+        findings = list(super().check(circumstances))
+        if not findings:
+            findings = self._refused_scope() or self._refused_events()
+        return [*findings, *simulation_findings(self.name, circumstances)]
+
+    def doubts(self, measured: Measured) -> Iterable[str]:
+        """Yield what is doubtful, which events were not counted, and which only for a share of the time."""
+        yield from super().doubts(measured)
+        for event in self.events:
+            told = [row[event] for row in measured.rows if event in row]
+            shares = [float(row[f"{event} counted"] or 0) for row in measured.rows if row.get(event)]
+            if told and not shares:
+                yield f"this machine cannot count {event!r}"
+            elif shares and min(shares) < _FULL_TIME:
+                yield f"{event!r} was counted in {min(shares):.0f} % of the time only, and scaled up by perf"
+
+    def _refused_scope(self) -> list[Finding]:
+        if self.pid is not None or os.geteuid() == 0 or not self.paranoia.exists():
+            return []
+        level = int(self.paranoia.read_text(encoding="ascii"))
+        if level <= _MOST_PARANOID:
+            return []
+        problem = f"kernel.perf_event_paranoid is {level}: only root may count on all processors"
+        fix = f"Allow it: sudo sysctl kernel.perf_event_paranoid={_MOST_PARANOID}. Or give a pid of your own."
+        return [Finding.error(f"plugin {self.name}", problem, fix)]
+
+    def _refused_events(self) -> list[Finding]:
+        """Count for a moment, and see what perf makes of the events."""
+        where = f"plugin {self.name}"
+        try:
+            trial = subprocess.run(  # noqa: S603 - the user's own program
+                self._trial,
+                capture_output=True,
+                text=True,
+                timeout=_TRIAL_SECONDS,
+                check=False,
+                stdin=subprocess.DEVNULL,
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            return [
+                Finding.error(where, f"perf cannot be tried: {error}", "Execute it by hand: " + " ".join(self._trial))
+            ]
+        if trial.returncode:
+            said = " ".join(trial.stderr.split())[:200]
+            return [Finding.error(where, f"perf refuses: {said}", "Choose events that `perf list` names.")]
+        refused = [event for event in self.events if f"{_NOT_SUPPORTED[0]};;{event};" in trial.stderr]
+        problem = "this machine cannot count"
+        return [Finding.warning(where, f"{problem} {event!r}: no value", "Leave it out.") for event in refused]
+
+
+def _measure_of(event: str) -> Measure:
+    words = [word for word in re.split(r"[^A-Za-z0-9]+", event.removeprefix("power/")) if word]
+    name = "".join(word[:1].upper() + word[1:] for word in words)
+    unit = "s" if _is_clock(event) else "J" if event.startswith("power/energy") else "1"
+    return Measure(name, unit, f"{event} over the measured window, by perf.")
+
+
+def _is_clock(event: str) -> bool:
+    """Return whether perf tells of the event in milliseconds."""
+    return event.partition(":")[0] in {"task-clock", "cpu-clock"}

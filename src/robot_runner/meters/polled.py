@@ -1,0 +1,185 @@
+"""What profilers have in common that read a meter of this machine again and again."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+
+from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.measure import Origin
+from robot_runner.core.links.connect import SIMULATED, is_simulated, lives_by_simulation
+from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.periodic import PeriodicSampler
+from robot_runner.core.sampling.quality import Column, report_quality, write_samples
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from robot_runner.core.events.context import Clock, RobotRunnerContext
+    from robot_runner.core.plugin import Circumstances
+    from robot_runner.core.sampling.periodic import Sampling
+
+__all__ = ["Meter", "PolledProfiler", "clock_details", "machine_clock", "reach_findings", "simulation_findings"]
+
+
+# The time that a meter of this machine lives by.
+
+
+def machine_clock(context: RobotRunnerContext) -> Clock:
+    """Return the clock of what is measured on this machine: the run's, unless that is the clock of a simulation.
+
+    A simulated mission of 95 s takes a few real ones, and a watt is a joule in a real second.
+    """
+    return SystemClock() if lives_by_simulation(context) else context.clock
+
+
+def clock_details(context: RobotRunnerContext) -> Mapping[str, str]:
+    """Return, for `quality.json`, whose clock the times in the raw data are of."""
+    return {"clock": "machine" if lives_by_simulation(context) else "run"}
+
+
+def simulation_findings(name: str, circumstances: Circumstances) -> list[Finding]:
+    """Return a warning where a plugin measures this machine while the robot is a simulated one."""
+    if not is_simulated(circumstances.robot):
+        return []
+    problem = "the robot is simulated, and this plugin measures the machine that simulates it"
+    return [Finding.warning(f"plugin {name}", problem, "Do not take its values for the robot's.")]
+
+
+# Whether what a built-in profiler reads from can be reached, before anything is executed.
+
+_FIX = f"Name it in the config: robot = {SIMULATED!r}. Or: --set robot={SIMULATED}."
+
+
+def reach_findings(
+    name: str, circumstances: Circumstances, *, kind: str, parameter: str, device: str | None
+) -> list[Finding]:
+    """Return what stands in the way of reading from a robot's own device, or from the `device` that was named.
+
+    Args:
+        name: the plugin's.
+        circumstances: of the experiment.
+        kind: what the device is, in words.
+        parameter: the plugin's parameter that names the device.
+        device: what that parameter is; None for the robot's own.
+    """
+    where = f"plugin {name}"
+    if device is not None:
+        problem = f"{parameter} is {device!r}, and this version reaches only the {kind} of the simulated robot"
+        return [Finding.error(where, problem, f"Leave {parameter} out, and use --set robot={SIMULATED}.")]
+    if circumstances.robot is None:
+        return [Finding.error(where, f"it reads the robot's {kind}, and the experiment names no robot", _FIX)]
+    return []
+
+
+R = TypeVar("R")
+R_co = TypeVar("R_co", covariant=True)
+
+
+class Meter(Protocol[R_co]):
+    """Something that can be read, until it is closed."""
+
+    def read(self) -> R_co:
+        """Return one reading."""
+        ...
+
+    def close(self) -> None:
+        """Let go of what is held."""
+        ...
+
+
+class PolledProfiler(Profiler, Generic[R]):
+    """Reads a meter of this machine at a fixed rate from the start of the measurement to its end.
+
+    A subclass says how the meter is opened and what its readings amount to. A reading that fails costs a sample; a
+    meter that cannot be opened fails the run, before the robot moves.
+
+    Args:
+        name: tells several instances apart; the class's name if left out.
+        rate_hz: readings a second, Hz.
+
+    Raises:
+        PluginError: the rate is not positive.
+    """
+
+    origin: Origin = Origin.MEASURED
+
+    def __init__(self, *, name: str | None, rate_hz: float) -> None:
+        super().__init__(name=name)
+        if not (math.isfinite(rate_hz) and rate_hz > 0):
+            raise PluginError(f"rate_hz is {rate_hz!r}", where=self.name, fix="Give rate_hz a number above 0.")
+        self.rate_hz = rate_hz
+        self._meter: Meter[R] | None = None
+        self._sampler: PeriodicSampler[R] | None = None
+        self._sampling: Sampling[R] | None = None
+        self._is_written = False
+
+    def open(self, context: RobotRunnerContext) -> Meter[R]:
+        """Return the meter.
+
+        Raises:
+            PluginError: it cannot be read at all.
+        """
+        raise NotImplementedError
+
+    def columns(self, sampling: Sampling[R]) -> Sequence[Column]:
+        """Return the columns of `samples.csv`, the time left out."""
+        raise NotImplementedError
+
+    def values(self, sampling: Sampling[R]) -> Mapping[str, float | None]:
+        """Return the value of each measure; what is left out is missing."""
+        raise NotImplementedError
+
+    def doubts(self, sampling: Sampling[R]) -> Iterable[str]:
+        """Yield what is doubtful about the readings, besides the quality of the samples."""
+        del sampling
+        return ()
+
+    def details(self) -> Mapping[str, Any]:
+        """Return plain facts about the meter, for `quality.json`."""
+        return {}
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Forget the run before."""
+        del context
+        self._sampler = self._sampling = None
+        self._is_written = False
+
+    def start_measurement(self, context: RobotRunnerContext) -> None:
+        """Open the meter and begin to read it."""
+        self._meter = self.open(context)
+        self._sampler = PeriodicSampler(self._meter.read, rate=self.rate_hz, clock=machine_clock(context))
+        self._sampler.start()
+
+    def stop_measurement(self, context: RobotRunnerContext) -> None:
+        """Take the last reading and close the meter."""
+        del context
+        if self._sampler is not None and self._sampling is None:
+            self._sampling = self._sampler.stop()
+        meter, self._meter = self._meter, None
+        if meter is not None:
+            meter.close()
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Write the raw samples: later than `stop_measurement`, so that other profilers need not wait for the disk."""
+        if self._sampling is None or self._is_written:
+            return
+        time = Column("time_s", self._sampling.times)
+        write_samples(context.raw_data_folder / "samples.csv", [time, *self.columns(self._sampling)])
+        self._is_written = True
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish the measures; no value where too little was read."""
+        values: Mapping[str, float | None] = {}
+        if self._sampling is None:
+            context.warn("nothing was measured: the measurement was never started")
+        else:
+            quality, window = self._sampling.quality(), self._sampling.window
+            details = {**clock_details(context), "rate_hz": self.rate_hz, **self.details()}
+            if report_quality(context, quality, window, details=details):
+                values = self.values(self._sampling)
+            for problem in self.doubts(self._sampling):
+                context.warn(problem)
+        for measure in self.measures:
+            context.publish(measure.name, values.get(measure.name), origin=self.origin)

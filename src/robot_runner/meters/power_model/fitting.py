@@ -1,0 +1,296 @@
+"""Fits the coefficients of a linear power model by least squares, and says how far they can be trusted."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from robot_runner.core.errors import AnalysisError
+from robot_runner.core.sampling.quality import MINIMUM_COVERAGE
+from robot_runner.core.sampling.series import Series, Window, energy
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.meters.power_model.linear_model import FitReport, LinearModel, check_terms, term_value
+from robot_runner.meters.power_model.states import read_numbers, read_states
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    import numpy.typing as npt
+
+    from robot_runner.meters.power_model.states import RobotState
+
+    Floats = npt.NDArray[np.float64]
+
+__all__ = ["MeasuredRun", "Sources", "fit_model", "read_runs", "terms_of"]
+
+
+# What a model is fitted on: pieces of time in which the robot did one thing, and the power that was measured then.
+
+#: A piece shorter than this, s, holds too few samples of a 200 Hz meter for its mean power to mean much.
+_SHORTEST = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """The plugins whose raw data tell what the robot did and drew.
+
+    Attributes:
+        power: its `samples.csv` holds `power_W`, its `quality.json` the measured window.
+        utilisation: its `samples.csv` holds `cpu_percent` and `memory_percent`; None for none.
+        phases: its `phases.csv` holds `phase` and `task`; None for none.
+    """
+
+    power: str = "Ina219"
+    utilisation: str | None = "PsUtil"
+    phases: str | None = "BasicTurtlebot3"
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredRun:
+    """What the robot did in a run, and what it drew then.
+
+    Attributes:
+        run_id: the run's.
+        states: what it did, piece by piece.
+        watts: the mean power of each piece, W.
+        is_simulated: whether the meter was a simulated one.
+    """
+
+    run_id: str
+    states: Sequence[RobotState]
+    watts: Sequence[float]
+    is_simulated: bool
+
+
+def read_runs(experiment: Path, sources: Sources, run_ids: Sequence[str]) -> tuple[list[MeasuredRun], dict[str, str]]:
+    """Return the runs that power was measured in, and for each other one why it is left out.
+
+    Args:
+        experiment: the experiment's folder.
+        sources: the plugins to read from.
+        run_ids: the runs that are done.
+
+    Raises:
+        AnalysisError: no run can be used.
+    """
+    runs, left_out = [], {}
+    for run_id in run_ids:
+        try:
+            runs.append(_read_run(ExperimentFolder(experiment).run(run_id), sources))
+        except AnalysisError as error:
+            left_out[run_id] = str(error.problem)
+            first = error
+    if not runs:
+        if not left_out:
+            fix = "Execute the experiment first, with a power meter among its plugins."
+            raise AnalysisError("no run is done", where=str(experiment), fix=fix)
+        raise AnalysisError(f"no run can be used: {first.problem}", where=first.where, fix=first.fix)
+    return runs, left_out
+
+
+def _read_run(folder: Path, sources: Sources) -> MeasuredRun:
+    quality = _read_quality(folder / sources.power / "quality.json")
+    window = Window(**quality["window"])
+    times, watts = read_numbers(folder / sources.power / "samples.csv", ("time_s", "power_W"))
+    power = Series(times, watts)
+    states, means = [], []
+    for state in read_states(folder, window, utilisation=sources.utilisation, phases=sources.phases):
+        joules = energy(power, Window(state.start, state.end)) if state.seconds >= _SHORTEST else None
+        if joules is not None:
+            states.append(state)
+            means.append(joules / state.seconds)
+    return MeasuredRun(folder.name, states, means, bool(quality.get("is_simulated")))
+
+
+def _read_quality(path: Path) -> dict[str, Any]:
+    """Return what the meter said of its samples; refuse those that do not cover the window."""
+    fix = "Name another plugin that measures power, or execute the experiment with one."
+    try:
+        quality: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        coverage = quality["samples"]["coverage"] if quality["window"] else 0.0
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        problem = "there is no such file" if isinstance(error, OSError) else f"it tells of no measured window: {error}"
+        raise AnalysisError(problem, where=str(path), fix=fix) from error
+    if coverage < MINIMUM_COVERAGE:
+        problem = f"the power samples cover {coverage:.0f} % of the measured window"
+        raise AnalysisError(problem, where=str(path), fix="Leave this run out.")
+    return quality
+
+
+#: Singular values, relative to the largest, below which columns count as one: rounding in the raw data's third
+#: decimal leaves more than this between terms that truly differ.
+_SINGULAR = 1e-6
+#: How much of a direction in which nothing was seen a term must make up to be named as its cause.
+_CAUSE = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """One row a piece of time: what it is explained by, the power that was measured, and how long it lasted."""
+
+    terms: Sequence[str]
+    matrix: Floats
+    watts: Floats
+    seconds: Floats
+
+    def solve(self) -> Floats:
+        """Return the coefficients that leave the least squares, each piece weighted by its duration.
+
+        Raises:
+            AnalysisError: the data do not tell some of the terms apart.
+        """
+        root = np.sqrt(self.seconds)
+        weighted = self.matrix * root[:, None]
+        scale = np.linalg.norm(weighted, axis=0)
+        scale[scale == 0] = 1.0
+        self._check_rank(weighted / scale)
+        solution: Floats = np.linalg.lstsq(weighted / scale, self.watts * root, rcond=None)[0] / scale
+        return solution
+
+    def _check_rank(self, scaled: Floats) -> None:
+        if len(scaled) < len(self.terms):
+            problem = f"there are {len(scaled)} pieces of time for {len(self.terms)} terms"
+            raise AnalysisError(problem, where="power model", fix="Measure more, or leave terms out.")
+        _, singular, directions = np.linalg.svd(scaled, full_matrices=False)
+        if singular[-1] > _SINGULAR * singular[0]:
+            return
+        causes = [repr(term) for term, share in zip(self.terms, directions[-1], strict=True) if abs(share) > _CAUSE]
+        if len(causes) == 1:
+            problem, fix = f"the term {causes[0]} is 0 all the time", f"Leave {causes[0]} out."
+        else:
+            problem = f"the data do not tell these terms apart: {', '.join(causes)}"
+            fix = f"Leave one of them out, such as {causes[-1]}, or measure runs in which they differ."
+        raise AnalysisError(problem, where="power model", fix=fix)
+
+
+def terms_of(runs: Sequence[MeasuredRun], sources: Sources) -> tuple[str, ...]:
+    """Return the terms that these runs can tell of: utilisation, motions and tasks, as far as they were seen."""
+    states = [state for run in runs for state in run.states]
+    terms = ["constant"]
+    terms += ["cpu"] if sources.utilisation else []
+    if any(state.has_moved for state in states) and not all(state.has_moved for state in states):
+        terms.append("has_moved")
+    terms += [f"motion:{name}" for name in sorted({state.motion for state in states} - {""})]
+    terms += [f"task:{name}" for name in sorted({state.task for state in states} - {""})]
+    return tuple(terms)
+
+
+def fit_model(
+    runs: Sequence[MeasuredRun], terms: Sequence[str], *, experiment: str, sources: Sources, left_out: Mapping[str, str]
+) -> LinearModel:
+    """Return the linear model that fits these runs best.
+
+    Args:
+        runs: what the robot did and drew.
+        terms: the terms of the model.
+        experiment: the name of the experiment, for the report.
+        sources: where the data came from, for the report.
+        left_out: the runs that were left out and why, for the report.
+
+    Raises:
+        AnalysisError: the data are too few, or do not tell some of the terms apart.
+        PluginError: there is no such term.
+    """
+    check_terms(terms)
+    rows = [_rows_of(run, terms) for run in runs]
+    everything = _joined(rows)
+    coefficients = everything.solve()
+    partial = _without_each(rows)
+    report = FitReport(
+        experiment=experiment,
+        runs=[run.run_id for run in runs],
+        left_out=dict(left_out),
+        power_source=sources.power,
+        is_simulated=any(run.is_simulated for run in runs),
+        pieces=len(everything.watts),
+        seconds=float(everything.seconds.sum()),
+        r_squared=_r_squared(everything, coefficients),
+        residual_W=_residual(everything, coefficients),
+        standard_errors=_jackknife(terms, [each for each in partial if each is not None]),
+        energy_errors={
+            run.run_id: _energy_error(own, others)
+            for run, own, others in zip(runs, rows, partial, strict=True)
+            if others is not None
+        },
+    )
+    return LinearModel(dict(zip(terms, map(float, coefficients), strict=True)), _ranges(runs, terms), report)
+
+
+def _rows_of(run: MeasuredRun, terms: Sequence[str]) -> _Rows:
+    """Return the rows of one run; pieces in which something was not sampled are left out."""
+    kept = [
+        (values, watts, state.seconds)
+        for state, watts in zip(run.states, run.watts, strict=True)
+        if None not in (values := [term_value(term, state) for term in terms])
+    ]
+    matrix = np.array([values for values, _, _ in kept], dtype=float).reshape(len(kept), len(terms))
+    watts = np.array([watts for _, watts, _ in kept], dtype=float)
+    return _Rows(terms, matrix, watts, np.array([seconds for _, _, seconds in kept], dtype=float))
+
+
+def _joined(rows: Sequence[_Rows]) -> _Rows:
+    return _Rows(
+        rows[0].terms,
+        np.concatenate([each.matrix for each in rows]),
+        np.concatenate([each.watts for each in rows]),
+        np.concatenate([each.seconds for each in rows]),
+    )
+
+
+def _without_each(rows: Sequence[_Rows]) -> list[Floats | None]:
+    """Return, for each run, the coefficients of the other runs; None where those do not suffice."""
+    if len(rows) == 1:
+        return [None]
+    partial: list[Floats | None] = []
+    for place in range(len(rows)):
+        try:
+            partial.append(_joined([*rows[:place], *rows[place + 1 :]]).solve())
+        except AnalysisError:  # a task that only this run had, say
+            partial.append(None)
+    return partial
+
+
+def _residual(rows: _Rows, coefficients: Floats) -> float:
+    errors = rows.watts - rows.matrix @ coefficients
+    return math.sqrt(float(rows.seconds @ errors**2 / rows.seconds.sum()))
+
+
+def _r_squared(rows: _Rows, coefficients: Floats) -> float:
+    mean = rows.seconds @ rows.watts / rows.seconds.sum()
+    variance = float(rows.seconds @ (rows.watts - mean) ** 2 / rows.seconds.sum())
+    return 1.0 - _residual(rows, coefficients) ** 2 / variance if variance else 0.0
+
+
+def _energy_error(rows: _Rows, coefficients: Floats) -> float:
+    """Return by how many percent the modelled energy of a run differs from the measured."""
+    measured = float(rows.seconds @ rows.watts)
+    return 100.0 * (float(rows.seconds @ (rows.matrix @ coefficients)) / measured - 1.0)
+
+
+def _jackknife(terms: Sequence[str], partial: Sequence[Floats]) -> dict[str, float]:
+    """Return the standard error of each coefficient.
+
+    Source: Efron and Tibshirani, An introduction to the bootstrap, equation 11.5.
+    """
+    count = len(partial)
+    if count < 2:  # noqa: PLR2004 - two are the fewest that can differ
+        return {}
+    means = [math.fsum(float(each[place]) for each in partial) / count for place in range(len(terms))]
+    return {
+        term: math.sqrt((count - 1) / count * math.fsum((float(each[place]) - means[place]) ** 2 for each in partial))
+        for place, term in enumerate(terms)
+    }
+
+
+def _ranges(runs: Sequence[MeasuredRun], terms: Sequence[str]) -> dict[str, tuple[float, float]]:
+    ranges = {}
+    for term in ("cpu", "memory"):
+        met = [value for run in runs for state in run.states if (value := term_value(term, state)) is not None]
+        if term in terms and met:
+            ranges[term] = (min(met), max(met))
+    return ranges

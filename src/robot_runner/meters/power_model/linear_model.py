@@ -1,0 +1,195 @@
+"""A linear model of power: so many watts for each thing that the robot does, and the file that it is kept in."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import PluginError, did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.meters.power_model.states import RobotState
+
+__all__ = ["FORMAT", "PLAIN_TERMS", "FitReport", "LinearModel", "check_terms", "read_model", "term_value"]
+
+FORMAT = "robot-runner power model 1"
+#: Terms that stand for themselves; the others are `motion:<phase>` and `task:<task>`.
+PLAIN_TERMS = ("constant", "cpu", "memory", "has_moved")
+_KINDS = ("motion", "task")
+#: How far, as a share of the range that was fitted on, a value may lie outside before it is worth a warning.
+_TOLERANCE = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FitReport:
+    """How a model was fitted, and how well it fits.
+
+    Attributes:
+        experiment: the name of the experiment.
+        runs: the runs that it was fitted on.
+        left_out: why other runs were left out, by run.
+        power_source: the plugin that measured power.
+        is_simulated: whether that was a simulated meter.
+        pieces: how many pieces of time it was fitted on.
+        seconds: how long they lasted together, s.
+        r_squared: the share of the variance of power that the model explains, 0..1.
+        residual_W: root mean square of measured less modelled power, weighted by time, W.
+        standard_errors: of each coefficient, W; by leaving out one run after the other (jackknife), so that what the
+            pieces of one run have in common does not pass for certainty. Empty for fewer than two runs.
+        energy_errors: the error of each run's energy, %, by a model that was fitted on the other runs.
+    """
+
+    experiment: str
+    runs: Sequence[str]
+    left_out: Mapping[str, str]
+    power_source: str
+    is_simulated: bool
+    pieces: int
+    seconds: float
+    r_squared: float
+    residual_W: float  # noqa: N815 - the unit is part of the name in the file
+    standard_errors: Mapping[str, float]
+    energy_errors: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class LinearModel:
+    """So many watts for each term, added up.
+
+    Attributes:
+        coefficients: W for each term; for `cpu` and `memory`, W for each percent.
+        ranges: least and largest value of `cpu` and `memory` that it was fitted on.
+        report: how it was fitted; None for coefficients that were given by hand.
+
+    Raises:
+        PluginError: a term is not known, or a coefficient is not a finite number.
+
+    Example:
+        >>> from robot_runner.meters.power_model.states import RobotState
+        >>> model = LinearModel({"constant": 7.6, "cpu": 0.02, "task:video": 1.0})
+        >>> model.power(RobotState(0.0, 0.1, cpu=50.0, phase="task", task="video"))
+        9.6
+    """
+
+    coefficients: Mapping[str, float]
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    report: FitReport | None = None
+
+    def __post_init__(self) -> None:
+        check_terms(self.coefficients)
+        for term, watts in self.coefficients.items():
+            if isinstance(watts, bool) or not isinstance(watts, int | float) or not math.isfinite(watts):
+                problem = f"the coefficient of {term!r} is {watts!r}"
+                raise PluginError(problem, where="power model", fix="Give a finite number of watts.")
+
+    def power(self, state: RobotState) -> float | None:
+        """Return the power in W, or None where something that it depends on was not sampled."""
+        total = 0.0
+        for term, watts in self.coefficients.items():
+            value = term_value(term, state)
+            if value is None:
+                return None
+            total += watts * value
+        return total
+
+    def needs(self, *terms: str) -> bool:
+        """Return whether it has one of these terms; `motion` and `task` stand for all of their kind."""
+        return any(term.partition(":")[0] in terms for term in self.coefficients)
+
+    def doubts(self, states: Sequence[RobotState]) -> Iterator[str]:
+        """Yield one sentence for each way in which these states lie outside what the model was fitted on."""
+        if self.report is None:
+            return
+        for kind, met in (("motion", {state.motion for state in states}), ("task", {state.task for state in states})):
+            unknown = sorted(name for name in met if name and f"{kind}:{name}" not in self.coefficients)
+            if unknown and self.needs(kind):
+                yield f"the power model was fitted on runs without the {kind} {', '.join(map(repr, unknown))}"
+        for term, (low, high) in self.ranges.items():
+            yield from _beyond(term, low, high, [term_value(term, state) for state in states])
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what is kept in a model's file."""
+        return {
+            "format": FORMAT,
+            "coefficients_W": dict(self.coefficients),
+            "ranges_percent": {term: list(limits) for term, limits in self.ranges.items()},
+            "fit": asdict(self.report) if self.report else None,
+        }
+
+    @classmethod
+    def of_json(cls, document: Any) -> LinearModel:
+        """Return the model of a document that `as_json` made.
+
+        Raises:
+            ValueError, TypeError, KeyError, AttributeError: it is no such document.
+            PluginError: a term or a coefficient is wrong.
+        """
+        if document["format"] != FORMAT:
+            raise ValueError(f"its format is {document['format']!r}, not {FORMAT!r}")
+        ranges = {term: (float(low), float(high)) for term, (low, high) in document["ranges_percent"].items()}
+        report = FitReport(**document["fit"]) if document["fit"] else None
+        return cls(dict(document["coefficients_W"]), ranges, report)
+
+
+def _beyond(term: str, low: float, high: float, values: Iterable[float | None]) -> Iterator[str]:
+    known = [value for value in values if value is not None]
+    margin = _TOLERANCE * (high - low)
+    outside = [value for value in known if not low - margin <= value <= high + margin]
+    if outside:
+        yield (
+            f"{term} was {min(outside):.0f} to {max(outside):.0f} % for a time, "
+            f"and the power model was fitted on {low:.0f} to {high:.0f} %"
+        )
+
+
+def check_terms(terms: Iterable[str]) -> None:
+    """Refuse terms that cannot be part of a model.
+
+    Raises:
+        PluginError: there is no such term; the nearest is named.
+    """
+    for term in terms:
+        kind, colon, name = term.partition(":") if isinstance(term, str) else ("", "", "")
+        if term not in PLAIN_TERMS and not (kind in _KINDS and colon and name):
+            fix = did_you_mean(str(term), [*PLAIN_TERMS, "motion:forward", "task:video"])
+            raise PluginError(f"a power model has no term {term!r}", where="power model", fix=fix)
+
+
+def term_value(term: str, state: RobotState) -> float | None:
+    """Return by what a coefficient is multiplied: 1 or 0, or a percentage; None where it was not sampled.
+
+    Example:
+        >>> from robot_runner.meters.power_model.states import RobotState
+        >>> term_value("motion:forward", RobotState(0.0, 0.1, phase="forward"))
+        1.0
+    """
+    kind, _, name = term.partition(":")
+    values = {
+        "constant": 1.0,
+        "cpu": state.cpu,
+        "memory": state.memory,
+        "has_moved": float(state.has_moved),
+        "motion": float(state.motion == name),
+        "task": float(state.task == name),
+    }
+    return values[kind]
+
+
+def read_model(path: Path) -> LinearModel:
+    """Return the model that a file holds.
+
+    Raises:
+        PluginError: the file cannot be read, or holds no power model.
+    """
+    fix = "Name a file that `robot-runner fit-power-model EXPERIMENT --out FILE` has written."
+    try:
+        return LinearModel.of_json(json.loads(path.read_text(encoding="utf-8")))
+    except OSError as error:
+        raise PluginError(f"it cannot be read: {error.strerror}", where=str(path), fix=fix) from error
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise PluginError(f"it holds no power model: {error}", where=str(path), fix=fix) from error

@@ -1,0 +1,265 @@
+"""The profiler that estimates power where no meter is."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import AnalysisError, Finding, PluginError, did_you_mean
+from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.quality import MINIMUM_COVERAGE, Column, write_quality, write_samples
+from robot_runner.core.sampling.series import Window
+from robot_runner.meters.power_model.fitting import Sources, read_runs
+from robot_runner.meters.power_model.linear_model import LinearModel, read_model
+from robot_runner.meters.power_model.states import RobotState, read_states
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.plugin import Circumstances
+
+__all__ = ["PowerFunction", "PowerModel"]
+
+#: From what the robot does to the power that it draws, W.
+PowerFunction = Callable[[RobotState], float | None]
+
+_FIX = "Fit one: robot-runner fit-power-model EXPERIMENT --out power_model.json."
+
+
+@dataclass(frozen=True, slots=True)
+class _Estimate:
+    """The power of each piece of the window; None where it could not be told."""
+
+    states: Sequence[RobotState]
+    watts: Sequence[float | None]
+    window: Window
+
+    @property
+    def coverage(self) -> float:
+        known = math.fsum(state.seconds for state, watts in self._known())
+        return 100.0 * known / self.window.duration if self.window.duration else 0.0
+
+    def mean_power(self) -> float | None:
+        known = self._known()
+        seconds = math.fsum(state.seconds for state, _ in known)
+        if self.coverage < MINIMUM_COVERAGE or not seconds:
+            return None
+        return math.fsum(watts * state.seconds for state, watts in known) / seconds
+
+    def _known(self) -> list[tuple[RobotState, float]]:
+        pairs = zip(self.states, self.watts, strict=True)
+        return [(state, watts) for state, watts in pairs if watts is not None]
+
+    def write(self, folder: Path) -> None:
+        known = self._known()
+        columns = (
+            Column("start_s", [state.start for state, _ in known]),
+            Column("end_s", [state.end for state, _ in known]),
+            Column("power_W", [watts for _, watts in known], "%.4f"),
+        )
+        write_samples(folder / "estimates.csv", columns)
+
+
+class PowerModel(Profiler):
+    """Estimates the energy that a robot draws from its utilisation, its motion and its task.
+
+    It reads what other plugins of the same run have sampled, and measures nothing itself; its values are labelled
+    as estimated. Give it one of `model`, `coefficients` and `function`.
+
+    Args:
+        name: tells several models apart; the class's name if left out.
+        model: a file that `robot-runner fit-power-model` has written.
+        coefficients: W for each term: `constant`, `cpu` and `memory` (for each percent), `has_moved`,
+            `motion:<phase>`, `task:<task>`.
+        function: from what the robot does (`RobotState`) to the power in W; None where it cannot tell.
+        utilisation: the plugin that samples CPU and memory; None for none.
+        phases: the plugin that records the phases of the mission; None for none.
+
+    Raises:
+        PluginError: none or several of model, coefficients and function are given, or a term is not known.
+
+    Example:
+        >>> estimate = PowerModel(coefficients={"constant": 7.6, "cpu": 0.02, "motion:forward": 2.5})
+        >>> estimate.measures[0].unit
+        'J'
+    """
+
+    measures: Sequence[Measure] = (
+        Measure("Energy", "J", "Energy over the measured window, estimated by a power model."),
+        Measure("MeanPower", "W", "Mean power over the measured window, estimated by a power model."),
+    )
+    needs: ClassVar[str] = "A power model (robot-runner fit-power-model), and the plugins whose samples it reads."
+    bytes_per_run: int = 60_000  # a line of 35 bytes for each of the 10 samples a second of a mission of 95 s
+
+    def __init__(
+        self,
+        *,
+        name: str | None = None,
+        model: str | Path | None = None,
+        coefficients: Mapping[str, float] | None = None,
+        function: PowerFunction | None = None,
+        utilisation: str | None = "PsUtil",
+        phases: str | None = "BasicTurtlebot3",
+    ) -> None:
+        super().__init__(name=name)
+        given = [each for each in (model, coefficients, function) if each is not None]
+        if len(given) != 1:
+            problem = f"it got {len(given)} of model, coefficients and function"
+            raise PluginError(problem, where=self.name, fix="Give it one of them. " + _FIX)
+        self.model = None if model is None else Path(model).expanduser()
+        self.function = function
+        self.utilisation = utilisation
+        self.phases = phases
+        self._linear = None if coefficients is None else LinearModel(dict(coefficients))
+        self._start: float | None = None
+        self._window: Window | None = None
+
+    @classmethod
+    def fit(
+        cls,
+        experiment: Path,
+        run_ids: Sequence[str],
+        *,
+        power: str = "Ina219",
+        utilisation: str | None = "PsUtil",
+        phases: str | None = "BasicTurtlebot3",
+        terms: Sequence[str] | None = None,
+    ) -> dict[str, Any]:
+        """Return what `model` reads: coefficients by least squares from the measured runs of an experiment.
+
+        Args:
+            experiment: the experiment's folder.
+            run_ids: the runs to fit on.
+            power: the plugin that measured power.
+            utilisation: the plugin that sampled CPU and memory; None for none.
+            phases: the plugin that recorded the phases; None for none.
+            terms: the terms of the model; None for all that were seen.
+
+        Raises:
+            AnalysisError: no run can be used, or the data do not tell some of the terms apart.
+            PluginError: there is no such term.
+        """
+        try:
+            from robot_runner.meters.power_model.fitting import fit_model, terms_of  # noqa: PLC0415 - an extra
+        except ModuleNotFoundError as error:
+            fix = "Install it: pip install 'robot-runner[analysis]'."
+            raise AnalysisError(
+                f"fitting needs {error.name}, which is not installed", where=cls.__name__, fix=fix
+            ) from error
+        sources = Sources(power, utilisation, phases)
+        runs, left_out = read_runs(experiment, sources, run_ids)
+        chosen = terms_of(runs, sources) if terms is None else terms
+        fitted = fit_model(runs, chosen, experiment=experiment.name, sources=sources, left_out=left_out)
+        return fitted.as_json()
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no model that can be read, or no plugin that samples what it depends on."""
+        where = f"plugin {self.name}"
+        try:
+            linear = self._read()
+        except PluginError as error:
+            return [Finding.error(where, f"{error.where}: {error.problem}", error.fix)]
+        names = [plugin.name for plugin in circumstances.plugins]
+        wanted = [each for each in self._sources(linear) if each is not None and names and each not in names]
+        return [
+            Finding.error(where, f"it reads the samples of {each!r}, which is not among the plugins", _add(each, names))
+            for each in wanted
+        ]
+
+    def start_measurement(self, context: RobotRunnerContext) -> None:
+        """Note when the measured window begins."""
+        self._start, self._window = context.clock.now(), None
+
+    def stop_measurement(self, context: RobotRunnerContext) -> None:
+        """Note when the measured window ends."""
+        if self._start is not None:
+            self._window, self._start = Window(self._start, context.clock.now()), None
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Forget the run before."""
+        del context
+        self._start = self._window = None
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Estimate, now that all others have written their samples; no value where too little is known."""
+        mean = None
+        if self._window is None:
+            context.warn("nothing was estimated: the measurement was never started")
+        else:
+            mean = self._estimated_mean(context, self._window)
+        joules = None if mean is None or self._window is None else mean * self._window.duration
+        context.publish("Energy", joules, origin=Origin.ESTIMATED)
+        context.publish("MeanPower", mean, origin=Origin.ESTIMATED)
+
+    def _estimated_mean(self, context: RobotRunnerContext, window: Window) -> float | None:
+        try:
+            linear = self._read()
+            utilisation, phases = self._sources(linear)
+            states = read_states(context.run_path, window, utilisation=utilisation, phases=phases)
+            estimate = _Estimate(states, [self._power(linear, state) for state in states], window)
+        except (AnalysisError, PluginError) as error:
+            context.warn(f"nothing was estimated: {error.where}: {error.problem}", fix=error.fix)
+            return None
+        estimate.write(context.raw_data_folder)
+        details = {"coverage_percent": estimate.coverage, "utilisation": utilisation, "phases": phases}
+        write_quality(context.raw_data_folder / "quality.json", None, window, details)
+        if linear is not None:
+            self._keep(context, linear, estimate)
+        mean = estimate.mean_power()
+        if mean is None:
+            context.warn(
+                f"nothing was estimated: samples cover {estimate.coverage:.1f} % of the measured window",
+                fix=f"Look at the samples of {' and '.join(each for each in (utilisation, phases) if each)}.",
+            )
+        return mean
+
+    def _keep(self, context: RobotRunnerContext, linear: LinearModel, estimate: _Estimate) -> None:
+        """Keep the model that was used beside the estimates, and tell of what it was not fitted on."""
+        text = json.dumps(linear.as_json(), indent=2, ensure_ascii=False) + "\n"
+        (context.raw_data_folder / "model.json").write_text(text, encoding="utf-8")
+        for doubt in linear.doubts(estimate.states):
+            context.warn(doubt, fix="Fit the model on runs in which the robot does what it does here.")
+
+    def _read(self) -> LinearModel | None:
+        """Return the linear model, or None where a function stands for it."""
+        return read_model(self.model) if self.model is not None else self._linear
+
+    def _sources(self, linear: LinearModel | None) -> tuple[str | None, str | None]:
+        """Return the plugins that are needed for utilisation and for phases."""
+        if linear is None:
+            return self.utilisation, self.phases
+        return (
+            self.utilisation if linear.needs("cpu", "memory") else None,
+            self.phases if linear.needs("has_moved", "motion", "task") else None,
+        )
+
+    def _power(self, linear: LinearModel | None, state: RobotState) -> float | None:
+        if self.function is not None:
+            return _checked(self.function, state)
+        return linear.power(state) if linear is not None else None
+
+
+def _checked(function: PowerFunction, state: RobotState) -> float | None:
+    """Return what a user's function says of a state.
+
+    Raises:
+        PluginError: it raises, or says what is no power.
+    """
+    where, fix = getattr(function, "__name__", "function"), "Have the function return watts, or None."
+    try:
+        watts = function(state)
+    except Exception as error:
+        raise PluginError(f"it raised {type(error).__name__}: {error}, given {state}", where=where, fix=fix) from error
+    if watts is not None and not (isinstance(watts, int | float) and math.isfinite(watts)):
+        raise PluginError(f"it returned {watts!r}, given {state}", where=where, fix=fix)
+    return watts
+
+
+def _add(name: str, names: Sequence[str]) -> str:
+    return f"Add it to the plugins, or name another: {did_you_mean(name, names)}"

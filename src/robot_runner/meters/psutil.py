@@ -1,0 +1,274 @@
+"""The profiler that measures CPU and memory utilisation of a computer and of its processes."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
+from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.links.connect import SIMULATED, connect_host, is_simulated
+from robot_runner.core.links.host import (
+    LOCAL,
+    EndingSampler,
+    ProcessHost,
+    RemoteHost,
+    ReportingSampler,
+    SamplingReport,
+    process_selector,
+)
+from robot_runner.core.links.on_board_session import FORMS
+from robot_runner.core.links.ssh_host import ssh_findings
+from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.series import Window
+from robot_runner.meters.polled import machine_clock, simulation_findings
+from robot_runner.meters.utilisation import Selection, Utilisation
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from robot_runner.core.events.context import Clock, RobotRunnerContext
+    from robot_runner.core.links.host import HostLink, UtilisationSample, UtilisationSampler
+    from robot_runner.core.plugin import Circumstances
+
+__all__ = ["PsUtil", "host_findings"]
+
+
+# Whether a computer can be sampled, before anything is executed.
+
+_INSTALL = "Install it: pip install 'robot-runner[psutil]'."
+_NAME_ONE = f"Name it: host='localhost' for this machine, or host='user@robot'. Or: --set robot={SIMULATED}."
+
+
+def host_findings(
+    plugin: str, circumstances: Circumstances, *, host: str | None, ssh_config: Path | None, has_selection: bool
+) -> list[Finding]:
+    """Return what stands in the way of sampling a computer.
+
+    Args:
+        plugin: the name of the plugin that asks.
+        circumstances: of the experiment.
+        host: the computer; None for the on-board one of a simulated robot.
+        ssh_config: a file to take the place of the user's ssh config.
+        has_selection: whether single processes or cores are asked for.
+
+    Example:
+        >>> from robot_runner.core.plugin import Circumstances
+        >>> host_findings("PsUtil", Circumstances("simulated"), host=None, ssh_config=None, has_selection=False)
+        []
+    """
+    where = f"plugin {plugin}"
+    if host is None:
+        return _on_board(where, circumstances, has_selection=has_selection)
+    findings = simulation_findings(plugin, circumstances)
+    if host != LOCAL:
+        return [*findings, *ssh_findings(where, host, config=ssh_config)]
+    if importlib.util.find_spec("psutil") is None:
+        findings.append(Finding.error(where, "psutil, which samples this machine, cannot be imported", _INSTALL))
+    return findings
+
+
+def _on_board(where: str, circumstances: Circumstances, *, has_selection: bool) -> list[Finding]:
+    if not is_simulated(circumstances.robot):
+        return [Finding.error(where, "it measures a computer, and none is named", _NAME_ONE)]
+    if has_selection:
+        problem = "the computer of a simulated robot does not tell of single processes or cores"
+        return [Finding.error(where, problem, "Leave processes and cores out.")]
+    return []
+
+
+_REMEDY = "Look at the load of the computer, at the network and at samples.csv before you use this run."
+#: For the estimate of raw data: bytes of a sample, of each core's share of it, and of each process's; a mission's
+#: duration, s; the cores of a robot's computer.
+_SAMPLE_BYTES, _CORE_BYTES, _PROCESS_BYTES = 45, 8, 20
+_MISSION, _CORES = 95.0, 4
+
+
+class PsUtil(Profiler):
+    """Measures CPU and memory utilisation, as the paper's PsUtil does, at 10 Hz.
+
+    Here it samples with psutil in a thread of the run. On another computer a small loop samples until the measured
+    window ends, and its samples are fetched afterwards, so that the network is quiet meanwhile. CPU utilisation is
+    that of the moment (what was busy since the sample before), not that of a process's lifetime, which `ps` prints as
+    `%cpu`.
+
+    Args:
+        name: tells several instances apart; the class's name if left out.
+        host: the computer: `localhost` for this machine, or as ssh takes it (`pi@robot`); None for the on-board
+            computer of a simulated robot.
+        rate_hz: samples a second, Hz.
+        processes: what to measure besides the whole computer: names (`"talker"`), process ids (`4711`), or ROS nodes
+            (`"node:/talker"`, found by the name that they were given on their command line).
+        cores: the numbers of cores to measure each by itself.
+        is_streamed: whether another computer sends its samples while it takes them.
+        ssh_config: a file to take the place of your ssh config.
+        form: how another computer is sampled: `python3`, `sh` or `ps`; left out, the best that it can do.
+        namespace: which simulated robot carries the computer, where there are several.
+
+    Raises:
+        PluginError: the rate is not positive, a process, a core or a form cannot be, or a parameter would do nothing.
+
+    Example:
+        >>> [measure.name for measure in PsUtil(host="pi@robot", processes=["move_base"]).measures]
+        ['CPU', 'Memory', 'CPU_move_base', 'Memory_move_base']
+    """
+
+    measures: Sequence[Measure] = (
+        Measure("CPU", "%", "CPU utilisation of all cores together, mean over the measured window."),
+        Measure("Memory", "%", "Physical memory in use, mean over the measured window."),
+    )
+    needs: ClassVar[str] = (
+        "psutil for this machine, the OpenSSH client and a key for another one, nothing more on a simulated robot."
+    )
+
+    def __init__(  # noqa: PLR0913 - keywords of a user's config
+        self,
+        *,
+        name: str | None = None,
+        host: str | None = None,
+        rate_hz: float = 10.0,
+        processes: Sequence[str | int] = (),
+        cores: Sequence[int] = (),
+        is_streamed: bool = False,
+        ssh_config: str | Path | None = None,
+        form: str | None = None,
+        namespace: str = "",
+    ) -> None:
+        super().__init__(name=name)
+        if not (math.isfinite(rate_hz) and rate_hz > 0):
+            raise PluginError(f"rate_hz is {rate_hz!r}", where=self.name, fix="Give rate_hz a number above 0.")
+        if form is not None and form not in FORMS:
+            raise PluginError(f"form is {form!r}", where=self.name, fix=did_you_mean(form, FORMS))
+        over_ssh = {"is_streamed": is_streamed, "ssh_config": ssh_config, "form": form}
+        _refuse_idle(self.name, {} if host not in {None, LOCAL} else over_ssh, "the computer is not reached by ssh")
+        _refuse_idle(self.name, {} if host is None else {"namespace": namespace}, "a host is named")
+        self.host = host
+        self.rate_hz = rate_hz
+        self.is_streamed = is_streamed
+        self.ssh_config = None if ssh_config is None else Path(ssh_config).expanduser()
+        self.form = form
+        self.namespace = namespace
+        self.selection = _selection(self.name, processes, cores)
+        self.measures = (*type(self).measures, *self.selection.measures())
+        line = _SAMPLE_BYTES + _CORES * _CORE_BYTES + len(self.selection.processes) * _PROCESS_BYTES
+        self.bytes_per_run = round(line * rate_hz * _MISSION)
+        self._link: HostLink | None = None
+        self._sampler: UtilisationSampler | None = None
+        self._clock: Clock | None = None
+        self._start = 0.0
+        self._window: Window | None = None
+        self._utilisation: Utilisation | None = None
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no computer is named, or it cannot be reached."""
+        return host_findings(
+            self.name, circumstances, host=self.host, ssh_config=self.ssh_config, has_selection=self._has_selection
+        )
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Connect, before the robot moves and while nobody measures."""
+        self._sampler = self._window = self._utilisation = None
+        link = self._connected(context)
+        if isinstance(link, RemoteHost):
+            link.connect()
+
+    def start_measurement(self, context: RobotRunnerContext) -> None:
+        """Begin to sample."""
+        self._sampler = self._window = self._utilisation = None
+        self._clock = context.clock if self.host is None else machine_clock(context)
+        self._link = self._connected(context)
+        self._sampler = self._begun(self._link)
+        self._start = self._clock.now()
+
+    def stop_measurement(self, context: RobotRunnerContext) -> None:
+        """End the measured window, and sampling; other profilers need not wait for samples that come over a network."""
+        if self._sampler is None or self._clock is None or self._window is not None:
+            return
+        self._window = Window(self._start, self._clock.now())
+        if isinstance(self._sampler, EndingSampler):
+            self._sampler.end()
+        else:
+            self._collect(context)
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Fetch the samples if they are still elsewhere, and write them."""
+        self._collect(context)
+        if self._utilisation is not None:
+            self._utilisation.write(context.raw_data_folder)
+
+    def _collect(self, context: RobotRunnerContext) -> None:
+        sampler, self._sampler = self._sampler, None
+        if sampler is None or self._link is None or self._window is None:
+            return
+        try:
+            samples: Sequence[UtilisationSample] = sampler.stop()
+        except LinkError as error:
+            samples = ()
+            context.warn(f"the samples could not be fetched: {error.problem}", fix=error.fix)
+        report = sampler.report() if isinstance(sampler, ReportingSampler) else SamplingReport(rate=self.rate_hz)
+        if report.clock is not None:
+            context.note_clock(report.clock.facts())
+        self._utilisation = Utilisation(samples, self._window, self.selection, report, self._link.is_simulated)
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish the mean utilisations; no value where too little was seen."""
+        measured = self._utilisation
+        if measured is None:
+            context.warn("nothing was measured: the measurement was never started", fix=_REMEDY)
+            for measure in self.measures:
+                context.publish(measure.name, None)
+            return
+        quality = measured.quality
+        for problem in (*measured.doubts(), *quality.warnings()):
+            context.warn(problem, fix=_REMEDY)
+        origin = Origin.SIMULATED if measured.is_simulated else Origin.MEASURED
+        for name, value in measured.means().items():
+            context.publish(name, value if quality.is_sufficient else None, origin=origin)
+
+    @property
+    def _has_selection(self) -> bool:
+        return bool(self.selection.processes or self.selection.cores)
+
+    def _connected(self, context: RobotRunnerContext) -> HostLink:
+        return connect_host(context, self.host, namespace=self.namespace, ssh_config=self.ssh_config, form=self.form)
+
+    def _begun(self, link: HostLink) -> UtilisationSampler:
+        if isinstance(link, ProcessHost):
+            return link.sample_processes(self.rate_hz, self.selection.processes, is_streamed=self.is_streamed)
+        if self._has_selection:
+            raise LinkError(
+                "this computer does not tell of single processes or cores",
+                where=self.name,
+                fix="Leave processes and cores out.",
+            )
+        return link.sample_utilisation(self.rate_hz)
+
+
+def _refuse_idle(plugin: str, parameters: Mapping[str, object], reason: str) -> None:
+    """Refuse parameters that would do nothing.
+
+    Raises:
+        PluginError: one of them is set.
+    """
+    for name, value in parameters.items():
+        if value:
+            raise PluginError(f"{name} is {value!r}, and {reason}", where=plugin, fix=f"Leave {name} out.")
+
+
+def _selection(plugin: str, processes: Sequence[str | int], cores: Sequence[int]) -> Selection:
+    if isinstance(processes, str | int):
+        raise PluginError(f"processes is {processes!r}", where=plugin, fix=f"Give a list: processes=[{processes!r}].")
+    odd = [core for core in cores if isinstance(core, bool) or not isinstance(core, int) or core < 0]
+    if odd:
+        raise PluginError(f"there is no core {odd[0]!r}", where=plugin, fix="Number the cores from 0.")
+    try:
+        selectors = tuple(dict.fromkeys(map(process_selector, processes)))
+    except LinkError as error:
+        raise PluginError(error.problem, where=f"{plugin}, processes", fix=error.fix) from error
+    selection = Selection(selectors, tuple(dict.fromkeys(cores)))
+    if len(set(selection.labels)) < len(selection.labels):
+        problem = f"two of the processes would yield measures of one name: {', '.join(selection.labels)}"
+        raise PluginError(problem, where=plugin, fix="Measure them with two plugins of different names.")
+    return selection

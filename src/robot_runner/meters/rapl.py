@@ -1,0 +1,219 @@
+"""The profiler that reads the energy counters of Intel and AMD processors."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import Finding, PluginError, did_you_mean
+from robot_runner.core.events.measure import Measure
+from robot_runner.core.sampling.quality import Column
+from robot_runner.meters.polled import PolledProfiler, simulation_findings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.plugin import Circumstances
+    from robot_runner.core.sampling.periodic import Sampling
+
+__all__ = ["POWERCAP", "Rapl", "find_domains", "permission_findings", "unwrapped"]
+
+POWERCAP = Path("/sys/class/powercap")
+#: `intel-rapl:0` is a package, `intel-rapl:0:1` a domain within it; AMD processors have the same names. The same
+#: package may appear once more as `intel-rapl-mmio:0`, which would count it twice.
+_FOLDER = re.compile(r"intel-rapl:\d+(:\d+)?")
+_KINDS = ("package", "core", "uncore", "dram", "psys")
+_MICRO = 1e-6
+
+#: The counter of each domain, in microjoules.
+Counters = tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Domain:
+    """A part of the machine that has an energy counter of its own.
+
+    Attributes:
+        label: such as `package-0` or `package-0/dram`.
+        kind: `package`, `core`, `uncore`, `dram` or `psys`.
+        counter: the file that holds the counter, in microjoules.
+        wraps_at: the value from which the counter begins at 0 again, in microjoules.
+    """
+
+    label: str
+    kind: str
+    counter: Path
+    wraps_at: int
+
+
+def find_domains(root: Path = POWERCAP) -> list[Domain]:
+    """Return the domains that a machine has, in the order of their folders.
+
+    Raises:
+        PluginError: a file of a domain cannot be read.
+    """
+    folders = sorted(folder for folder in root.glob("intel-rapl:*") if _FOLDER.fullmatch(folder.name))
+    try:
+        return [_domain(folder) for folder in folders]
+    except (OSError, ValueError) as error:
+        raise PluginError(f"it cannot be read: {error}", where=str(root), fix="Look at what is in there.") from error
+
+
+def _domain(folder: Path) -> Domain:
+    name = (folder / "name").read_text(encoding="ascii").strip()
+    parent = folder.name.rpartition(":")[0]
+    is_within = parent != "intel-rapl"
+    above = (folder.parent / parent / "name").read_text(encoding="ascii").strip() + "/" if is_within else ""
+    wraps_at = int((folder / "max_energy_range_uj").read_text(encoding="ascii"))
+    return Domain(above + name, name.partition("-")[0], folder / "energy_uj", wraps_at)
+
+
+def permission_findings(name: str, root: Path, kinds: Sequence[str]) -> list[Finding]:
+    """Return what stands in the way of reading these kinds of domain: none is there, or it may not be read."""
+    where = f"plugin {name}"
+    try:
+        domains = find_domains(root)
+    except PluginError as error:
+        return [Finding.error(where, f"{error.where}: {error.problem}", error.fix)]
+    if not domains:
+        problem = f"there is no energy counter of a processor in {root}"
+        fix = "Use it on an Intel or AMD machine, not a virtual one: sudo modprobe intel_rapl_msr."
+        return [Finding.error(where, problem, fix)]
+    there = sorted({domain.kind for domain in domains})
+    missing = [kind for kind in kinds if kind not in there]
+    problem = "this machine has no counter of the domain"
+    findings = [Finding.error(where, f"{problem} {kind!r}", did_you_mean(kind, there)) for kind in missing]
+    return [*findings, *_unreadable(where, root, domains)]
+
+
+def _unreadable(where: str, root: Path, domains: Sequence[Domain]) -> list[Finding]:
+    for domain in domains:
+        try:
+            domain.counter.read_bytes()
+        except OSError as error:
+            problem = f"{domain.counter} cannot be read: {error.strerror} (since Linux 5.10, only root may)"
+            fix = f"Let it be read until the next restart: sudo chmod a+r {root}/intel-rapl*/energy_uj."
+            return [Finding.error(where, problem, fix)]
+    return []
+
+
+def unwrapped(counts: Sequence[int], wraps_at: int) -> list[int]:
+    """Return a counter that goes on where the true one began at 0 again, from 0 at its first count.
+
+    Example:
+        >>> unwrapped([90, 97, 5], wraps_at=100)
+        [0, 7, 15]
+    """
+    total, totals = 0, [0] if counts else []
+    for sooner, later in pairwise(counts):
+        total += later - sooner + (wraps_at if later < sooner else 0)
+        totals.append(total)
+    return totals
+
+
+class _Counters:
+    def __init__(self, domains: Sequence[Domain]) -> None:
+        self._paths = [domain.counter for domain in domains]
+        self.read()
+
+    def read(self) -> Counters:
+        return tuple(int(path.read_bytes()) for path in self._paths)
+
+    def close(self) -> None:
+        """Do nothing: the files are opened anew for each reading."""
+
+
+class Rapl(PolledProfiler[Counters]):
+    """Measures the energy of the processor of this machine with its own counters (RAPL, running average power limit).
+
+    It reads the machine on which Robot Runner is executed, through Linux' powercap.
+
+    Args:
+        name: tells several instances apart; the class's name if left out.
+        domains: what to measure besides the packages: `core`, `uncore`, `dram`, `psys`, as far as the machine has them.
+        rate_hz: readings a second, Hz; often enough to notice that a counter began at 0 again.
+        root: where the counters are.
+
+    Raises:
+        PluginError: there is no such domain, or the rate is not positive.
+
+    Example:
+        >>> [measure.name for measure in Rapl(domains=["dram"]).measures]
+        ['Energy', 'MeanPower', 'DramEnergy']
+    """
+
+    measures: Sequence[Measure] = (
+        Measure("Energy", "J", "Energy of all processor packages over the measured window, by their own counters."),
+        Measure("MeanPower", "W", "Energy divided by the duration of the measured window."),
+    )
+    needs: ClassVar[str] = "Linux on an Intel or AMD machine, and the right to read /sys/class/powercap."
+    bytes_per_run: int = 40_000  # 10 readings a second of 40 bytes for a mission of 95 s
+
+    def __init__(
+        self,
+        *,
+        name: str | None = None,
+        domains: Sequence[str] = (),
+        rate_hz: float = 10.0,
+        root: Path = POWERCAP,
+    ) -> None:
+        super().__init__(name=name, rate_hz=rate_hz)
+        for kind in domains:
+            if kind not in _KINDS[1:]:
+                raise PluginError(f"there is no domain {kind!r}", where=self.name, fix=did_you_mean(kind, _KINDS[1:]))
+        self.domains = tuple(dict.fromkeys(domains))
+        self.root = root
+        self.measures = (*type(self).measures, *map(_measure_of, self.domains))
+        self._domains: list[Domain] = []
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no counters, not this domain, or no right to read them."""
+        findings = permission_findings(self.name, self.root, ("package", *self.domains))
+        return [*findings, *simulation_findings(self.name, circumstances)]
+
+    def open(self, context: RobotRunnerContext) -> _Counters:
+        """Return the counters.
+
+        Raises:
+            PluginError: they cannot be read.
+        """
+        del context
+        for finding in permission_findings(self.name, self.root, ("package", *self.domains)):
+            raise PluginError(finding.problem, where=self.name, fix=finding.fix)
+        self._domains = [each for each in find_domains(self.root) if each.kind in {"package", *self.domains}]
+        return _Counters(self._domains)
+
+    def columns(self, sampling: Sampling[Counters]) -> Sequence[Column]:
+        """Return the counters as they were read."""
+        counts = zip(*sampling.readings, strict=True) if sampling.readings else ([] for _ in self._domains)
+        return [
+            Column(f"{each.label}_uJ", list(count), "%d") for each, count in zip(self._domains, counts, strict=True)
+        ]
+
+    def values(self, sampling: Sampling[Counters]) -> Mapping[str, float | None]:
+        """Return the energy of each kind of domain, and the mean power of the packages."""
+        by_kind = dict.fromkeys(("package", *self.domains), 0.0)
+        for domain, counts in zip(self._domains, zip(*sampling.readings, strict=True), strict=True):
+            by_kind[domain.kind] += unwrapped(counts, domain.wraps_at)[-1] * _MICRO
+        span, whole = sampling.times[-1] - sampling.times[0], sampling.window.duration
+        if not span:
+            return {}
+        # Readings stand a moment inside the edges of the window: what lies between counts at mean power.
+        joules = {kind: energy * whole / span for kind, energy in by_kind.items()}
+        others = {_measure_of(kind).name: joules[kind] for kind in self.domains}
+        return {"Energy": joules["package"], "MeanPower": joules["package"] / whole, **others}
+
+    def details(self) -> Mapping[str, Any]:
+        """Return which domains were read, and where their counters begin at 0 again."""
+        return {"domains": [{"label": each.label, "wraps_at_uJ": each.wraps_at} for each in self._domains]}
+
+
+def _measure_of(kind: str) -> Measure:
+    what = {"core": "the cores", "uncore": "the graphics unit", "dram": "the memory", "psys": "the whole platform"}[
+        kind
+    ]
+    return Measure(f"{kind.capitalize()}Energy", "J", f"Energy of {what} over the measured window, by its own counter.")

@@ -1,0 +1,213 @@
+"""The profiler that reads a Watts up? PRO between the wall socket and what it feeds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from robot_runner.core.errors import Finding, LinkError, PluginError
+from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.links.connect import is_simulated, open_serial_line
+from robot_runner.core.links.serial_line import port_problem
+from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.quality import Column, quality_of, report_quality, write_samples
+from robot_runner.core.sampling.series import Series, Window, mean_of_intervals
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from robot_runner.core.events.context import Clock, RobotRunnerContext
+    from robot_runner.core.links.serial_line import SerialLine
+    from robot_runner.core.plugin import Circumstances
+
+__all__ = ["WattsUpPro", "WattsUpSample", "parse_record"]
+
+#: Source of what is said and answered: Electronic Educational Devices, Watts up? PRO communications protocol (2009):
+#: `#L,W,3,E,<reserved>,<interval in s>;` begins to log to the line, `#L,R,0;` ends it. A record is
+#: `#d,-,18,<W x 10>,<V x 10>,<A x 1000>,<Wh x 10>,...;`, once an interval.
+_BEGIN = b"#L,W,3,E,1,1;"
+_END = b"#L,R,0;"
+_RECORD = "#d"
+_RATE = 1.0
+#: How long to wait for the first record, s: the meter needs a moment to change its mode.
+_PATIENCE = 4.0
+#: How long to wait for the record that tells of the window's last moments, s.
+_AFTERMATH = 1.5
+_POLL = 0.02
+_FIX = "Look at the meter, its cable and samples.csv before you use this run."
+
+
+@dataclass(frozen=True, slots=True)
+class WattsUpSample:
+    """One record of the meter: means of about a second.
+
+    Attributes:
+        time: when it arrived, s on the run's clock.
+        watts: active power, W.
+        volts: effective voltage, V.
+        amperes: effective current, A.
+    """
+
+    time: float
+    watts: float
+    volts: float
+    amperes: float
+
+
+def parse_record(record: str, time: float) -> WattsUpSample | None:
+    """Return what a record says, without its `;`; None for what is no record of data.
+
+    Example:
+        >>> parse_record("#d,-,18,1053,2301,502,0,0,0,0", time=1.0)
+        WattsUpSample(time=1.0, watts=105.3, volts=230.1, amperes=0.502)
+
+    Raises:
+        ValueError: it is a record of data, and damaged.
+    """
+    fields = record.strip().split(",")
+    if fields[0] != _RECORD:
+        return None
+    watts, volts, milliamperes = (int(field) for field in fields[3:6])
+    return WattsUpSample(time, watts / 10, volts / 10, milliamperes / 1000)
+
+
+class _Recording:
+    """What a line has said so far."""
+
+    def __init__(self, line: SerialLine) -> None:
+        self.line = line
+        self.samples: list[WattsUpSample] = []
+        self.corrupt = 0
+        self._rest = ""
+
+    def take(self) -> None:
+        """Read what has arrived.
+
+        Raises:
+            LinkError: the line was lost.
+        """
+        for chunk in self.line.drain():
+            *records, self._rest = (self._rest + chunk.data.decode("ascii", errors="replace")).split(";")
+            for record in records:
+                try:
+                    sample = parse_record(record, chunk.received_at)
+                except ValueError:
+                    self.corrupt += 1
+                else:
+                    self.samples += [] if sample is None else [sample]
+
+    def wait(self, is_enough: Callable[[], bool], clock: Clock, seconds: float) -> None:
+        """Read until it is enough, for so many seconds at most.
+
+        Raises:
+            LinkError: the line was lost.
+        """
+        deadline = clock.now() + seconds
+        self.take()
+        while not is_enough() and clock.now() < deadline:
+            clock.sleep(_POLL)
+            self.take()
+
+    def series(self, quantity: str) -> Series:
+        return Series([each.time for each in self.samples], [getattr(each, quantity) for each in self.samples])
+
+
+class WattsUpPro(Profiler):
+    """Measures power at the wall socket with a Watts up? PRO on a serial line, once a second.
+
+    For the charger of a robot, a base station or a workstation; the meter's power is that of the second before.
+
+    Args:
+        port: its serial port, such as `/dev/ttyUSB0`.
+        name: tells several meters apart; the class's name if left out.
+
+    Raises:
+        PluginError: no port is given.
+
+    Example:
+        >>> WattsUpPro(port="/dev/ttyUSB0").measures[0].unit
+        'J'
+    """
+
+    measures: Sequence[Measure] = (
+        Measure("Energy", "J", "Energy drawn from the wall over the measured window: mean power times its duration."),
+        Measure("MeanPower", "W", "Active power drawn from the wall, mean over the measured window."),
+    )
+    needs: ClassVar[str] = "A Watts up? PRO on a serial port, and robot-runner[serial]."
+    bytes_per_run: int = 5_000  # a row a second of 40 bytes for a mission of 95 s
+
+    def __init__(self, *, port: str, name: str | None = None) -> None:
+        super().__init__(name=name)
+        if not port:
+            raise PluginError(f"port is {port!r}", where=self.name, fix="Give its serial port: port='/dev/ttyUSB0'.")
+        self.port = port
+        self._recording: _Recording | None = None
+        self._start: float | None = None
+        self._window: Window | None = None
+        self._is_over = False
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no such port, no right to open it, no pyserial, or a simulated robot."""
+        where = f"plugin {self.name}"
+        if is_simulated(circumstances.robot):
+            problem = "the robot is simulated, and draws nothing from a wall"
+            return [Finding.error(where, problem, "Use Ina219, which measures the simulated robot.")]
+        fault = port_problem(self.port)
+        return [] if fault is None else [Finding.error(where, fault.problem, fault.fix)]
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Forget the run before."""
+        del context
+        self._recording = self._start = self._window = None
+        self._is_over = False
+
+    def start_measurement(self, context: RobotRunnerContext) -> None:
+        """Have the meter log to the line, and wait for a first record."""
+        recording = _Recording(open_serial_line(context, self.port))
+        recording.line.write(_BEGIN)
+        recording.wait(lambda: bool(recording.samples), context.clock, _PATIENCE)
+        self._recording, self._start = recording, context.clock.now()
+
+    def stop_measurement(self, context: RobotRunnerContext) -> None:
+        """End the measured window."""
+        if self._start is not None and self._window is None:
+            self._window = Window(self._start, context.clock.now())
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Wait for the record of the last second, have the meter stop, and write the samples."""
+        recording, window = self._recording, self._window
+        if recording is None or window is None or self._is_over:
+            return
+        self._is_over = True
+        try:
+            recording.wait(lambda: _reaches(recording.samples, window.end), context.clock, _AFTERMATH)
+            recording.line.write(_END)
+        except LinkError as error:
+            context.warn(f"the line to the power meter was lost: {error.problem}", fix=error.fix)
+        columns = [
+            Column("time_s", recording.series("watts").times),
+            Column("power_W", recording.series("watts").values, "%.1f"),
+            Column("voltage_V", recording.series("volts").values, "%.1f"),
+            Column("current_A", recording.series("amperes").values, "%.3f"),
+        ]
+        write_samples(context.raw_data_folder / "samples.csv", columns)
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish energy and mean power; no value where too little was heard."""
+        power, joules = None, None
+        recording, window = self._recording, self._window
+        if recording is None or window is None:
+            context.warn("nothing was measured: the measurement was never started", fix=_FIX)
+        else:
+            quality = quality_of(recording.series("watts").times, window, _RATE, corrupt=recording.corrupt)
+            if report_quality(context, quality, window, fix=_FIX):
+                power = mean_of_intervals(recording.series("watts"), window)
+                joules = None if power is None else power * window.duration
+        values: Mapping[str, float | None] = {"Energy": joules, "MeanPower": power}
+        is_simulated = recording is not None and recording.line.is_simulated
+        for name, value in values.items():
+            context.publish(name, value, origin=Origin.SIMULATED if is_simulated else Origin.MEASURED)
+
+
+def _reaches(samples: Sequence[WattsUpSample], end: float) -> bool:
+    return bool(samples) and samples[-1].time >= end

@@ -1,1 +1,0 @@
-"""The profiler that records topics into a bag."""

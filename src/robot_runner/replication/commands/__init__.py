@@ -1,0 +1,1 @@
+"""The commands about replication packages: pack, verify, replicate, explain."""

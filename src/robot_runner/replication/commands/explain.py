@@ -1,0 +1,56 @@
+"""Say where the values of a run come from: plugin, raw file, aggregation, config line, attempt, host."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from rich.text import Text
+
+from robot_runner.cli.console import UserConsole, output, print_facts, print_json
+from robot_runner.cli.parser import add_json, add_set, add_target
+from robot_runner.cli.planning import folder_of_target
+from robot_runner.core.words import one_line, shown_value
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    from robot_runner.cli.parser import Parser
+    from robot_runner.replication.explanation import RunExplanation
+
+__all__ = ["add_arguments", "execute"]
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add what the command takes."""
+    add_target(parser)
+    parser.add_argument("run", metavar="RUN", help="the run's id, such as r_3")
+    parser.add_argument(
+        "names", metavar="NAME", nargs="*", help="measures or columns of the run table; all of them if left out"
+    )
+    add_set(parser)
+    add_json(parser)
+
+
+def execute(arguments: Namespace) -> int:
+    """Print where each value comes from."""
+    folder = folder_of_target(arguments.target, arguments.set).root
+    from robot_runner.replication.explanation import explain_run  # noqa: PLC0415 - for a quick --help
+
+    explanation = explain_run(folder, arguments.run, arguments.names)
+    if arguments.json:
+        print_json(asdict(explanation))
+    else:
+        _print(output(), explanation)
+    return 0
+
+
+def _print(console: UserConsole, explanation: RunExplanation) -> None:
+    console.print(Text(f"{explanation.run_id} of {explanation.experiment}", style="bold"))
+    print_facts(console, [(what, one_line(text)) for what, text in explanation.facts])
+    for each in explanation.values:
+        unit = f" {each.unit}" if each.unit not in {"", "1"} and each.value is not None else ""
+        head = Text(each.name, style="bold").append(f"  {shown_value(each.value)}{unit}", "not bold cyan")
+        console.print()
+        console.print(head.append(f"  {each.role}", "not bold dim"), soft_wrap=True)
+        print_facts(console, [(what, one_line(text)) for what, text in each.facts])

@@ -1,0 +1,169 @@
+"""Seal an experiment's folder as one file that anyone can check and execute again.
+
+The package is a zip file and an RO-Crate: config, run table, raw data, circumstances, environment, checksums. Secrets
+and home paths are replaced or left out, and listed. Packing twice gives the same bytes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.text import Text
+
+from robot_runner.cli.console import UserConsole, complaints, output, print_facts, print_folded, print_json, shown_path
+from robot_runner.cli.findings import as_json, show_findings
+from robot_runner.cli.parser import UsageError, add_json, add_set, add_target
+from robot_runner.cli.planning import folder_of_target
+from robot_runner.cli.screens.byte_progress import byte_progress
+from robot_runner.core.words import counted, one_line
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Iterator
+
+    from robot_runner.cli.parser import Parser
+    from robot_runner.core.config.experiment import Author
+    from robot_runner.replication.packing import Packed
+
+__all__ = ["add_arguments", "execute"]
+
+_MEGABYTE = 1_000_000
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add what the command takes."""
+    add_target(parser)
+    add_set(parser)
+    parser.add_argument("--to", metavar="FILE", help="the file to write; NAME.zip in the current folder if left out")
+    parser.add_argument(
+        "--raw",
+        metavar="WHOSE",
+        action="append",
+        help="whose raw data to take: all (if left out), none, or a plugin's name; may be given several times",
+    )
+    parser.add_argument(
+        "--author",
+        metavar="AUTHOR",
+        action="append",
+        default=[],
+        help="'NAME; ORCID; AFFILIATION; URL', instead of those in the config; may be given several times",
+    )
+    parser.add_argument("--licence", help="an SPDX identifier such as CC-BY-4.0, or a URL, instead of the config's")
+    parser.add_argument("--citation", metavar="TEXT", help="what to cite, instead of what the config says")
+    parser.add_argument(
+        "--keep",
+        metavar="PATTERN",
+        action="append",
+        default=[],
+        help="pack files of this name as they are, secrets and all, such as 'runs/*/bag/*'; may be given several times",
+    )
+    parser.add_argument(
+        "--no-wheels",
+        action="store_true",
+        help="leave out the code of packages that were installed from a folder of this machine",
+    )
+    parser.add_argument(
+        "--hashes",
+        action="store_true",
+        help="ask the package index that pip is set up for, for the hashes of the packages needed: others' pip then "
+        "demands them",
+    )
+    add_json(parser)
+
+
+def execute(arguments: Namespace) -> int:
+    """Write the package; say what is in it, what is not, and what others will miss."""
+    folder = folder_of_target(arguments.target, arguments.set).root
+    authors, licence = _authors(arguments.author), _licence(arguments.licence)
+    from robot_runner.replication.packing import Packing, pack  # noqa: PLC0415 - takes a while to import
+
+    packing = Packing(
+        raw=tuple(arguments.raw or ("all",)),
+        keep=tuple(arguments.keep),
+        authors=authors,
+        licence=licence,
+        citation=arguments.citation,
+        with_wheels=not arguments.no_wheels,
+        with_hashes=arguments.hashes,
+    )
+    target = Path(arguments.to).expanduser() if arguments.to else Path.cwd() / f"{folder.name}.zip"
+    if arguments.hashes:
+        complaints().print("Asking the package index for hashes: a minute or so, five at most.", style="dim")
+    with byte_progress("packing") as progress:
+        packed = pack(folder, target, packing, progress)
+    if arguments.json:
+        print_json(_as_json(packed))
+    else:
+        _print(output(), packed, has_asked=arguments.hashes)
+        if packed.findings:
+            show_findings(packed.findings)
+    return 0
+
+
+def _authors(texts: list[str]) -> tuple[Author, ...]:
+    from robot_runner.core.config.experiment import authors_from_text  # noqa: PLC0415 - only where it is asked for
+
+    try:
+        return tuple(author for text in texts for author in authors_from_text(text))
+    except ValueError as error:
+        fix = "Write 'NAME; ORCID; AFFILIATION; URL'; what is not known is left out."
+        raise UsageError(f"{error} is no author", where="--author", fix=fix) from error
+
+
+def _licence(text: str | None) -> str | None:
+    from robot_runner.core.config.experiment import is_licence  # noqa: PLC0415 - only where it is asked for
+
+    if text is not None and not is_licence(text):
+        fix = "Give an identifier of https://spdx.org/licenses/, such as CC-BY-4.0, or a URL."
+        raise UsageError(f"{text!r} is no licence", where="--licence", fix=fix)
+    return text
+
+
+def _print(console: UserConsole, packed: Packed, *, has_asked: bool) -> None:
+    name = shown_path(packed.path.resolve())
+    console.print(Text(name, style="bold"))
+    print_facts(
+        console,
+        [
+            ("Holds", f"{counted(packed.file_count, 'file')}, {packed.size / _MEGABYTE:,.1f} MB"),
+            ("SHA-256", packed.sha256),
+            ("Wheels", ", ".join(packed.wheels)),
+            ("Hashes", _hashes(packed, has_asked=has_asked)),
+            ("Next", f"look into it before you publish it, and check it: robot-runner verify {name}"),
+        ],
+    )
+    for line in _replaced(packed):
+        print_folded(console, "  - ", line, style="")
+    for each in packed.left_out:
+        print_folded(console, "  - ", one_line(f"left out: {each.name} ({each.why})"), style="")
+
+
+def _hashes(packed: Packed, *, has_asked: bool) -> str:
+    """Return of how many packages pip can check the files; nothing where nobody knows what is needed."""
+    packages = counted(packed.package_count, "package")
+    if not packed.without_hash:
+        return f"of all {packages} needed: pip demands them" if packed.package_count else ""
+    known = packed.package_count - len(packed.without_hash)
+    advice = "" if has_asked else "; --hashes asks the package index for the others"
+    return f"of {known} of {packages} needed: pip demands none{advice}"
+
+
+def _replaced(packed: Packed) -> Iterator[str]:
+    """Yield one line for each kind of secret and file; the runs' files, which are many, as one."""
+    grouped: dict[tuple[str, str], list[str]] = {}
+    counts: dict[tuple[str, str], int] = {}
+    for each in packed.replaced:
+        top, _, rest = each.name.partition("/")
+        key = (f"{top}/…/{rest.rpartition('/')[2]}" if rest.count("/") else each.name, each.what)
+        grouped.setdefault(key, []).append(each.name)
+        counts[key] = counts.get(key, 0) + each.count
+    for (name, what), files in grouped.items():
+        where = name if len(files) > 1 else files[0]
+        in_files = f" in {len(files)} files" if len(files) > 1 else ""
+        yield one_line(f"replaced: {what}, {counted(counts[name, what], 'time')}{in_files} ({where})")
+
+
+def _as_json(packed: Packed) -> dict[str, Any]:
+    return {**asdict(packed), "path": str(packed.path), "findings": as_json(packed.findings)}

@@ -1,0 +1,101 @@
+"""Check whether a package is intact; nothing is unpacked and nothing is executed.
+
+Exit code 0: intact; 2: refused.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.text import Text
+
+from robot_runner.cli.console import output, print_facts, print_json
+from robot_runner.cli.findings import as_json, show_findings
+from robot_runner.cli.guard import REFUSED
+from robot_runner.cli.parser import UsageError, add_json
+from robot_runner.cli.screens.byte_progress import byte_progress
+from robot_runner.core.words import counted, one_line
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    from robot_runner.cli.parser import Parser
+    from robot_runner.replication.verification import Verification
+
+__all__ = ["add_arguments", "execute"]
+
+_MEGABYTE = 1_000_000
+_DIGITS = 64
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add what the command takes."""
+    parser.add_argument("package", metavar="PACKAGE", help="the package, or the folder that it was unpacked to")
+    parser.add_argument(
+        "--sha256", metavar="DIGITS", help="what its authors say that its SHA-256 is: only this tells who made it"
+    )
+    add_json(parser)
+
+
+def execute(arguments: Namespace) -> int:
+    """Verify the package, and say what is wrong with it."""
+    path = Path(arguments.package).expanduser()
+    digest = _sha256(path, arguments.sha256)
+    from robot_runner.replication.opening import open_package  # noqa: PLC0415 - for a quick --help
+    from robot_runner.replication.verification import verify_package  # noqa: PLC0415 - as above
+
+    with open_package(path) as package, byte_progress("verifying") as progress:
+        verification = verify_package(package, progress)
+    if arguments.json:
+        print_json(
+            {
+                "package": str(path),
+                "sha256": digest,
+                "is_intact": verification.is_intact,
+                "experiment": verification.experiment,
+                "file_count": verification.file_count,
+                "size": verification.size,
+                "description": verification.description,
+                "findings": as_json(verification.findings),
+            }
+        )
+    elif verification.is_intact:
+        _print(verification, digest)
+    else:
+        show_findings(verification.findings)
+    return 0 if verification.is_intact else REFUSED
+
+
+def _sha256(path: Path, expected: str | None) -> str | None:
+    if not path.is_file():
+        if expected:
+            raise UsageError("a folder has no SHA-256", where="--sha256", fix="Name the zip file.")
+        return None
+    from robot_runner.replication.packing import file_sha256  # noqa: PLC0415 - as above
+
+    digest = file_sha256(path)
+    if expected is not None:
+        wanted = expected.casefold().removeprefix("sha256:")
+        if len(wanted) != _DIGITS:
+            raise UsageError(f"{expected!r} is no SHA-256", where="--sha256", fix="Give its 64 hexadecimal digits.")
+        if wanted != digest:
+            fix = "Get the package again from where its authors published it."
+            raise UsageError(f"its SHA-256 is {digest}, not {wanted}", where=str(path), fix=fix)
+    return digest
+
+
+def _print(verification: Verification, digest: str | None) -> None:
+    console = output()
+    console.print(Text(one_line(verification.experiment), style="bold").append("  intact", style="green"))
+    absent = [str(each.get("name")) for each in verification.description.get("left_out", ())]
+    print_facts(
+        console,
+        [
+            ("Holds", f"{counted(verification.file_count, 'file')}, {verification.size / _MEGABYTE:,.1f} MB unpacked"),
+            ("Made by", one_line(str(verification.description.get("made_by", "")))),
+            ("SHA-256", digest or ""),
+            ("Left out", one_line(", ".join(absent))),
+            ("Next", f"execute it again: robot-runner replicate {verification.where}"),
+        ],
+    )

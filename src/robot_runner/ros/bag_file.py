@@ -1,0 +1,249 @@
+"""Records topics through a robot link, where the robot's own recorders are not to be had."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any, Protocol
+
+from robot_runner.core.errors import PluginError
+from robot_runner.core.links.robot import Encoding
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from robot_runner.core.links.robot import RawMessage, RobotLink
+    from robot_runner.ros.topic_statistics import TypedTopic
+
+__all__ = ["BagFile", "LinkRecorder", "McapBag", "Ros1Bag", "messages_in", "new_bag"]
+
+
+# Bags on disk: MCAP for messages of ROS 2, and the bag format of ROS 1.
+
+_INSTALL = "Install it: pip install 'robot-runner[bag]'."
+
+
+class BagFile(Protocol):
+    """A bag that is being written."""
+
+    @property
+    def path(self) -> Path:
+        """Where it is."""
+        ...
+
+    def add_topic(self, topic: str, message_type: str, definition: str) -> int:
+        """Tell of a topic, by its full name, and return the number by which its messages are written."""
+        ...
+
+    def write(self, topic: int, received_ns: int, data: bytes) -> None:
+        """Write one message; `received_ns` is in ns since the epoch."""
+        ...
+
+    def close(self) -> None:
+        """Finish the file; closing twice does nothing."""
+        ...
+
+
+def new_bag(folder: Path, encoding: Encoding) -> BagFile:
+    """Return a new bag in a folder, in the format of the generation of ROS whose messages it takes.
+
+    Raises:
+        PluginError: the library that writes it is not installed.
+    """
+    try:
+        return Ros1Bag(folder / "bag.bag") if encoding is Encoding.ROS1 else McapBag(folder / "bag.mcap")
+    except ModuleNotFoundError as error:
+        raise PluginError(
+            f"bags cannot be written: {error.name} cannot be imported", where="RosBag", fix=_INSTALL
+        ) from error
+
+
+class McapBag:
+    """A bag of ROS 2, as one MCAP file (mcap.dev, profile `ros2`).
+
+    Example:
+        >>> from pathlib import Path
+        >>> from tempfile import TemporaryDirectory
+        >>> with TemporaryDirectory() as folder:
+        ...     bag = McapBag(Path(folder, "bag.mcap"))
+        ...     chatter = bag.add_topic("/chatter", "std_msgs/String", "string data")
+        ...     bag.write(chatter, 1, bytes([0, 1, 0, 0, 3, 0, 0, 0]) + b"hi" + bytes(1))
+        ...     bag.close()
+        ...     bag.path.read_bytes()[1:5]
+        b'MCAP'
+    """
+
+    def __init__(self, path: Path) -> None:
+        from mcap.writer import CompressionType, Writer  # noqa: PLC0415  # an extra
+
+        self._path = path
+        self._file = path.open("wb")
+        self._writer = Writer(self._file, compression=CompressionType.NONE)
+        self._writer.start(profile="ros2", library="robot-runner")
+        self._counts: list[int] = [0]
+
+    @property
+    def path(self) -> Path:
+        """Where it is."""
+        return self._path
+
+    def add_topic(self, topic: str, message_type: str, definition: str) -> int:
+        """Tell of a topic, by its full name, and return the number by which its messages are written."""
+        package, _, name = message_type.partition("/")
+        schema = self._writer.register_schema(f"{package}/msg/{name}", "ros2msg", definition.encode())
+        self._counts.append(0)
+        return self._writer.register_channel(topic, "cdr", schema, {"offered_qos_profiles": ""})
+
+    def write(self, topic: int, received_ns: int, data: bytes) -> None:
+        """Write one message; `received_ns` is in ns since the epoch."""
+        self._counts[topic] += 1
+        self._writer.add_message(topic, received_ns, data, received_ns, self._counts[topic])
+
+    def close(self) -> None:
+        """Finish the file; closing twice does nothing."""
+        if not self._file.closed:
+            self._writer.finish()  # type: ignore[no-untyped-call]  # mcap's own
+            self._file.close()
+
+
+class Ros1Bag:
+    """A bag of ROS 1, in version 2.0 of its format."""
+
+    def __init__(self, path: Path) -> None:
+        from rosbags.rosbag1 import Writer  # noqa: PLC0415  # an extra
+
+        self._path = path
+        self._writer = Writer(path)
+        self._writer.open()
+        self._topics: list[Any] = []
+        self._is_closed = False
+
+    @property
+    def path(self) -> Path:
+        """Where it is."""
+        return self._path
+
+    def add_topic(self, topic: str, message_type: str, definition: str) -> int:
+        """Tell of a topic, by its full name, and return the number by which its messages are written."""
+        package, _, name = message_type.partition("/")
+        full = f"{package}/msg/{name}"
+        connection = self._writer.add_connection(topic, full, msgdef=definition, md5sum=_md5(full, definition))
+        self._topics.append(connection)
+        return len(self._topics) - 1
+
+    def write(self, topic: int, received_ns: int, data: bytes) -> None:
+        """Write one message; `received_ns` is in ns since the epoch."""
+        self._writer.write(self._topics[topic], received_ns, data)
+
+    def close(self) -> None:
+        """Finish the file; closing twice does nothing."""
+        if not self._is_closed:
+            self._is_closed = True
+            self._writer.close()
+
+
+def messages_in(folder: Path) -> int | None:
+    """Return how many messages the bag in a folder holds; None where that cannot be told."""
+    try:
+        from rosbags.highlevel import AnyReader, AnyReaderError  # noqa: PLC0415  # an extra
+    except ModuleNotFoundError:
+        return None
+    paths = [*folder.glob("*.bag"), *folder.glob("*.mcap"), *(path.parent for path in folder.glob("*/metadata.yaml"))]
+    try:
+        with AnyReader(paths[:1]) as reader:
+            return reader.message_count
+    except (AnyReaderError, OSError):
+        return None
+
+
+def _md5(name: str, definition: str) -> str:
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415  # an extra
+
+    # The definition says all that it is made of but times, which are built in; an empty store knows those.
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg("int32 sec\nuint32 nanosec\n", "builtin_interfaces/msg/Time"))
+    store.register(get_types_from_msg("int32 sec\nuint32 nanosec\n", "builtin_interfaces/msg/Duration"))
+    store.register(get_types_from_msg(definition, name))
+    return store.generate_msgdef(name, ros_version=1)[1]
+
+
+#: How long the disk may take for what is still to be written when recording ends, s.
+_PATIENCE = 60.0
+
+
+class LinkRecorder:
+    """Writes the bytes of what is heard into a bag, in a thread of its own: the disk holds up no callback.
+
+    Args:
+        link: to the robot.
+        topics: what to record.
+        folder: takes the bag.
+
+    Raises:
+        PluginError: the library that writes bags is not installed.
+        LinkError: a topic cannot be heard.
+    """
+
+    def __init__(self, link: RobotLink, topics: Sequence[TypedTopic], folder: Path) -> None:
+        self._bag = new_bag(folder, link.encoding)
+        self._heard: queue.SimpleQueue[tuple[int, RawMessage] | None] = queue.SimpleQueue()
+        self._is_recording = False
+        self._fault: Exception | None = None
+        self.messages = 0
+        self._subscriptions = ExitStack()
+        self._writer = threading.Thread(target=self._write, name="bag writer", daemon=True)
+        with ExitStack() as undoing:
+            undoing.callback(self._bag.close)
+            undoing.callback(self._subscriptions.close)
+            for topic in topics:
+                self._subscribe(link, topic)
+            undoing.pop_all()
+        self._writer.start()
+
+    @property
+    def path(self) -> Path:
+        """Where the bag is."""
+        return self._bag.path
+
+    def begin(self) -> None:
+        """Record from now on."""
+        self._is_recording = True
+
+    def end(self) -> None:
+        """Record no more."""
+        self._is_recording = False
+
+    def close(self) -> str | None:
+        """Finish the bag, and say what went wrong, if anything did."""
+        self.end()
+        self._subscriptions.close()
+        self._heard.put(None)
+        self._writer.join(_PATIENCE)
+        if self._writer.is_alive():
+            return f"the disk did not take all messages within {_PATIENCE:g} s"
+        self._bag.close()
+        return None if self._fault is None else f"the bag could not be written to its end: {self._fault}"
+
+    def _subscribe(self, link: RobotLink, topic: TypedTopic) -> None:
+        number = self._bag.add_topic(topic.full_name, topic.message_type, link.definition(topic.message_type))
+
+        def hear(message: RawMessage) -> None:
+            if self._is_recording:
+                self._heard.put((number, message))
+
+        subscription = link.subscribe_raw(topic.name, topic.message_type, hear)
+        self._subscriptions.callback(subscription.close)
+
+    def _write(self) -> None:
+        while (item := self._heard.get()) is not None:
+            number, message = item
+            if self._fault is not None:
+                continue
+            try:
+                self._bag.write(number, message.received_ns, message.data)
+            except (OSError, ValueError) as error:  # a full disk
+                self._fault = error
+            else:
+                self.messages += 1

@@ -1,0 +1,89 @@
+"""The time of a graph that lives by a simulation: what is published on `/clock`."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import LinkError
+
+if TYPE_CHECKING:
+    from robot_runner.core.links.robot import Message, RobotLink
+
+__all__ = ["GraphClock"]
+
+_TOPIC = "/clock"
+_TYPE = "rosgraph_msgs/Clock"
+#: How long, in real seconds, the clock may stand still before a sleep on it is given up.
+_PATIENCE = 5.0
+
+
+class GraphClock:
+    """A clock that shows what the graph's own clock showed last; it must be started before it is used.
+
+    Args:
+        link: to the graph.
+
+    Example:
+        >>> from robot_runner.testing import FakeClock, FakeRobotLink
+        >>> link = FakeRobotLink(FakeClock())
+        >>> clock = GraphClock(link)
+        >>> link.deliver("/clock", {"clock": {"sec": 12, "nanosec": 500000000}})
+        >>> clock.now()
+        12.5
+    """
+
+    def __init__(self, link: RobotLink) -> None:
+        self._changed = threading.Condition()
+        self._now = 0.0
+        self._is_known = False
+        self._subscription = link.subscribe(_TOPIC, _TYPE, self._hear)
+
+    def start(self) -> None:
+        """Return once it shows the graph's time.
+
+        Raises:
+            LinkError: nobody publishes it.
+        """
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._is_known, _PATIENCE):
+                raise LinkError(
+                    f"the graph is to live by {_TOPIC}, and nothing came on it within {_PATIENCE:g} s",
+                    where="the graph's clock",
+                    fix="Start the simulation; or, for a real robot: rosparam delete /use_sim_time.",
+                )
+
+    def now(self) -> float:
+        """Return the seconds that the graph's clock showed last; never goes back."""
+        return self._now
+
+    def sleep(self, seconds: float) -> None:
+        """Block until this many seconds of the graph's clock have gone by; negative counts as zero.
+
+        Raises:
+            LinkError: the graph's clock stands still.
+        """
+        with self._changed:
+            target, shown, seen = self._now + seconds, self._now, time.monotonic()
+            while self._now < target:
+                self._changed.wait(_PATIENCE)
+                if self._now > shown:
+                    shown, seen = self._now, time.monotonic()
+                elif time.monotonic() - seen >= _PATIENCE:
+                    raise LinkError(
+                        f"the graph's clock has stood still at {shown:.3f} s for {_PATIENCE:g} s",
+                        where=_TOPIC,
+                        fix="Look whether the simulation goes on.",
+                    )
+
+    def close(self) -> None:
+        """Hear no more of the time; what it shows stays."""
+        self._subscription.close()
+
+    def _hear(self, message: Message) -> None:
+        stamp = message["clock"]
+        with self._changed:
+            self._now = max(self._now, stamp["sec"] + stamp["nanosec"] / 1e9)
+            self._is_known = True
+            self._changed.notify_all()

@@ -1,0 +1,212 @@
+"""Turns messages between plain mappings and the objects of a `rosbags` type store, with converters made once a type."""
+
+from __future__ import annotations
+
+from enum import Enum
+from functools import lru_cache
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.ros.shapes import plain_type
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from rosbags.typesys.store import Typestore
+
+    Converter = Callable[[Any], Any]
+
+__all__ = ["FILLER", "OCTETS", "MessageCodec", "NodeKind", "TypeKind", "generated_class"]
+
+
+# Finds the Python classes that ROS generates for the types of a package, in either generation of ROS.
+
+
+class TypeKind(Enum):
+    """What a type is of: its module in the package, what it is called, and an example.
+
+    Example:
+        >>> TypeKind.SERVICE.module
+        'srv'
+    """
+
+    MESSAGE = ("msg", "message", "geometry_msgs/Twist")
+    SERVICE = ("srv", "service", "std_srvs/Trigger")
+
+    def __init__(self, module: str, word: str, example: str) -> None:
+        self.module = module
+        self.word = word
+        self.example = example
+
+
+@lru_cache
+def generated_class(type_name: str, kind: TypeKind, is_type: Callable[[Any, str], bool]) -> Any:
+    """Return the class of a type.
+
+    Args:
+        type_name: such as `geometry_msgs/Twist`.
+        kind: what the type is of.
+        is_type: whether something in a package's module is the class of the type of this name.
+
+    Raises:
+        LinkError: there is none, or its package is not on Python's path.
+    """
+    name = plain_type(type_name)
+    package, slash, short = name.partition("/")
+    if not slash or not package or not short.isidentifier():
+        problem = f"{name!r} cannot be the name of a {kind.word} type"
+        raise LinkError(problem, where="robot", fix=f"Write it as in {kind.example}.")
+    module = _module(package, kind, where=name)
+    found = getattr(module, short, None)
+    if not is_type(found, name):
+        known = [each for each, held in vars(module).items() if is_type(held, f"{package}/{each}")]
+        raise LinkError(f"{package!r} has no {kind.word} type {short!r}", where=name, fix=did_you_mean(short, known))
+    return found
+
+
+def _module(package: str, kind: TypeKind, *, where: str) -> Any:
+    try:
+        return import_module(f"{package}.{kind.module}")
+    except ImportError as error:
+        raise LinkError(
+            f"the {kind.word}s of {package!r} cannot be imported ({error})",
+            where=where,
+            fix="Correct the name, or install its package and source its setup file.",
+        ) from error
+
+
+#: What a type without fields holds in a type store, because IDL allows no empty structure.
+FILLER = "structure_needs_at_least_one_member"
+
+#: Arrays of these are `bytes` in a mapping, as in the client libraries of ROS.
+OCTETS = frozenset({"uint8", "byte", "char", "octet"})
+
+
+class NodeKind:
+    """What a field is in a type store: the numbers of `rosbags.interfaces.Nodetype`."""
+
+    BASIC = 1
+    TYPE = 2
+    ARRAY = 3
+    SEQUENCE = 4
+
+
+class MessageCodec:
+    """Converters of the types of one store, each made when its type is first met.
+
+    Example:
+        >>> from rosbags.typesys import Stores, get_typestore
+        >>> codec = MessageCodec(get_typestore(Stores.ROS2_JAZZY))
+        >>> point = codec.as_object("geometry_msgs/msg/Point", {"x": 1.0, "y": 2.0, "z": 0.0})
+        >>> codec.as_mapping("geometry_msgs/msg/Point", point)
+        {'x': 1.0, 'y': 2.0, 'z': 0.0}
+    """
+
+    def __init__(self, store: Typestore, *, signed_bytes: bool = False) -> None:
+        """Make one without converters.
+
+        Args:
+            store: whose objects these are.
+            signed_bytes: whether `byte` is an int8, as in ROS 1 and in type stores, and not an octet, as in ROS 2.
+        """
+        self._store = store
+        self._octets = OCTETS - {"byte"} if signed_bytes else OCTETS
+        self._signed_alone = frozenset() if signed_bytes else frozenset({"byte"})
+        self._readers: dict[str, Converter] = {}
+        self._makers: dict[str, Converter] = {}
+
+    def as_mapping(self, name: str, message: object) -> dict[str, Any]:
+        """Return a message object of the store as a mapping; arrays are lists, those of octets `bytes`."""
+        mapping: dict[str, Any] = self._reader(name)(message)
+        return mapping
+
+    def as_object(self, name: str, message: Mapping[str, Any]) -> object:
+        """Return a complete mapping as an object of the store, ready to be serialised."""
+        return self._maker(name)(message)
+
+    def _fields(self, name: str) -> list[tuple[str, str, Any]]:
+        """Return name, Python attribute and description of each field."""
+        attributes = self._store.get_msgdef(name).fields
+        fields = self._store.fielddefs[name][1]
+        pairs = zip(fields, attributes, strict=True)
+        return [(field, attribute, description) for (field, description), (attribute, _) in pairs if field != FILLER]
+
+    def _reader(self, name: str) -> Converter:
+        if name not in self._readers:
+            self._readers[name] = self._new_reader(name)
+        return self._readers[name]
+
+    def _new_reader(self, name: str) -> Converter:
+        parts = [(field, attribute, self._field_reader(kind)) for field, attribute, kind in self._fields(name)]
+        plain = [(field, attribute) for field, attribute, convert in parts if convert is None]
+        if len(plain) == len(parts):
+            return lambda message: {field: getattr(message, attribute) for field, attribute in plain}
+        converted = [(field, attribute, convert or _same) for field, attribute, convert in parts]
+        return lambda message: {field: convert(getattr(message, attribute)) for field, attribute, convert in converted}
+
+    def _field_reader(self, description: Any) -> Converter | None:
+        kind, detail = description
+        if kind == NodeKind.BASIC:
+            return _octet_of if detail[0] in self._signed_alone else None
+        if kind == NodeKind.TYPE:
+            return self._reader(detail)
+        (kind, inner), _ = detail
+        if kind == NodeKind.TYPE:
+            convert = self._reader(inner)
+            return lambda items: [convert(item) for item in items]
+        if inner[0] == "string":
+            return list
+        return bytes if inner[0] in self._octets else _list_of
+
+    def _maker(self, name: str) -> Converter:
+        if name not in self._makers:
+            self._makers[name] = self._new_maker(name)
+        return self._makers[name]
+
+    def _new_maker(self, name: str) -> Converter:
+        parts = [(field, self._field_maker(kind) or _same) for field, _, kind in self._fields(name)]
+        make: Callable[..., object] = self._store.types[name]
+        return lambda message: make(*[convert(message[field]) for field, convert in parts])
+
+    def _field_maker(self, description: Any) -> Converter | None:
+        kind, detail = description
+        if kind == NodeKind.BASIC:
+            return _signed_of if detail[0] in self._signed_alone else None
+        if kind == NodeKind.TYPE:
+            return self._maker(detail)
+        (kind, inner), _ = detail
+        if kind == NodeKind.TYPE:
+            convert = self._maker(inner)
+            return lambda items: [convert(item) for item in items]
+        if inner[0] == "string":
+            return None
+        return _array_maker("uint8" if inner[0] in self._octets else inner[0])
+
+
+def _array_maker(element: str) -> Converter:
+    import numpy as np  # noqa: PLC0415  # comes with rosbags, an extra
+
+    def make(items: Any) -> Any:
+        if isinstance(items, bytes | bytearray | memoryview):
+            return np.frombuffer(items, dtype=np.uint8)
+        return np.array(items, dtype=element)
+
+    return make
+
+
+def _same(value: object) -> object:
+    return value
+
+
+def _signed_of(octet: int) -> int:
+    return octet - 256 if octet > 127 else octet  # noqa: PLR2004  # two's complement
+
+
+def _octet_of(number: int) -> int:
+    return number & 0xFF
+
+
+def _list_of(array: Any) -> list[Any]:
+    items: list[Any] = array.tolist()
+    return items

@@ -1,0 +1,146 @@
+"""The ROS that the experiment requires, compared with each that is found."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import Finding, LinkError
+from robot_runner.ros.ros1.master import Master
+from robot_runner.ros.ros_environment import RosEnvironment, find_ros, installed_ros, ros_of_host, ros_of_master
+from robot_runner.ros.rosbridge.link import RosbridgeAddress
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from robot_runner.core.config.parameters import Parameters
+    from robot_runner.core.links.robot import RobotName
+
+__all__ = ["check_required_ros"]
+
+_ON_SIMULATED = "or execute it on the embedded robot: --set robot=simulated"
+_ANY = (None, "any")
+#: The generation that each link speaks; a rosbridge may have either behind it.
+_GENERATIONS = {"ros1": 1, "ros2": 2, "dds": 2}
+#: The links that take no ROS on this machine.
+_WITHOUT_ROS = ("dds", "rosbridge")
+#: How long the check waits for a master, s.
+_MASTER_SECONDS = 2.0
+
+
+def check_required_ros(
+    where: str, parameters: Parameters, robot: RobotName | None, hosts: Sequence[tuple[str, Path | None]]
+) -> Iterator[Finding]:
+    """Yield what speaks against the ROS that is required; each finding says what was found where.
+
+    Args:
+        where: the config's class.
+        parameters: of the experiment.
+        robot: how it is reached; None where there is no robot.
+        hosts: the robot's computers, as ssh takes them, each with its ssh config, where plugins name some.
+    """
+    if parameters.required_ros_version is None:
+        return
+    check = _Check(where, parameters, robot)
+    yield from check.findings(hosts)
+
+
+class _Check:
+    def __init__(self, where: str, parameters: Parameters, robot: RobotName | None) -> None:
+        self._where = where
+        self._version = parameters.required_ros_version
+        self._distro = parameters.required_ros_distro
+        self._robot = robot
+        self._link = None if robot is None else robot.link
+
+    def findings(self, hosts: Sequence[tuple[str, Path | None]]) -> Iterator[Finding]:
+        speaks = _GENERATIONS.get(self._link or "")
+        if speaks is not None and self._version not in {"any", speaks}:
+            problem = f"the experiment requires {self._wanted}, and robot = {self._link!r} speaks ROS {speaks}"
+            links = " or ".join(name for name, generation in _GENERATIONS.items() if generation == self._version)
+            yield self._error("version", problem, f"Reach the robot by {links} or rosbridge, {_ON_SIMULATED}.")
+            return
+        found: list[RosEnvironment] = []
+        if self._link not in _WITHOUT_ROS:
+            local = self._local()
+            if local is None:
+                problem = f"the experiment requires {self._wanted}, and no ROS is found on this machine"
+                yield self._error("version", problem, f"Source the setup file of {self._wanted}, {_ON_SIMULATED}.")
+                return
+            yield from self._mismatch([local], f"Source the setup file of {self._wanted}, {_ON_SIMULATED}.")
+            found.append(local)
+        yield from self._of_robot(found, hosts)
+
+    def _local(self) -> RosEnvironment | None:
+        """Return the ROS on this machine that the link uses."""
+        sourced = find_ros()
+        return installed_ros() if sourced is None else sourced
+
+    def _of_robot(self, found: list[RosEnvironment], hosts: Sequence[tuple[str, Path | None]]) -> Iterator[Finding]:
+        """Yield what speaks against the ROS of the robot itself."""
+        fix = f"Reach a robot that has {self._wanted}, {_ON_SIMULATED}."
+        told: list[RosEnvironment] = []
+        try:
+            told = _told(self._robot)
+            if self._link == "ros1" and self._robot is not None:
+                told = [ros_of_master(Master(self._robot.options.get("master"), timeout=_MASTER_SECONDS))]
+        except LinkError:
+            pass  # what is wrong with its name, or that there is no master, is a finding of the link's
+        yield from self._mismatch(told, fix)
+        found += told
+        if self._distro in _ANY:
+            return
+        for host, config in hosts:
+            try:
+                there = ros_of_host(host, config=config)
+            except LinkError as error:
+                yield Finding.warning(self._name("distro"), error.problem, error.fix)
+                continue
+            yield from self._mismatch(there, fix)
+            found += there
+        if all(each.distro is None for each in found):
+            yield self._untold(found)
+
+    def _mismatch(self, there: Sequence[RosEnvironment], fix: str) -> Iterator[Finding]:
+        """Yield a finding where none of those that one place has is what is required."""
+        right = [each for each in there if self._version in {"any", each.version}]
+        if there and not right:
+            problem = f"the experiment requires {self._wanted}, and ROS {there[0].version} is found ({there[0].source})"
+            yield self._error("version", problem, fix)
+        elif right and self._distro not in _ANY and all(each.distro not in {None, self._distro} for each in right):
+            names = " and ".join(repr(each.distro) for each in right)
+            problem = f"the experiment requires {self._distro!r}, and {names} is found ({right[0].source})"
+            yield self._error("distro", problem, fix)
+
+    def _untold(self, found: Sequence[RosEnvironment]) -> Finding:
+        looked = "; ".join(each.source for each in found) or f"robot = {self._link!r}"
+        problem = f"the experiment requires {self._distro!r}, and nothing tells the robot's distribution ({looked})"
+        fix = "Look for yourself, or let it be found out: name the robot's computer, as in PsUtil(host='pi@robot')."
+        if self._link == "dds":
+            fix = f"Say it: robot = 'dds:distro={self._distro}'."
+        elif self._robot is not None and self._robot.address is not None:
+            fix = f"Say it: robot = '{self._robot.address}?distro={self._distro}'."
+        return Finding.warning(self._name("distro"), problem, fix)
+
+    def _name(self, part: str) -> str:
+        return f"{self._where}.required_ros_{part}"
+
+    def _error(self, part: str, problem: str, fix: str) -> Finding:
+        return Finding.error(self._name(part), problem, fix)
+
+    @property
+    def _wanted(self) -> str:
+        generation = "ROS" if self._version == "any" else f"ROS {self._version}"
+        return generation if self._distro in _ANY else f"{generation} {self._distro}"
+
+
+def _told(robot: RobotName | None) -> list[RosEnvironment]:
+    """Return the ROS that the robot's name says it has."""
+    if robot is None:
+        return []
+    if robot.address is not None:
+        address = RosbridgeAddress.parse(robot.address)
+        generation = address.generation
+        return [] if generation is None else [RosEnvironment(generation, address.distro, f"robot = {robot.address!r}")]
+    distro = robot.options.get("distro")
+    return [] if distro is None else [RosEnvironment(2, distro, f"robot = '{robot.link}:distro={distro}'")]

@@ -1,0 +1,287 @@
+"""Finds out how a robot can be reached from here, for `robot = "auto"`; the simulation is never among what is found."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import socket
+import subprocess
+import sys
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.ssh_host import complaint, execute, ssh_command
+from robot_runner.ros.ros1.master import Master
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+
+__all__ = [
+    "AUTO",
+    "FoundRobot",
+    "RosEnvironment",
+    "describe_ros",
+    "find_ros",
+    "found_robot",
+    "installed_ros",
+    "ros_of_host",
+    "ros_of_master",
+]
+
+
+# Which ROS there is: on this machine, on a graph of ROS 1, on a robot's computer. Each says where it was read.
+
+#: The series of ros_comm, by its first two numbers, and the distribution that each was made for (index.ros.org).
+#: 1.16 is noetic's; Debian and Ubuntu ship 1.15 and 1.16 of it without a name of their own.
+_SERIES = MappingProxyType({"1.12": "kinetic", "1.14": "melodic", "1.15": "noetic", "1.16": "noetic"})
+_ROS1_NAMES = ("kinetic", "lunar", "melodic", "noetic")
+_VERSION = re.compile(r"\s*(\d+\.\d+)\.")
+_HOST_SECONDS = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class RosEnvironment:
+    """A ROS that was found.
+
+    Attributes:
+        version: the generation: 1 or 2.
+        distro: the distribution, such as `noetic`, or None where it is not told.
+        source: where this was read.
+    """
+
+    version: int
+    distro: str | None
+    source: str
+
+
+def find_ros(environment: Mapping[str, str] | None = None) -> RosEnvironment | None:
+    """Return the ROS that is sourced, or None. Every setup file of ROS sets ROS_VERSION and ROS_DISTRO."""
+    variables = os.environ if environment is None else environment
+    version = variables.get("ROS_VERSION", "")
+    if version not in {"1", "2"}:
+        return None
+    return RosEnvironment(int(version), variables.get("ROS_DISTRO") or None, "ROS_VERSION and ROS_DISTRO")
+
+
+def installed_ros() -> RosEnvironment | None:
+    """Return the ROS 1 whose rospy this Python imports, as Debian ships it without a setup file, or None.
+
+    Its version tells the distribution: 1.15 and 1.16 are the noetic series.
+    """
+    try:
+        version = metadata.version("rospy")
+    except metadata.PackageNotFoundError:
+        return None
+    return RosEnvironment(1, _series(version), f"rospy {version}, which this Python imports")
+
+
+def ros_of_master(master: Master) -> RosEnvironment:
+    """Return the ROS of a graph of ROS 1, as its launch file's start has set it: `/rosdistro` and `/rosversion`.
+
+    Raises:
+        LinkError: there is no such master.
+    """
+    distro = str(master.parameter("/rosdistro") or "").strip()
+    version = str(master.parameter("/rosversion") or "").strip()
+    if distro.casefold() in _ROS1_NAMES:  # Debian's says "Debian"
+        return RosEnvironment(1, distro.casefold(), f"/rosdistro of the master {master.uri}")
+    if version:
+        return RosEnvironment(1, _series(version), f"/rosversion {version} of the master {master.uri}")
+    return RosEnvironment(1, None, f"the master {master.uri}, which was started without roslaunch")
+
+
+def ros_of_host(host: str, *, config: Path | None = None) -> list[RosEnvironment]:
+    """Return the distributions of ROS that are installed on a robot's computer, below /opt/ros.
+
+    Args:
+        host: as ssh takes it.
+        config: a file to take the place of the user's ssh config.
+
+    Raises:
+        LinkError: it cannot be reached.
+    """
+    command = ssh_command(host, "for each in /opt/ros/*/setup.sh; do echo $each; done", config=config)
+    try:
+        done = execute(command, timeout=_HOST_SECONDS)
+    except (subprocess.TimeoutExpired, OSError) as error:
+        raise _unreached(host, f"it does not answer within {_HOST_SECONDS:g} s") from error
+    problem = complaint(done)
+    if problem is not None:
+        raise _unreached(host, problem)
+    names = (line.split("/")[3] for line in done.stdout.decode(errors="replace").split() if line.count("/") > 3)  # noqa: PLR2004 - /opt/ros/name/
+    return [
+        RosEnvironment(1 if name in _ROS1_NAMES else 2, name, f"/opt/ros of {host}") for name in names if name != "*"
+    ]
+
+
+def _unreached(host: str, why: str) -> LinkError:
+    fix = f"See that this works without a password: ssh {host} true."
+    return LinkError(f"which ROS is on {host} cannot be found out: {why}", where="required_ros_distro", fix=fix)
+
+
+def _series(version: str) -> str | None:
+    found = _VERSION.match(version + ".")
+    return _SERIES.get(found[1]) if found else None
+
+
+# Which ROS packages this machine has, told from the folders that a setup file puts on its paths.
+
+_PATHS = ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH")
+_ROS_PACKAGES_VERSION = re.compile(rb"<version[^>]*>\s*([^<\s]+)\s*</version>")
+
+
+def describe_ros(environment: Mapping[str, str] | None = None) -> dict[str, Any] | None:
+    """Return the ROS that is sourced: generation, distribution, middleware, packages by name; None where none is.
+
+    Packages are those below `share/` of each prefix on AMENT_PREFIX_PATH (ROS 2) and CMAKE_PREFIX_PATH (ROS 1), with
+    the version in their package.xml (REP 127, 140 and 149); an overlay hides what lies beneath it.
+    """
+    variables = os.environ if environment is None else environment
+    ros = find_ros(variables)
+    if ros is None:
+        return None
+    return {
+        "version": ros.version,
+        "distro": ros.distro,
+        "middleware": variables.get("RMW_IMPLEMENTATION"),
+        "packages": dict(sorted(_packages(variables).items())),
+    }
+
+
+def _packages(variables: Mapping[str, str]) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for prefix in _prefixes(variables):
+        for path in prefix.glob("share/*/package.xml"):
+            found.setdefault(path.parent.name, _version(path))
+    return found
+
+
+def _prefixes(variables: Mapping[str, str]) -> Iterator[Path]:
+    for name in _PATHS:
+        for entry in variables.get(name, "").split(os.pathsep):
+            if entry:
+                yield Path(entry)
+
+
+def _version(path: Path) -> str:
+    try:
+        found = _ROS_PACKAGES_VERSION.search(path.read_bytes())
+    except OSError:
+        return ""
+    return found[1].decode("utf-8", "replace") if found else ""
+
+
+AUTO = "auto"
+_MASTER_SECONDS = 1.0
+_BRIDGE = ("localhost", 9090)
+_BRIDGE_SECONDS = 0.5
+#: DDS needs about a second until the participants of a graph know each other.
+_GRAPH_SECONDS = 8.0
+#: In a process of its own: a participant of DDS starts threads, which the process that forks the runs may not have.
+_LOOK_AT_GRAPH = """
+import sys, time
+from robot_runner.core.events.context import SystemClock
+from robot_runner.ros.dds.link import open_dds_link
+link = open_dds_link({}, SystemClock())
+deadline = time.monotonic() + 2.0
+while not (found := set(link.topics()) - {"/rosout", "/parameter_events"}) and time.monotonic() < deadline:
+    time.sleep(0.1)
+link.close()
+sys.exit(0 if found else 1)
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class FoundRobot:
+    """How a robot can be reached from here.
+
+    Attributes:
+        name: what to write for `robot`.
+        reason: why it was chosen.
+    """
+
+    name: str
+    reason: str
+
+
+@lru_cache(maxsize=1)
+def found_robot() -> FoundRobot:
+    """Return the first that is there, in this order: a sourced ROS, a ROS 1 master, a rosbridge on this machine, DDS.
+
+    Raises:
+        LinkError: there is none; it says what was looked for.
+    """
+    for look in _LOOKS:
+        found = look()
+        if found is not None:
+            return found
+    raise LinkError(
+        "robot is 'auto', and no robot is found: no ROS is sourced, no ROS 1 master answers, nobody listens at "
+        f"{_BRIDGE[0]}:{_BRIDGE[1]} (rosbridge), and nothing is published over DDS (or cyclonedds is not installed)",
+        where="robot",
+        fix="Say how it is reached, as in --set robot=rosbridge://robot:9090. Or: --set robot=simulated.",
+    )
+
+
+def _sourced() -> FoundRobot | None:
+    ros = find_ros()
+    if ros is None:
+        return None
+    name, package = ("ros1", "rospy") if ros.version == 1 else ("ros2", "rclpy")
+    if not _is_installed(package):
+        return None
+    return FoundRobot(name, f"ROS {ros.version} is sourced ({ros.source}), and {package} is there")
+
+
+def _master() -> FoundRobot | None:
+    if not _is_installed("rospy"):
+        return None
+    try:
+        master = Master(timeout=_MASTER_SECONDS)
+        master.check()
+    except LinkError:
+        return None
+    return FoundRobot("ros1", f"a ROS 1 master answers at {master.uri}")
+
+
+def _bridge() -> FoundRobot | None:
+    if not _is_installed("websockets"):
+        return None
+    try:
+        socket.create_connection(_BRIDGE, timeout=_BRIDGE_SECONDS).close()
+    except OSError:
+        return None
+    host, port = _BRIDGE
+    return FoundRobot(f"rosbridge://{host}:{port}", f"somebody listens at {host}:{port}, where a rosbridge is")
+
+
+def _dds() -> FoundRobot | None:
+    if not (_is_installed("cyclonedds") and _is_installed("rosbags")):
+        return None
+    try:
+        looked = subprocess.run(  # noqa: S603 - our own program, in our own Python
+            [sys.executable, "-c", _LOOK_AT_GRAPH],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=_GRAPH_SECONDS,
+            check=False,
+        )
+    except (subprocess.TimeoutExpired, OSError):  # an OSError: Python may not be started here
+        return None
+    if looked.returncode != 0:
+        return None
+    return FoundRobot("dds", f"topics are published over DDS in domain {os.environ.get('ROS_DOMAIN_ID', '0')}")
+
+
+_LOOKS: tuple[Callable[[], FoundRobot | None], ...] = (_sourced, _master, _bridge, _dds)
+
+
+def _is_installed(package: str) -> bool:
+    return importlib.util.find_spec(package) is not None

@@ -1,0 +1,217 @@
+"""The profiler that measures the graph of a robot: its nodes and topics, and CPU and memory of chosen nodes."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import Finding, LinkError, PluginError
+from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.links.connect import connect_host, connect_robot, is_simulated, is_simulation
+from robot_runner.core.links.host import (
+    LOCAL,
+    ProcessHost,
+    RemoteHost,
+    ReportingSampler,
+    SamplingReport,
+    process_selector,
+)
+from robot_runner.core.links.robot import RobotName
+from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.series import Window
+from robot_runner.meters.polled import machine_clock
+from robot_runner.meters.psutil import host_findings
+from robot_runner.meters.utilisation import Selection, Utilisation
+from robot_runner.ros.ros1.link import master_of
+from robot_runner.ros.topic_statistics import robot_findings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.links.host import HostLink, UtilisationSampler
+    from robot_runner.core.plugin import Circumstances
+
+__all__ = ["RosGraph"]
+
+_FIX = "Look at the graph, with `ros2 node list` or `rosnode list`, before you use this run."
+_ROS1 = "ros1"
+
+#: For the estimate of raw data: bytes of a sample and of each process's share of it; a mission's duration, s.
+_SAMPLE_BYTES, _PROCESS_BYTES, _MISSION = 80, 20, 95.0
+_GRAPH_BYTES = 10_000
+
+
+class RosGraph(Profiler):
+    """Counts the nodes and topics of the graph, and measures CPU and memory of the processes of chosen nodes.
+
+    The graph is looked at when the measurement starts, and again when it stops; both are kept. On ROS 1 a node tells
+    the number of its process itself. ROS 2 does not tell: there a process is found by the name that the node was given
+    on its command line, as launch files do, or by the name of its program, if you say it.
+
+    Args:
+        nodes: full names of the nodes to measure; or a mapping from them to what to look for instead: the name of a
+            program (`"component_container"`) or `pid:4711`.
+        name: tells several instances apart; the class's name if left out.
+        host: the computer that the nodes run on: `localhost`, or as ssh takes it (`pi@robot`).
+        rate_hz: samples a second, Hz.
+        ssh_config: a file to take the place of your ssh config.
+        namespace: which robot's link is used, where there are several.
+
+    Raises:
+        PluginError: the rate is not positive, or nodes are not full names or would share a column.
+
+    Example:
+        >>> [measure.name for measure in RosGraph(["/turtlebot3_node"]).measures]
+        ['Nodes', 'Topics', 'CPU_turtlebot3_node', 'Memory_turtlebot3_node']
+    """
+
+    measures: Sequence[Measure] = (
+        Measure("Nodes", "1", "Nodes on the graph when the measurement stops, this link's own among them."),
+        Measure("Topics", "1", "Topics on the graph when the measurement stops."),
+    )
+    needs: ClassVar[str] = "A robot that is reached over a graph; for nodes what PsUtil needs."
+
+    def __init__(
+        self,
+        nodes: Sequence[str] | Mapping[str, str] = (),
+        *,
+        name: str | None = None,
+        host: str = LOCAL,
+        rate_hz: float = 10.0,
+        ssh_config: str | Path | None = None,
+        namespace: str = "",
+    ) -> None:
+        super().__init__(name=name)
+        if not (math.isfinite(rate_hz) and rate_hz > 0):
+            raise PluginError(f"rate_hz is {rate_hz!r}", where=self.name, fix="Give rate_hz a number above 0.")
+        self.nodes = _selectors(nodes, self.name)
+        self.host = host
+        self.rate_hz = rate_hz
+        self.ssh_config = None if ssh_config is None else Path(ssh_config).expanduser()
+        self.namespace = namespace
+        # Columns are named by the nodes, whatever their processes are found by.
+        self.selection = Selection(tuple(f"node:{node}" for node in self.nodes))
+        if len(set(self.selection.labels)) < len(self.nodes):
+            fix = "Measure them with two plugins of different names."
+            raise PluginError("two of the nodes would share a column", where=self.name, fix=fix)
+        self.measures = (*type(self).measures, *self.selection.measures())
+        line = _SAMPLE_BYTES + len(self.nodes) * _PROCESS_BYTES
+        self.bytes_per_run = _GRAPH_BYTES + (round(line * rate_hz * _MISSION) if self.nodes else 0)
+        self._sampler: UtilisationSampler | None = None
+        self._utilisation: Utilisation | None = None
+        self._start = 0.0
+        self._graphs: dict[str, Any] = {}
+        self._is_simulated = False
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no robot, or nodes whose processes cannot be reached."""
+        findings = robot_findings(self.name, circumstances)
+        if not self.nodes:
+            return findings
+        if is_simulated(circumstances.robot):
+            problem = "the computer of a simulated robot does not tell of the processes of nodes"
+            return [*findings, Finding.error(f"plugin {self.name}", problem, "Leave nodes out.")]
+        reach = host_findings(self.name, circumstances, host=self.host, ssh_config=self.ssh_config, has_selection=True)
+        return [*findings, *reach]
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Connect, before the robot moves and while nobody measures."""
+        self._sampler = self._utilisation = None
+        self._graphs = {}
+        self._is_simulated = is_simulation(connect_robot(context, namespace=self.namespace), self.namespace)
+        if self.nodes:
+            link = self._computer(context)
+            if isinstance(link, RemoteHost):
+                link.connect()
+
+    def start_measurement(self, context: RobotRunnerContext) -> None:
+        """Look at the graph, and begin to sample the processes of its nodes."""
+        graph = self._look(context)
+        if self.nodes:
+            for node in self.nodes:
+                if node not in graph["nodes"]:
+                    context.warn(f"node {node} is not on the graph", fix=_FIX)
+            computer = self._computer(context)
+            if not isinstance(computer, ProcessHost):
+                fix = "Name the computer that the nodes run on in `host`."
+                raise LinkError("this computer does not tell of single processes", where=self.name, fix=fix)
+            self._sampler = computer.sample_processes(self.rate_hz, self._processes(context))
+        self._graphs["start"] = graph
+        self._start = machine_clock(context).now()
+
+    def stop_measurement(self, context: RobotRunnerContext) -> None:
+        """Sample no more, and look at the graph again."""
+        window = Window(self._start, machine_clock(context).now()) if self._graphs else None
+        sampler, self._sampler = self._sampler, None
+        if sampler is not None and window is not None:
+            samples = sampler.stop()
+            report = sampler.report() if isinstance(sampler, ReportingSampler) else SamplingReport(rate=self.rate_hz)
+            self._utilisation = Utilisation(samples, window, self.selection, report, is_simulated=False)
+        if window is not None:
+            self._graphs["stop"] = self._look(context)
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Write the graph, and the samples."""
+        folder = context.raw_data_folder
+        if self._graphs:
+            text = json.dumps(self._graphs, indent=2, ensure_ascii=False)
+            (folder / "graph.json").write_text(text + "\n", encoding="utf-8")
+        if self._utilisation is not None:
+            self._utilisation.write(folder)
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish the measures; no value for a node whose process was not seen."""
+        graph = self._graphs.get("stop")
+        if graph is None:
+            context.warn("nothing was measured: the measurement was never started", fix=_FIX)
+        origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED
+        context.publish("Nodes", None if graph is None else len(graph["nodes"]), origin=origin)
+        context.publish("Topics", None if graph is None else len(graph["topics"]), origin=origin)
+        values = self._of_processes(context)
+        for measure in self.selection.measures():
+            context.publish(measure.name, values.get(measure.name))
+
+    def _of_processes(self, context: RobotRunnerContext) -> Mapping[str, float | None]:
+        measured = self._utilisation
+        if measured is None:
+            return {}
+        for problem in (*measured.doubts(), *measured.quality.warnings()):
+            context.warn(problem, fix=_FIX)
+        return measured.means() if measured.quality.is_sufficient else {}
+
+    def _look(self, context: RobotRunnerContext) -> dict[str, Any]:
+        link = connect_robot(context, namespace=self.namespace)
+        return {"nodes": list(link.nodes()), "topics": dict(link.topics()), "services": dict(link.services())}
+
+    def _computer(self, context: RobotRunnerContext) -> HostLink:
+        return connect_host(context, self.host, ssh_config=self.ssh_config)
+
+    def _processes(self, context: RobotRunnerContext) -> list[str]:
+        """Return the selector of each node's process; on ROS 1 by the number that the node tells."""
+        name = None if context.robot is None else RobotName.parse(context.robot)
+        if name is None or name.link != _ROS1:
+            return list(self.nodes.values())
+        master = master_of({option: value for option, value in name.options.items() if option == "master"})
+        chosen = []
+        for node, selector in self.nodes.items():
+            pid = master.pid_of(node) if selector.startswith("node:") else None
+            chosen.append(selector if pid is None else f"pid:{pid}")
+        return chosen
+
+
+def _selectors(nodes: Sequence[str] | Mapping[str, str], where: str) -> dict[str, str]:
+    if isinstance(nodes, str):
+        raise PluginError(f"nodes is {nodes!r}", where=where, fix=f"Give a list: nodes=[{nodes!r}].")
+    chosen = dict(nodes) if isinstance(nodes, Mapping) else {node: f"node:{node}" for node in nodes}
+    for node in chosen:
+        if not node.startswith("/"):
+            fix = f"Give it as the graph lists it: '/{node}'."
+            raise PluginError(f"{node!r} is no full name of a node", where=where, fix=fix)
+    try:
+        return {node: process_selector(selector) for node, selector in chosen.items()}
+    except LinkError as error:
+        raise PluginError(error.problem, where=f"{where}, nodes", fix=error.fix) from error

@@ -1,0 +1,201 @@
+"""The profiler that measures the topics of a robot: rate, bandwidth, age, jitter, losses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.links.connect import connect_robot, is_simulation
+from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.quality import write_quality, write_samples
+from robot_runner.core.sampling.series import Window
+from robot_runner.ros.topic_statistics import (
+    DROPPED,
+    HeaderReader,
+    HeardTopic,
+    found_topics,
+    robot_findings,
+    topic_label,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from robot_runner.core.events.context import Clock, RobotRunnerContext
+    from robot_runner.core.links.robot import RawMessage, RobotLink, Subscription
+    from robot_runner.core.plugin import Circumstances
+
+__all__ = ["RosTopics"]
+
+_FIX = "Look at the topic, with `ros2 topic hz` or `rostopic hz`, before you use this run."
+_CLOCKS_FIX = "Synchronise the clocks of the robot and of this machine, with chrony or ntpd."
+
+#: What is kept of each message, bytes.
+_LINE_BYTES = 48
+_MISSION_SECONDS = 95
+
+
+class RosTopics(Profiler):
+    """Measures topics as this machine hears them: rate, bandwidth, age by header stamps, jitter, and losses.
+
+    Messages are weighed as they come, not decoded. A topic without a header has no age.
+
+    Args:
+        topics: names, relative to the robot's namespace, each with the rate that is expected of it, Hz (None: any).
+        name: tells several instances apart; the class's name if left out.
+        namespace: which robot, where there are several.
+        losses: whether to tell how many messages were lost, on ROS 1, whose publishers number their messages.
+        patience: how long a topic may take to appear on the graph before a run starts, s.
+
+    Raises:
+        PluginError: there are no topics, a name or a rate cannot be one, or two topics would have one column.
+
+    Example:
+        >>> [measure.name for measure in RosTopics({"odom": 30.0}).measures]
+        ['OdomRate', 'OdomBandwidth', 'OdomAge', 'OdomMaxAge', 'OdomJitter']
+    """
+
+    needs: ClassVar[str] = "A robot whose topics can be heard."
+
+    def __init__(
+        self,
+        topics: Mapping[str, float | None] | Sequence[str] = ("odom",),
+        *,
+        name: str | None = None,
+        namespace: str = "",
+        losses: bool = False,
+        patience: float = 5.0,
+    ) -> None:
+        super().__init__(name=name)
+        self.topics = _rates(topics, self.name)
+        self.namespace = namespace
+        self.patience = patience
+        labels = _labels(self.topics, self.name)
+        self.losses = losses
+        self._kinds = tuple(kind for kind in _KINDS if losses or kind != DROPPED)
+        self.measures: Sequence[Measure] = [
+            measure for topic, label in labels.items() for measure in _measures(topic, label, self._kinds)
+        ]
+        self.bytes_per_run = sum(
+            round((rate or 50.0) * _MISSION_SECONDS * _LINE_BYTES) for rate in self.topics.values()
+        )
+        self._labels = labels
+        self._heard: dict[str, HeardTopic] = {}
+        self._subscriptions: list[Subscription] = []
+        self._is_measuring = False
+        self._is_simulated = False
+        self._start = 0.0
+        self._window: Window | None = None
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no robot."""
+        return robot_findings(self.name, circumstances)
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Subscribe, so that everybody has found each other when the measurement starts."""
+        self._window, self._is_measuring = None, False
+        self._heard = {topic: HeardTopic(self._labels[topic], rate) for topic, rate in self.topics.items()}
+        self._subscriptions = []
+        link = connect_robot(context, namespace=self.namespace)
+        self._is_simulated = is_simulation(link, self.namespace)
+        found = found_topics(link, self.topics, self.namespace, context.clock, patience=self.patience)
+        for topic, typed in found.items():
+            if typed is None:
+                self._heard[topic].problem = f"nobody publishes it within {self.patience:g} s of the run's start"
+            else:
+                self._subscribe(link, topic, typed.message_type, context.clock)
+
+    def start_measurement(self, context: RobotRunnerContext) -> None:
+        """Begin to count."""
+        self._start = context.clock.now()
+        self._is_measuring = True
+
+    def stop_measurement(self, context: RobotRunnerContext) -> None:
+        """Count no more."""
+        if self._is_measuring:
+            self._is_measuring = False
+            self._window = Window(self._start, context.clock.now())
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Unsubscribe, and write what was heard."""
+        subscriptions, self._subscriptions = self._subscriptions, []
+        for subscription in subscriptions:
+            subscription.close()
+        if self._window is not None:
+            for heard in self._heard.values():
+                write_samples(context.raw_data_folder / f"{heard.label}.csv", heard.columns())
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish the measures; no value for a topic of which nothing was heard."""
+        window = self._window
+        if window is None:
+            context.warn("nothing was measured: the measurement was never started", fix=_FIX)
+        else:
+            self._report(context, window)
+        origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED
+        for heard in (self._heard[topic] for topic in self.topics if topic in self._heard):
+            values = {} if window is None or not heard.times else heard.values(window)
+            for kind in self._kinds:
+                context.publish(heard.label + kind, values.get(kind), origin=origin)
+
+    def _subscribe(self, link: RobotLink, topic: str, message_type: str, clock: Clock) -> None:
+        heard = self._heard[topic]
+        header = HeaderReader(link.definition(message_type), link.encoding)
+
+        def hear(message: RawMessage) -> None:
+            if self._is_measuring:
+                heard.take(clock.now(), message, header)
+
+        self._subscriptions.append(link.subscribe_raw(topic, message_type, hear))
+
+    def _report(self, context: RobotRunnerContext, window: Window) -> None:
+        facts: dict[str, Any] = {}
+        for topic, heard in self._heard.items():
+            quality = heard.quality(window)
+            facts[topic] = asdict(quality)
+            for problem in heard.doubts(quality):
+                context.warn(f"topic {topic}: {problem}", fix=_CLOCKS_FIX if heard.is_ahead else _FIX)
+        details = {"is_simulated": self._is_simulated, "topics": facts}
+        write_quality(context.raw_data_folder / "quality.json", None, window, details)
+
+
+_KINDS: Mapping[str, tuple[str, str]] = {
+    "Rate": ("Hz", "Messages on {topic} a second, over the measured window."),
+    "Bandwidth": ("B/s", "Bytes of the messages on {topic} a second, over the measured window."),
+    "Age": ("s", "Age of messages on {topic} when they arrive, by the stamps in their headers: mean."),
+    "MaxAge": ("s", "Age of messages on {topic} when they arrive, by the stamps in their headers: maximum."),
+    "Jitter": ("s", "Times between messages on {topic}: 95 % are no further than this from their median."),
+    DROPPED: ("1", "Messages on {topic} that did not arrive, by the numbers in their headers (ROS 1 only)."),
+}
+
+
+def _measures(topic: str, label: str, kinds: Iterable[str]) -> Iterator[Measure]:
+    for kind in kinds:
+        unit, text = _KINDS[kind]
+        yield Measure(label + kind, unit, text.format(topic=topic))
+
+
+def _rates(topics: Mapping[str, float | None] | Sequence[str], where: str) -> dict[str, float | None]:
+    if isinstance(topics, str) or not topics:
+        fix = "Give names with rates, such as {'odom': 30.0}, or a list of names."
+        raise PluginError(f"topics is {topics!r}", where=where, fix=fix)
+    rates = dict(topics) if isinstance(topics, Mapping) else dict.fromkeys(topics)
+    for topic, rate in rates.items():
+        if rate is not None and not (math.isfinite(rate) and rate > 0):
+            raise PluginError(f"the rate of {topic!r} is {rate!r}", where=where, fix="Give a number above 0, or None.")
+    return rates
+
+
+def _labels(topics: Iterable[str], where: str) -> dict[str, str]:
+    labels: dict[str, str] = {}
+    for topic in topics:
+        label = topic_label(topic, where=where)
+        if label in labels.values():
+            fix = "Measure them with two instances of the plugin, with names of their own."
+            raise PluginError(f"two topics would have the columns of {label!r}", where=where, fix=fix)
+        labels[topic] = label
+    return labels

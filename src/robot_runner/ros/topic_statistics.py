@@ -1,0 +1,260 @@
+"""What was heard of one topic: its messages' times, sizes, ages and numbers, and the figures made of them."""
+
+from __future__ import annotations
+
+import math
+import struct
+from array import array
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.links.robot import Encoding
+from robot_runner.core.sampling.quality import Column, quality_of
+from robot_runner.ros.graph_links import full_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from robot_runner.core.events.context import Clock
+    from robot_runner.core.links.robot import RawMessage, RobotLink
+    from robot_runner.core.plugin import Circumstances
+    from robot_runner.core.sampling.quality import SampleQuality
+    from robot_runner.core.sampling.series import Window
+
+__all__ = [
+    "DROPPED",
+    "HeaderReader",
+    "HeardTopic",
+    "Stamp",
+    "TypedTopic",
+    "found_topics",
+    "missed",
+    "robot_findings",
+    "topic_label",
+]
+
+
+# What the profilers of a ROS graph share: finding topics and their types, and reading the header of raw messages.
+
+_HEADERS = frozenset({"Header", "std_msgs/Header", "std_msgs/msg/Header"})
+_LOOK = 0.1
+
+#: ROS 1: seq, secs, nsecs. ROS 2, after the four bytes of CDR's header: sec, nanosec.
+_ROS1 = struct.Struct("<III")
+_CDR = {1: struct.Struct("<iI"), 0: struct.Struct(">iI")}
+_CDR_HEADER = 4
+
+
+@dataclass(frozen=True, slots=True)
+class TypedTopic:
+    """A topic that is on the graph.
+
+    Attributes:
+        name: as the user gave it.
+        full_name: on the graph.
+        message_type: ROS name.
+    """
+
+    name: str
+    full_name: str
+    message_type: str
+
+
+class Stamp(NamedTuple):
+    """What the header of a message says.
+
+    Attributes:
+        time_ns: the moment of what the message is about, ns since the epoch; None where it was left at 0.
+        sequence: the number that ROS 1 gives to each message of a publisher; None in ROS 2.
+    """
+
+    time_ns: int | None
+    sequence: int | None
+
+
+def robot_findings(name: str, circumstances: Circumstances) -> list[Finding]:
+    """Return the finding that the experiment names no robot to be heard, if so."""
+    if circumstances.robot is not None:
+        return []
+    fix = "Name one in the config: robot = 'simulated'. Or: --set robot=simulated."
+    return [Finding.error(f"plugin {name}", "it hears the robot, and the experiment names none", fix)]
+
+
+def found_topics(
+    link: RobotLink, names: Iterable[str], namespace: str, clock: Clock, *, patience: float
+) -> Mapping[str, TypedTopic | None]:
+    """Return each topic with its type; None for one that is not on the graph within `patience` seconds of the clock."""
+    wanted = {name: full_name(namespace, name) for name in names}
+    deadline = clock.now() + patience
+    types = link.topics()
+    while not all(full in types for full in wanted.values()) and clock.now() < deadline:
+        clock.sleep(_LOOK)
+        types = link.topics()
+    return {name: TypedTopic(name, full, types[full]) if full in types else None for name, full in wanted.items()}
+
+
+def topic_label(topic: str, *, where: str) -> str:
+    """Return a topic's name as part of a measure's.
+
+    Raises:
+        PluginError: it is not the name of a topic.
+
+    Example:
+        >>> topic_label("/alice/battery_state", where="RosTopics")
+        'AliceBatteryState'
+    """
+    words = [word for part in topic.strip("/").split("/") for word in part.split("_")]
+    label = "".join(word[:1].upper() + word[1:] for word in words)
+    if not (label.isascii() and label.isalnum() and label[0].isalpha()):
+        fix = "Name it as on the graph, such as 'odom' or '/alice/odom'."
+        raise PluginError(f"{topic!r} cannot be the name of a topic", where=where, fix=fix)
+    return label
+
+
+class HeaderReader:
+    """Reads the header of raw messages of one type, without decoding the rest.
+
+    Args:
+        definition: the text of the type's definition.
+        encoding: of the messages.
+
+    Example:
+        >>> reader = HeaderReader("std_msgs/Header header", Encoding.CDR)
+        >>> reader.read(bytes([0, 1, 0, 0]) + _CDR[1].pack(2, 5) + b"...")
+        Stamp(time_ns=2000000005, sequence=None)
+    """
+
+    def __init__(self, definition: str, encoding: Encoding) -> None:
+        self.has_header = _first_field_type(definition) in _HEADERS
+        self._is_ros1 = encoding is Encoding.ROS1
+
+    def read(self, data: bytes) -> Stamp:
+        """Return what the header of a message says."""
+        if not self.has_header or len(data) < _ROS1.size:
+            return Stamp(None, None)
+        if self._is_ros1:
+            sequence, seconds, nanoseconds = _ROS1.unpack_from(data)
+        else:
+            sequence = None
+            seconds, nanoseconds = _CDR[data[1] & 1].unpack_from(data, _CDR_HEADER)
+        return Stamp(seconds * 1_000_000_000 + nanoseconds or None, sequence)
+
+
+def _first_field_type(definition: str) -> str:
+    for line in definition.splitlines():
+        words = line.partition("#")[0].split()
+        if words and "=" not in line.partition("#")[0]:
+            return words[0]
+    return ""
+
+
+#: The measure that only ROS 1 can tell.
+DROPPED = "Dropped"
+
+_UINT32 = 1 << 32
+
+#: One publisher that is started anew lets the numbers fall once; more often than this, there are several.
+_STEPS_A_FALL = 100
+
+#: So far may a stamp lie in the future, s, before clocks are said to differ: they are never quite one.
+_AHEAD = 0.001
+
+
+def missed(sequence: Sequence[int]) -> int | None:
+    """Return how many numbers of a sequence are missing; None where nobody counts.
+
+    A publisher counts its messages, modulo 2^32. Where the numbers fall, it was started anew; where they fall time and
+    again, several publishers count each for itself, and nothing can be told.
+
+    Example:
+        >>> missed([7, 8, 11, 12]), missed([0, 0, 0]), missed([90, 91, 0, 1]), missed([5, 900, 6, 901, 7, 902])
+        (2, None, 0, None)
+    """
+    steps = [(later - sooner) % _UINT32 for sooner, later in pairwise(sequence)]
+    falls = sum(step >= _UINT32 // 2 for step in steps)
+    if not any(steps) or falls > max(1, len(steps) // _STEPS_A_FALL):
+        return None
+    return sum(step - 1 for step in steps if 1 < step < _UINT32 // 2)
+
+
+@dataclass(slots=True)
+class HeardTopic:
+    """What was heard of one topic while it was measured.
+
+    Attributes:
+        label: the topic's part of the names of measures.
+        rate: how many messages a second are expected, Hz; None for any number.
+        problem: why nothing can be heard; empty where something can.
+        times: when each message arrived, s on the run's clock.
+        sizes: of each, bytes.
+        ages: of each at its arrival, s; NaN where it has no stamp.
+        sequence: the numbers of those that have any.
+    """
+
+    label: str
+    rate: float | None
+    problem: str = ""
+    times: array[float] = field(default_factory=lambda: array("d"))
+    sizes: array[int] = field(default_factory=lambda: array("q"))
+    ages: array[float] = field(default_factory=lambda: array("d"))
+    sequence: array[int] = field(default_factory=lambda: array("q"))
+
+    def take(self, time: float, message: RawMessage, header: HeaderReader) -> None:
+        """Note a message that arrived at this time of the run's clock."""
+        stamp = header.read(message.data)
+        self.times.append(time)
+        self.sizes.append(len(message.data))
+        self.ages.append(math.nan if stamp.time_ns is None else (message.received_ns - stamp.time_ns) / 1e9)
+        if stamp.sequence is not None:
+            self.sequence.append(stamp.sequence)
+
+    @property
+    def known_ages(self) -> list[float]:
+        """The ages of the messages that have a stamp, s."""
+        return [age for age in self.ages if math.isfinite(age)]
+
+    @property
+    def is_ahead(self) -> bool:
+        """Whether a message was stamped after it arrived, so that two clocks differ."""
+        return min(self.known_ages, default=0.0) < -_AHEAD
+
+    def quality(self, window: Window) -> SampleQuality:
+        """Return how evenly the messages came over the window."""
+        # Where no rate is expected, the one that was had is taken: what is left to be doubted is its evenness.
+        rate = self.rate or max(len(self.times), 1) / (window.duration or 1.0)
+        return quality_of(self.times, window, rate)
+
+    def values(self, window: Window) -> Mapping[str, float | None]:
+        """Return the measures of the window, without the topic's label."""
+        ages = [] if self.is_ahead else self.known_ages
+        jitter = self.quality(window).jitter
+        seconds = window.duration
+        return {
+            "Rate": len(self.times) / seconds if seconds else None,
+            "Bandwidth": sum(self.sizes) / seconds if seconds else None,
+            "Age": math.fsum(ages) / len(ages) if ages else None,
+            "MaxAge": max(ages, default=None),
+            "Jitter": None if jitter is None else jitter.p95,
+            DROPPED: missed(self.sequence),
+        }
+
+    def columns(self) -> list[Column]:
+        """Return what is kept of each message."""
+        columns = [
+            Column("time_s", self.times),
+            Column("size_B", self.sizes, "%d"),
+            Column("age_s", [age if math.isfinite(age) else None for age in self.ages]),
+        ]
+        return [*columns, Column("sequence", self.sequence, "%d")] if len(self.sequence) else columns
+
+    def doubts(self, quality: SampleQuality) -> Iterator[str]:
+        """Yield what is doubtful, with figures."""
+        if self.problem:
+            yield self.problem
+            return
+        if self.rate is not None or not self.times:
+            yield from quality.warnings()
+        if self.is_ahead:
+            yield f"a message was stamped {-min(self.known_ages):.3f} s after it arrived, so ages are not known"

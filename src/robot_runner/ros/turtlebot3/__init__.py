@@ -1,0 +1,1 @@
+"""The paper's Turtlebot Basic: a circular mission for benchmarking measurement-based experiments."""

@@ -1,0 +1,251 @@
+"""The system plugin that operates a TurtleBot3."""
+
+from __future__ import annotations
+
+import csv
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, ClassVar, TextIO
+
+from robot_runner.core.errors import Finding, PluginError, did_you_mean
+from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.links.connect import connect_robot
+from robot_runner.core.plugin import System
+from robot_runner.ros.turtlebot3.mission import CircularMission, Performer, Phase, Task
+from robot_runner.ros.turtlebot3.odometry import Odometer, Trajectory
+from robot_runner.ros.turtlebot3.steered_robot import Robot
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.plugin import Circumstances
+    from robot_runner.ros.turtlebot3.mission import Performance, Phase
+    from robot_runner.ros.turtlebot3.odometry import Pose
+
+__all__ = ["BasicTurtlebot3", "PhaseLog"]
+
+
+# The phases of a mission on disk, each as soon as it is over.
+
+_HEADING = ("number", "phase", "task", "start_s", "end_s", "x_m", "y_m", "heading_rad")
+
+
+class PhaseLog:
+    """Writes one row a phase: its times on the run's clock, and the pose of the odometry at its end."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+        self._rows = csv.writer(file, lineterminator="\n")
+        self._rows.writerow(_HEADING)
+        self._count = 0
+
+    def add(self, phase: Phase, task: Task | None, start: float, end: float, pose: Pose) -> None:
+        """Write the row of a phase that is over, and flush it."""
+        self._count += 1
+        numbers = (f"{number:.4f}" for number in (start, end, pose.x, pose.y, pose.heading))
+        self._rows.writerow((self._count, phase.kind.value, task.value if task else "", *numbers))
+        self._file.flush()
+
+
+_KNOWN_TASKS = tuple(task.value.capitalize() for task in Task)
+#: How far from its beginning, m, a mission may end before somebody should look at the robot.
+_NEAR = 0.1
+#: Share of the planned way below which the robot was blocked or its wheels slipped.
+_MOST = 0.9
+
+
+class BasicTurtlebot3(System):
+    """Executes the paper's circular mission on a TurtleBot3: 95 s of sleeping, driving and three times a task.
+
+    The robot drives away and comes back, in a closed loop on its odometry, so that nobody has to reposition
+    it between runs. It is stopped at the end whatever happens in between.
+
+    Args:
+        name: tells several robots apart; the class's name if left out.
+        namespace: the robot's ROS namespace, such as `/alice`.
+        task_factor: the factor whose treatment names the task of a run; None if no factor does.
+        task: the task of all runs, where no factor names it: Computation, Video or Network.
+        sleep_s: each of the six sleeps, s.
+        drive_s: the way out, and the way back, s.
+        task_s: each of the three tasks, s.
+        rotate_s: the turn by 180 degrees, s.
+        speed: the speed to cruise at, m/s; 0.22 at most.
+        connect_timeout_s: how long to wait for the robot's first odometry, s.
+        odometry_timeout_s: how long the odometry may be silent before the mission is broken off, s.
+
+    Raises:
+        PluginError: a parameter is out of its range.
+
+    Example:
+        >>> BasicTurtlebot3(task="Video", task_factor=None).measures[1]
+        Measure(name='Distance', unit='m', description='Way covered during the mission, by odometry.')
+    """
+
+    measures: Sequence[Measure] = (
+        Measure("Duration", "s", "Duration of the mission on the run's clock."),
+        Measure("Distance", "m", "Way covered during the mission, by odometry."),
+        Measure("PoseError", "m", "Distance between the first and the last position of the mission, by odometry."),
+    )
+    needs: ClassVar[str] = "A TurtleBot3 with odometry and the task services, or robot='simulated'."
+
+    def __init__(  # noqa: PLR0913 - one keyword for each thing that a study may vary
+        self,
+        *,
+        name: str | None = None,
+        namespace: str = "",
+        task_factor: str | None = "Task",
+        task: str | None = None,
+        sleep_s: float = 5.0,
+        drive_s: float = 10.0,
+        task_s: float = 10.0,
+        rotate_s: float = 15.0,
+        speed: float = 0.2,
+        connect_timeout_s: float = 5.0,
+        odometry_timeout_s: float = 1.0,
+    ) -> None:
+        super().__init__(name=name)
+        self.namespace = namespace
+        self.task_factor = task_factor
+        self.task = task
+        self.connect_timeout_s = connect_timeout_s
+        self.odometry_timeout_s = odometry_timeout_s
+        self.mission = CircularMission(sleep_s=sleep_s, drive_s=drive_s, task_s=task_s, rotate_s=rotate_s, speed=speed)
+        self._robot: Robot | None = None
+        self._performance: Performance | None = None
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no robot, or treatments that are no tasks."""
+        if circumstances.robot is None:
+            yield Finding.error(
+                f"plugin {self.name}",
+                "it operates a robot, and the experiment names none",
+                "Name it in the config: robot = 'simulated'. Or: --set robot=simulated.",
+            )
+        yield from self._check_namespace(circumstances)
+        yield from self._check_tasks(circumstances)
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Connect, and see that the robot answers."""
+        self._robot = self._performance = None
+        link = connect_robot(context, namespace=self.namespace)
+        odometer = Odometer(context.clock, timeout=self.odometry_timeout_s, where=self.name)
+        self._robot = Robot(link, odometer, context.clock, namespace=self.namespace)
+        odometer.wait(self.connect_timeout_s)
+        self._robot.check_listens(where=self.name)
+
+    def launch_mission(self, context: RobotRunnerContext) -> None:
+        """Execute the mission.
+
+        Its phases go to `phases.csv` and, as they begin, to whoever hears; the robot's way goes to `trajectory.csv`.
+        """
+        task, robot = self._task_of(context), self._reached_robot()
+
+        def announce(number: int, phase: Phase) -> None:
+            context.share(phase=phase.kind.value, phase_number=number, phase_count=len(self.mission.phases))
+
+        trajectory = Trajectory()
+        with ExitStack() as closing:
+            closing.callback(trajectory.write, context.raw_data_folder / "trajectory.csv")
+            closing.callback(setattr, robot.odometer, "on_pose", None)
+            robot.odometer.on_pose = trajectory.add
+            file = closing.enter_context(
+                (context.raw_data_folder / "phases.csv").open("w", encoding="ascii", newline="")
+            )
+            performer = Performer(self.mission, task, robot, context.clock, PhaseLog(file))
+            self._performance = performer.perform(announce)
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Stop the robot and leave it."""
+        del context
+        if self._robot is not None:
+            self._robot.close()
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish duration, distance and pose error; no values where the mission did not take place."""
+        performance = self._performance
+        if performance is None:
+            context.warn("the mission did not take place", fix="Look at the run's log.")
+            for measure in self.measures:
+                context.publish(measure.name, None)
+            return
+        for problem in _doubts(performance):
+            context.warn(problem, fix="Look whether the robot's way is free, and reposition the robot.")
+        is_simulated = self._robot is not None and self._robot.is_simulated
+        origin = Origin.SIMULATED if is_simulated else Origin.MEASURED
+        context.publish("Duration", performance.duration, origin=origin)
+        context.publish("Distance", performance.distance, origin=origin)
+        context.publish("PoseError", performance.pose_error, origin=origin)
+
+    def make_safe(self, context: RobotRunnerContext) -> None:
+        """Stop wheels and tasks, also in a process that has not been connected to the robot before."""
+        link = connect_robot(context, namespace=self.namespace)
+        odometer = Odometer(context.clock, timeout=self.odometry_timeout_s, where=self.name)
+        Robot(link, odometer, context.clock, namespace=self.namespace).close()
+
+    def _check_namespace(self, circumstances: Circumstances) -> Iterator[Finding]:
+        own = self.namespace.strip("/")
+        for other in circumstances.plugins:
+            if other is self:
+                return  # the later of the two says it
+            if isinstance(other, BasicTurtlebot3) and other.namespace.strip("/") == own:
+                yield Finding.error(
+                    f"plugin {self.name}",
+                    f"it operates the robot of the namespace '/{own}', and so does {other.name!r}",
+                    f"Give each its robot's namespace, as in {type(self).__name__}(namespace='/alice').",
+                )
+
+    def _check_tasks(self, circumstances: Circumstances) -> Iterator[Finding]:
+        where = f"plugin {self.name}"
+        treatments = None if self.task_factor is None else circumstances.factors.get(self.task_factor)
+        if treatments is not None and self.task is not None:
+            yield Finding.error(
+                where,
+                f"task={self.task!r} is given, and the factor {self.task_factor!r} varies the task",
+                "Leave out task=..., or give task_factor=None if that factor means something else.",
+            )
+        elif treatments is None and self.task is None:
+            yield Finding.error(
+                where,
+                f"there is no factor {self.task_factor!r} that names the task"
+                if self.task_factor
+                else "no task is given",
+                f"Give task={_KNOWN_TASKS[0]!r} (or another task), or name the factor with task_factor=...",
+            )
+        if self.task is not None:
+            yield from _unknown_tasks(where, [self.task])
+        yield from _unknown_tasks(f"factor {self.task_factor!r}", treatments or ())
+
+    def _task_of(self, context: RobotRunnerContext) -> Task:
+        treatments = context.combination
+        chosen = treatments.get(self.task_factor, self.task) if self.task_factor else self.task
+        task = None if chosen is None else Task.named(chosen)
+        if task is None:
+            raise PluginError(
+                f"{chosen!r} is no task of the robot",
+                where=f"run {context.run_id}, {self.name}",
+                fix=did_you_mean(str(chosen), _KNOWN_TASKS),
+            )
+        return task
+
+    def _reached_robot(self) -> Robot:
+        if self._robot is None:
+            raise PluginError(
+                "the mission was launched before the run was started",
+                where=self.name,
+                fix="Have start_run heard before launch_mission.",
+            )
+        return self._robot
+
+
+def _unknown_tasks(where: str, treatments: Iterable[object]) -> Iterator[Finding]:
+    for treatment in treatments:
+        if Task.named(treatment) is None:
+            problem = f"{treatment!r} is no task of the robot"
+            yield Finding.error(where, problem, did_you_mean(str(treatment), _KNOWN_TASKS))
+
+
+def _doubts(performance: Performance) -> Iterator[str]:
+    if performance.pose_error > _NEAR:
+        yield f"the mission ended {performance.pose_error:.2f} m from where it began"
+    if performance.distance < _MOST * performance.planned_distance:
+        yield f"the robot covered {performance.distance:.2f} m of {performance.planned_distance:.2f} m"

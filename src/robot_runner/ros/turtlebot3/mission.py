@@ -1,0 +1,237 @@
+"""The mission carried out: one phase after the other, on an absolute schedule."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.ros.turtlebot3.motion import MAXIMUM_SPEED, MAXIMUM_TURN_RATE, TICK, Ramp
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from robot_runner.core.events.context import Clock
+    from robot_runner.ros.turtlebot3.basic_turtlebot3 import PhaseLog
+    from robot_runner.ros.turtlebot3.steered_robot import Robot
+
+__all__ = ["CircularMission", "Performance", "Performer", "Phase", "PhaseKind", "Task"]
+
+
+# The mission as data: phases with their durations (paper, Fig. 4).
+
+
+class PhaseKind(Enum):
+    """What the robot does in a phase."""
+
+    SLEEP = "sleep"
+    FORWARD = "forward"
+    TASK = "task"
+    ROTATE = "rotate"
+
+
+class Task(Enum):
+    """What the robot's computer does in a task phase (paper, section II.C); the value names its services."""
+
+    COMPUTATION = "computation"
+    VIDEO = "video"
+    NETWORK = "network"
+
+    @classmethod
+    def named(cls, treatment: object) -> Task | None:
+        """Return the task that a treatment names, ignoring case, or None.
+
+        Example:
+            >>> Task.named("Video")
+            <Task.VIDEO: 'video'>
+        """
+        name = str(treatment).casefold()
+        return next((task for task in cls if task.value == name), None)
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """One phase of a mission.
+
+    Attributes:
+        kind: what the robot does.
+        seconds: how long, s.
+    """
+
+    kind: PhaseKind
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CircularMission:
+    """The durations of the phases of Fig. 4, and how the robot moves; 95 s in all with the defaults.
+
+    The robot drives away, works three times, turns round and drives back, so that there is no need to
+    reposition it before the next run.
+
+    Attributes:
+        sleep_s: each sleep, s.
+        drive_s: the way out, and the way back, s.
+        task_s: each of the three tasks, s.
+        rotate_s: the turn, s.
+        speed: the speed to cruise at, m/s.
+        angle: how far to turn, rad, anticlockwise.
+
+    Raises:
+        PluginError: a duration is not positive, or the robot cannot move so fast.
+
+    Example:
+        >>> CircularMission().seconds
+        95.0
+    """
+
+    sleep_s: float = 5.0
+    drive_s: float = 10.0
+    task_s: float = 10.0
+    rotate_s: float = 15.0
+    speed: float = 0.2
+    angle: float = math.pi
+
+    def __post_init__(self) -> None:
+        for parameter in ("sleep_s", "drive_s", "task_s", "rotate_s", "speed"):
+            value = getattr(self, parameter)
+            if not 0 < value < math.inf:
+                raise _refusal(parameter, value, f"Give {parameter} a number above 0.")
+        if self.speed > MAXIMUM_SPEED:
+            raise _refusal("speed", self.speed, f"Give a speed of at most {MAXIMUM_SPEED} m/s.")
+        if abs(self.turn.cruise) > MAXIMUM_TURN_RATE:
+            raise _refusal("rotate_s", self.rotate_s, f"Give the turn more time: at most {MAXIMUM_TURN_RATE} rad/s.")
+
+    @property
+    def way_out(self) -> Ramp:
+        """The way out as distance over time; the way back is the same."""
+        return Ramp.cruising(self.speed, self.drive_s)
+
+    @property
+    def turn(self) -> Ramp:
+        """The turn as angle over time."""
+        return Ramp(self.angle, self.rotate_s)
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """The phases in order."""
+        sleep = Phase(PhaseKind.SLEEP, self.sleep_s)
+        drive = Phase(PhaseKind.FORWARD, self.drive_s)
+        task = Phase(PhaseKind.TASK, self.task_s)
+        turn = Phase(PhaseKind.ROTATE, self.rotate_s)
+        return (sleep, drive, sleep, task, sleep, task, sleep, task, sleep, turn, drive, sleep)
+
+    @property
+    def seconds(self) -> float:
+        """How long the whole mission takes, s."""
+        return sum(phase.seconds for phase in self.phases)
+
+
+def _refusal(parameter: str, value: float, fix: str) -> PluginError:
+    return PluginError(f"{parameter} is {value!r}", where="the TurtleBot3's mission", fix=fix)
+
+
+#: How often a robot that stands still is asked whether it is still there, s.
+_LOOK_PERIOD = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Performance:
+    """What came of a mission.
+
+    Attributes:
+        duration: s on the run's clock.
+        distance: the way covered by odometry, m.
+        pose_error: how far from its beginning it ended by odometry, m.
+        planned_distance: the way that should have been covered, m.
+
+    Example:
+        >>> Performance(duration=95.0, distance=3.6, pose_error=0.004, planned_distance=3.6).pose_error
+        0.004
+    """
+
+    duration: float
+    distance: float
+    pose_error: float
+    planned_distance: float
+
+
+class Performer:
+    """Carries out one mission once.
+
+    Args:
+        mission: what is to be done.
+        task: what the robot works on in the task phases.
+        robot: who does it.
+        clock: the run's clock.
+        log: takes the phases that are over.
+    """
+
+    def __init__(self, mission: CircularMission, task: Task, robot: Robot, clock: Clock, log: PhaseLog) -> None:
+        self._mission = mission
+        self._task = task
+        self._robot = robot
+        self._clock = clock
+        self._log = log
+
+    def perform(self, announce: Callable[[int, Phase], None]) -> Performance:
+        """Carry out the mission and tell of each phase as it begins; the robot is stopped whatever happens.
+
+        Raises:
+            LinkError: the odometry fell silent or the robot cannot be reached.
+        """
+        try:
+            performance = self._perform(announce)
+        except BaseException as fault:
+            self._make_safe_after(fault)
+            raise
+        self._robot.make_safe()
+        return performance
+
+    def _make_safe_after(self, fault: BaseException) -> None:
+        """Make the robot safe; that it cannot be reached for that, either, does not hide what came first."""
+        try:
+            self._robot.make_safe()
+        except LinkError as error:
+            fault.add_note(f"The robot could not be made safe: {error}")
+
+    def _perform(self, announce: Callable[[int, Phase], None]) -> Performance:
+        odometer = self._robot.odometer
+        home, way_before = odometer.pose(), odometer.travelled
+        self._aim = home  # where the robot should be, were it to move without error
+        begun = due = self._clock.now()
+        for number, phase in enumerate(self._mission.phases, start=1):
+            announce(number, phase)
+            start, due = self._clock.now(), due + phase.seconds
+            self._carry_out(phase, due)
+            task = self._task if phase.kind is PhaseKind.TASK else None
+            self._log.add(phase, task, start, self._clock.now(), odometer.pose())
+        return Performance(
+            duration=self._clock.now() - begun,
+            distance=odometer.travelled - way_before,
+            pose_error=home.distance_to(odometer.pose()),
+            planned_distance=2 * self._mission.way_out.way,
+        )
+
+    def _carry_out(self, phase: Phase, due: float) -> None:
+        """Carry out one phase. Movements take their full time; what they were late by comes off the sleeps."""
+        match phase.kind:
+            case PhaseKind.SLEEP:
+                self._rest(due)
+            case PhaseKind.TASK:
+                self._robot.tasks.start(self._task)
+                self._rest(due)
+                self._robot.tasks.stop(self._task)
+            case PhaseKind.FORWARD:
+                self._robot.pilot.drive(self._aim, self._mission.way_out, self._clock.now())
+                self._aim = self._aim.ahead(self._mission.way_out.way)
+            case PhaseKind.ROTATE:
+                self._robot.pilot.turn(self._aim, self._mission.turn, self._clock.now())
+                self._aim = self._aim.turned(self._mission.turn.way)
+
+    def _rest(self, due: float) -> None:
+        while (left := due - self._clock.now()) > TICK:
+            self._clock.sleep(min(left, _LOOK_PERIOD))
+            self._robot.odometer.pose()

@@ -1,0 +1,198 @@
+"""Movement in a closed loop on the odometry: along a line and on the spot, over a given time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from robot_runner.ros.graph_links import full_name
+from robot_runner.ros.turtlebot3.odometry import Odometer, Pose, wrapped
+from robot_runner.ros.watchdog import TWIST, VELOCITY_COMMANDS, velocity_command
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from robot_runner.core.events.context import Clock
+    from robot_runner.core.links.robot import RobotLink
+
+__all__ = ["COMMAND_TOPIC", "MAXIMUM_SPEED", "MAXIMUM_TURN_RATE", "TICK", "Pilot", "Ramp", "Wheels"]
+
+
+# The robot's wheels: velocity commands of the type that the robot hears.
+
+#: What the robot hears its velocities on.
+COMMAND_TOPIC = "cmd_vel"
+
+
+class Wheels:
+    """Tells a robot how fast to move: as `TwistStamped` where its graph carries that, and as `Twist` elsewhere.
+
+    A TurtleBot3 hears `Twist` up to ROS 2 Humble, and `TwistStamped` by default from Jazzy on.
+
+    Args:
+        link: to the robot.
+        namespace: the robot's.
+
+    Example:
+        >>> from robot_runner.testing import FakeClock, FakeRobotLink
+        >>> link = FakeRobotLink(FakeClock())
+        >>> link.known_topics = {"cmd_vel": "geometry_msgs/TwistStamped"}
+        >>> Wheels(link).command(0.2, 0.0)
+        >>> link.publications[-1].message["twist"]["linear"]["x"]
+        0.2
+    """
+
+    def __init__(self, link: RobotLink, *, namespace: str = "") -> None:
+        self._link = link
+        self._topic = full_name(namespace, COMMAND_TOPIC)
+        self._type: str | None = None
+
+    def command(self, speed: float, rate: float) -> None:
+        """Move ahead at `speed` in m/s and turn at `rate` in rad/s until the next command.
+
+        Raises:
+            LinkError: the robot cannot be reached, or hears neither type.
+        """
+        message_type = self._type or self._heard_type()
+        self._link.publish(COMMAND_TOPIC, message_type, velocity_command(message_type, speed, rate))
+
+    def _heard_type(self) -> str:
+        heard = self._link.topics().get(self._topic)
+        if heard in VELOCITY_COMMANDS:
+            self._type = heard
+        # Where it is another, or the robot is not heard of yet, the link says so, or asks again next time.
+        return self._type or TWIST
+
+
+#: Burger, from ROBOTIS' e-manual (https://emanual.robotis.com/docs/en/platform/turtlebot3/features/): m/s and rad/s.
+MAXIMUM_SPEED = 0.22
+MAXIMUM_TURN_RATE = 2.84
+#: Commands a second: the Burger's own odometry comes at about 30 Hz.
+_CONTROL_PERIOD = 0.05
+_LONGEST_RAMP = 1.0  # s from standing to cruising
+#: The last moments of a movement, s, in which the robot only mends what it is off by.
+_LONGEST_SETTLING = 0.5
+#: A moment too short to be worth sleeping, s: clocks round.
+TICK = 0.001
+#: Gains, 1/s. A loop of this kind with a delay of T swings where gain x T exceeds 1/e; odometry, commands and motors
+#: together take about 0.15 s.
+_ALONG_GAIN = 2.0
+_HEADING_GAIN = 2.0
+#: How far ahead on its line the robot looks to get back to it, m.
+_LOOK_AHEAD = 0.4
+
+
+@dataclass(frozen=True, slots=True)
+class Ramp:
+    """A way from 0 to `way`: speeding up evenly, cruising, slowing down evenly, and a moment to settle.
+
+    Attributes:
+        way: m or rad; may be negative.
+        seconds: how long it all takes, s.
+
+    Example:
+        >>> ramp = Ramp(way=8.5, seconds=10.0)
+        >>> ramp.cruise, ramp.at(0.5), ramp.at(9.5)
+        (1.0, (0.125, 0.5), (8.5, 0.0))
+    """
+
+    way: float
+    seconds: float
+
+    @classmethod
+    def cruising(cls, speed: float, seconds: float) -> Ramp:
+        """Return the ramp of this duration whose cruising speed is `speed`."""
+        return cls(speed * (_moving_time(seconds) - _rise_time(seconds)), seconds)
+
+    @property
+    def cruise(self) -> float:
+        """The speed between speeding up and slowing down."""
+        return self.way / (_moving_time(self.seconds) - _rise_time(self.seconds))
+
+    def at(self, time: float) -> tuple[float, float]:
+        """Return how far the way has got after so many seconds, and the speed there."""
+        rise, cruise, left = _rise_time(self.seconds), self.cruise, _moving_time(self.seconds) - time
+        if time <= 0:
+            return 0.0, 0.0
+        if left <= 0:
+            return self.way, 0.0
+        if time < rise:
+            return cruise * time * time / (2 * rise), cruise * time / rise
+        if left < rise:
+            return self.way - cruise * left * left / (2 * rise), cruise * left / rise
+        return cruise * (time - rise / 2), cruise
+
+
+def _rise_time(seconds: float) -> float:
+    return min(_LONGEST_RAMP, seconds / 4)
+
+
+def _moving_time(seconds: float) -> float:
+    return seconds - min(_LONGEST_SETTLING, seconds / 10)
+
+
+class Pilot:
+    """Moves one robot. Who uses it must call `stop` in the end, whatever happened."""
+
+    def __init__(self, wheels: Wheels, odometer: Odometer, clock: Clock) -> None:
+        self._wheels = wheels
+        self._odometer = odometer
+        self._clock = clock
+
+    def drive(self, start: Pose, ramp: Ramp, begun: float) -> None:
+        """Drive straight from `start` along its heading; `begun` is when the way began on the run's clock.
+
+        The line is the one asked for, not the one that the robot happens to stand on: errors of the phases
+        before are mended on the way.
+
+        Raises:
+            LinkError: the odometry fell silent or the robot cannot be reached.
+        """
+
+        def steer(time: float) -> tuple[float, float]:
+            pose, (way, speed) = self._odometer.pose(), ramp.at(time)
+            along, across = _beside(start, pose)
+            heading = start.heading - math.atan2(across, _LOOK_AHEAD)
+            return speed + _ALONG_GAIN * (way - along), _HEADING_GAIN * wrapped(heading - pose.heading)
+
+        self._follow(steer, begun, ramp.seconds)
+
+    def turn(self, start: Pose, ramp: Ramp, begun: float) -> None:
+        """Turn on the spot, from the heading of `start` by the way of `ramp` in rad.
+
+        Raises:
+            LinkError: the odometry fell silent or the robot cannot be reached.
+        """
+
+        def steer(time: float) -> tuple[float, float]:
+            pose, (way, rate) = self._odometer.pose(), ramp.at(time)
+            return 0.0, rate + _HEADING_GAIN * wrapped(start.heading + way - pose.heading)
+
+        self._follow(steer, begun, ramp.seconds)
+
+    def stop(self) -> None:
+        """Stand still.
+
+        Raises:
+            LinkError: the robot cannot be reached.
+        """
+        self._wheels.command(0.0, 0.0)
+
+    def _follow(self, steer: Callable[[float], tuple[float, float]], begun: float, seconds: float) -> None:
+        while (left := begun + seconds - self._clock.now()) > TICK:
+            speed, rate = steer(seconds - left)
+            self._wheels.command(_limited(speed, MAXIMUM_SPEED), _limited(rate, MAXIMUM_TURN_RATE))
+            self._clock.sleep(min(_CONTROL_PERIOD, left))
+        self.stop()
+
+
+def _beside(start: Pose, pose: Pose) -> tuple[float, float]:
+    """Return how far along the line ahead of `start` a pose is, and how far to the left of it, m."""
+    east, north = pose.x - start.x, pose.y - start.y
+    cos, sin = math.cos(start.heading), math.sin(start.heading)
+    return east * cos + north * sin, north * cos - east * sin
+
+
+def _limited(value: float, limit: float) -> float:
+    return max(-limit, min(limit, value))

@@ -1,0 +1,193 @@
+"""The way that the robot takes during a mission, by its odometry."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.sampling.quality import Column, write_samples
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from robot_runner.core.events.context import Clock
+    from robot_runner.core.links.robot import Message
+
+__all__ = ["Odometer", "Pose", "Trajectory", "wrapped"]
+
+
+# Where the robot says it is.
+
+_POLL = 0.02
+#: A clock that is set, or a message that is overtaken, steps back now and then; two robots on one topic do always.
+_MOST_STEPS_BACK = 5
+
+
+def wrapped(angle: float) -> float:
+    """Return the same direction as an angle from -pi to pi."""
+    return math.remainder(angle, math.tau)
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A place on the floor and a direction, in the frame of the odometry.
+
+    Attributes:
+        x: m.
+        y: m.
+        heading: rad, anticlockwise from the x axis.
+    """
+
+    x: float
+    y: float
+    heading: float
+
+    def distance_to(self, other: Pose) -> float:
+        """Return how far the other place is, m.
+
+        Example:
+            >>> Pose(0.0, 0.0, 0.0).distance_to(Pose(3.0, 4.0, 1.0))
+            5.0
+        """
+        return math.hypot(other.x - self.x, other.y - self.y)
+
+    def ahead(self, metres: float) -> Pose:
+        """Return the pose so far straight ahead."""
+        x = self.x + metres * math.cos(self.heading)
+        return Pose(x, self.y + metres * math.sin(self.heading), self.heading)
+
+    def turned(self, angle: float) -> Pose:
+        """Return the pose turned on the spot by an angle in rad."""
+        return Pose(self.x, self.y, self.heading + angle)
+
+
+class Odometer:
+    """Hears `nav_msgs/Odometry` and holds the robot's pose and the way it has covered.
+
+    Args:
+        clock: the run's clock.
+        timeout: how long, s, the odometry may be silent.
+        where: who is told in an error.
+
+    Attributes:
+        on_pose: is told of each pose with its moment on the clock, while there is somebody to tell.
+    """
+
+    def __init__(self, clock: Clock, *, timeout: float, where: str) -> None:
+        self.on_pose: Callable[[float, Pose], None] | None = None
+        self._clock = clock
+        self._timeout = timeout
+        self._where = where
+        self._pose: Pose | None = None
+        self._heard_at = clock.now()
+        self._travelled = 0.0
+        self._stamp = (0, 0)
+        self._steps_back = 0
+
+    def hear(self, message: Message) -> None:
+        """Take one message."""
+        pose = _pose_in(message)
+        if self._pose is not None:
+            self._travelled += self._pose.distance_to(pose)
+        self._pose, self._heard_at = pose, self._clock.now()
+        stamp = _stamp_in(message)
+        self._steps_back += stamp < self._stamp
+        self._stamp = stamp
+        if self.on_pose is not None:
+            self.on_pose(self._heard_at, pose)
+
+    @property
+    def travelled(self) -> float:
+        """The way covered since the first message, m."""
+        return self._travelled
+
+    def pose(self) -> Pose:
+        """Return the robot's pose.
+
+        Raises:
+            LinkError: the odometry has been silent for longer than it may, or two robots tell theirs on one topic.
+        """
+        if self._steps_back > _MOST_STEPS_BACK:
+            raise LinkError(
+                f"the time stamps of the odometry went back {self._steps_back} times",
+                where=self._where,
+                fix="See that one robot only publishes it: give each robot a namespace of its own.",
+            )
+        silence = self._clock.now() - self._heard_at
+        if self._pose is None:
+            fix = "Look whether the robot is on and publishes 'odom' on this graph: in this namespace and ROS domain."
+            raise LinkError(f"no odometry arrived for {silence:.1f} s", where=self._where, fix=fix)
+        if silence > self._timeout:
+            raise LinkError(
+                f"no odometry arrived for {silence:.1f} s (at most {self._timeout:g} s are allowed)",
+                where=self._where,
+                fix="Look whether the robot is on and its 'odom' topic is alive.",
+            )
+        return self._pose
+
+    def wait(self, patience: float) -> Pose:
+        """Return the robot's pose once it is known, after `patience` seconds at most.
+
+        Raises:
+            LinkError: no odometry arrived in time.
+        """
+        deadline = self._clock.now() + patience
+        while self._pose is None and self._clock.now() < deadline:
+            self._clock.sleep(_POLL)
+        return self.pose()
+
+
+def _stamp_in(message: Message) -> tuple[int, int]:
+    stamp = message["header"]["stamp"]
+    return stamp["sec"], stamp["nanosec"]
+
+
+def _pose_in(message: Message) -> Pose:
+    pose = message["pose"]["pose"]
+    position, turn = pose["position"], pose["orientation"]
+    # The yaw of a quaternion: ROS REP 103 has x forward, y left, z up.
+    heading = math.atan2(
+        2.0 * (turn["w"] * turn["z"] + turn["x"] * turn["y"]),
+        1.0 - 2.0 * (turn["y"] * turn["y"] + turn["z"] * turn["z"]),
+    )
+    return Pose(position["x"], position["y"], heading)
+
+
+#: Poses a second: at top speed they are 2 cm apart, finer than any figure of the way shows.
+_RATE = 10.0
+
+
+class Trajectory:
+    """Keeps at most ten poses a second, and writes them when the mission is over.
+
+    Example:
+        >>> from robot_runner.ros.turtlebot3.odometry import Pose
+        >>> way = Trajectory()
+        >>> for moment in (0.0, 0.03, 0.1):
+        ...     way.add(moment, Pose(moment * 0.2, 0.0, 0.0))
+        >>> len(way)
+        2
+    """
+
+    def __init__(self) -> None:
+        self._rows: list[tuple[float, float, float, float]] = []
+        self._due = float("-inf")
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def add(self, time: float, pose: Pose) -> None:
+        """Take a pose of this moment on the run's clock, s; one that comes too soon after the last is left out."""
+        if time < self._due - 1e-9:  # clocks round
+            return
+        self._due = time + 1.0 / _RATE
+        self._rows.append((time, pose.x, pose.y, pose.heading))
+
+    def write(self, path: Path) -> None:
+        """Write what was taken, with times in s, places in m and headings in rad."""
+        columns = list(zip(*self._rows, strict=True)) or [()] * 4
+        names = ("time_s", "x_m", "y_m", "heading_rad")
+        write_samples(path, [Column(name, values, "%.4f") for name, values in zip(names, columns, strict=True)])

@@ -1,0 +1,197 @@
+"""The robot as the mission uses it: one that says where it is, moves, and works on tasks."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.connect import is_simulation
+from robot_runner.ros.graph_links import full_name, missing
+from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, Pilot, Wheels
+from robot_runner.ros.watchdog import HEARTBEAT_TOPIC, HEARTBEAT_TYPE
+
+if TYPE_CHECKING:
+    from robot_runner.core.events.context import Clock
+    from robot_runner.core.links.robot import RobotLink
+    from robot_runner.ros.turtlebot3.mission import Task
+    from robot_runner.ros.turtlebot3.odometry import Odometer
+
+__all__ = ["Heartbeat", "Robot", "TaskServices"]
+
+
+# The sign of life that the watchdog on the robot waits for.
+
+#: The watchdog is patient for 0.4 s: three beats may be lost on the air.
+_PERIOD = 0.1
+#: How long the thread may take to end, s: publishing does not wait for anybody.
+_PATIENCE = 2.0
+
+_logger = logging.getLogger(__name__)
+
+
+class Heartbeat:
+    """Beats from a thread of the run's process until it is ended.
+
+    When the process dies or the link is lost, the beats cease, and the robot's watchdog stops it.
+
+    The embedded robot lives in the run's own process and needs none.
+
+    Args:
+        link: to the robot.
+
+    Example:
+        >>> from robot_runner.testing import FakeClock, FakeRobotLink
+        >>> link = FakeRobotLink(FakeClock())
+        >>> heartbeat = Heartbeat(link)
+        >>> heartbeat.end()
+        >>> heartbeat.say_farewell()
+        >>> link.publications[-1].message
+        {'data': 0}
+    """
+
+    def __init__(self, link: RobotLink) -> None:
+        self._link = link
+        self._is_over = threading.Event()
+        self._thread: threading.Thread | None = None
+        if not link.is_simulated:
+            self._thread = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
+            self._thread.start()
+
+    def end(self) -> None:
+        """Beat no more; ending twice does nothing. Without a farewell the watchdog stops the robot."""
+        self._is_over.set()
+        if self._thread is not None:
+            self._thread.join(_PATIENCE)
+
+    def say_farewell(self) -> None:
+        """Tell the watchdog that the robot stands still and is left to others.
+
+        Raises:
+            LinkError: the robot cannot be reached.
+        """
+        if self._thread is not None:
+            self._link.publish(HEARTBEAT_TOPIC, HEARTBEAT_TYPE, {"data": 0})
+
+    def _beat(self) -> None:
+        count = 0
+        while not self._is_over.is_set():
+            count += 1
+            try:
+                self._link.publish(HEARTBEAT_TOPIC, HEARTBEAT_TYPE, {"data": count})
+            except LinkError as error:
+                _logger.warning("the heartbeat ends, so the robot's watchdog stops it: %s", error)
+                return
+            self._is_over.wait(_PERIOD)
+
+
+# The tasks of the robot's computer, started and stopped through services.
+
+_TRIGGER = "std_srvs/Trigger"
+
+
+class TaskServices:
+    """Calls `task/<task>/start`, `task/<task>/stop` and `task/stop`, which stops whichever is going on."""
+
+    def __init__(self, link: RobotLink) -> None:
+        self._link = link
+
+    def start(self, task: Task) -> None:
+        """Start a task.
+
+        Raises:
+            LinkError: the robot cannot be reached, has no such service, or refuses.
+        """
+        self._call(f"task/{task.value}/start")
+
+    def stop(self, task: Task) -> None:
+        """Stop a task that is going on.
+
+        Raises:
+            LinkError: the robot cannot be reached, has no such service, or refuses.
+        """
+        self._call(f"task/{task.value}/stop")
+
+    def stop_all(self) -> None:
+        """Stop whatever is going on; that nothing is, is no fault.
+
+        Raises:
+            LinkError: the robot cannot be reached or has no such service.
+        """
+        self._link.call("task/stop", _TRIGGER)
+
+    def _call(self, service: str) -> None:
+        response = self._link.call(service, _TRIGGER)
+        if not response.get("success", False):
+            raise LinkError(
+                f"the robot refused: {response.get('message') or 'no reason given'}",
+                where=f"service {service}",
+                fix="Look at the log of the task's node on the robot.",
+            )
+
+
+#: How long, s, the graph may take to say that the robot hears commands, once its odometry is heard.
+_LISTENING_SECONDS = 3.0
+_LOOK_PERIOD = 0.1
+
+
+class Robot:
+    """One robot that is reached: what it says and what it can be told.
+
+    Attributes:
+        odometer: hears the robot's odometry until the robot is closed.
+        pilot: moves it.
+        tasks: starts and stops its tasks.
+        is_simulated: whether it is a simulated one.
+    """
+
+    def __init__(self, link: RobotLink, odometer: Odometer, clock: Clock, *, namespace: str = "") -> None:
+        self._link = link
+        self._clock = clock
+        self._command_topic = full_name(namespace, COMMAND_TOPIC)
+        self.odometer = odometer
+        self.pilot = Pilot(Wheels(link, namespace=namespace), odometer, clock)
+        self.tasks = TaskServices(link)
+        self.is_simulated = is_simulation(link, namespace)
+        self._subscription = link.subscribe("odom", "nav_msgs/Odometry", odometer.hear)
+        self._heartbeat = Heartbeat(link)
+
+    def check_listens(self, *, where: str) -> None:
+        """See that somebody hears the robot's velocity commands, before a mission begins that goes nowhere.
+
+        Raises:
+            LinkError: nobody does.
+        """
+        deadline = self._clock.now() + _LISTENING_SECONDS
+        while self._command_topic not in (topics := self._link.topics()):
+            if self._clock.now() >= deadline:
+                fix = "Start the robot's bringup, or correct its namespace."
+                raise missing("topic", self._command_topic, topics, where=where, fix=fix)
+            self._clock.sleep(_LOOK_PERIOD)
+
+    def make_safe(self) -> None:
+        """Stop the wheels, and the tasks even if the wheels cannot be reached.
+
+        Raises:
+            LinkError: the robot cannot be reached.
+        """
+        with ExitStack() as closing:
+            closing.callback(self.tasks.stop_all)
+            closing.callback(self.pilot.stop)
+
+    def close(self) -> None:
+        """Make it safe and listen to it no more; closing twice does no harm.
+
+        A robot that could not be made safe hears no farewell, so that its watchdog stops it.
+
+        Raises:
+            LinkError: the robot cannot be reached.
+        """
+        with ExitStack() as closing:
+            closing.callback(self._subscription.close)
+            closing.callback(self._heartbeat.end)
+            self.make_safe()
+            self._heartbeat.end()
+            self._heartbeat.say_farewell()

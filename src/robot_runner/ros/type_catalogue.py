@@ -1,0 +1,220 @@
+"""What each ROS message and service type is made of, its definition and digest, and its bytes to and fro."""
+
+from __future__ import annotations
+
+import struct
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import LinkError, nearest
+from robot_runner.core.links.robot import Encoding
+from robot_runner.ros.message_codec import FILLER, MessageCodec, NodeKind
+from robot_runner.ros.shapes import Field, Shape, UpTo, plain_type
+from robot_runner.ros.type_store import filled_store, full_name, service_part
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from rosbags.typesys.store import Typestore
+
+__all__ = ["TypeCatalogue"]
+
+#: Type stores lose the defaults that definitions give. Of the standard messages this is the only one with any.
+_DEFAULTS = {("geometry_msgs/msg/Quaternion", "w"): 1.0}
+
+#: What ROS 1 means by these names; in ROS 2 they are an octet and a uint8.
+_ROS1_KINDS = {"byte": "int8", "char": "uint8"}
+_ROS1_STAMPS = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
+
+
+class TypeCatalogue:
+    """The types of one distribution of ROS, with those that the user's files add.
+
+    Example:
+        >>> catalogue = TypeCatalogue.of(2)
+        >>> catalogue.shape("geometry_msgs/Vector3").names
+        ('x', 'y', 'z')
+        >>> data = catalogue.serialise("std_msgs/String", {"data": "hi"}, Encoding.CDR)
+        >>> catalogue.deserialise("std_msgs/String", data, Encoding.CDR)
+        {'data': 'hi'}
+    """
+
+    def __init__(self, store: Typestore, generation: int) -> None:
+        self._store = store
+        self._generation = generation
+        self._codec = MessageCodec(store, signed_bytes=generation == 1)
+        self._shapes: dict[str, Shape] = {}
+
+    @classmethod
+    def of(cls, generation: int, distro: str | None = None, extra: Sequence[Path] = ()) -> TypeCatalogue:
+        """Return the catalogue of a distribution; it is made once.
+
+        Args:
+            generation: of ROS, 1 or 2.
+            distro: such as `humble`; None is noetic or jazzy.
+            extra: `.msg` and `.srv` files, or folders that hold some.
+
+        Raises:
+            LinkError: `rosbags` is not installed, there is no such distribution, or a file cannot be used.
+        """
+        return _catalogue(generation, distro, tuple(extra))
+
+    def shape(self, message_type: str) -> Shape:
+        """Return what a message type is made of.
+
+        Raises:
+            LinkError: there is no such type.
+        """
+        return self._shape(self._known(message_type))
+
+    def request(self, service_type: str) -> Shape:
+        """Return what the request of a service type is made of.
+
+        Raises:
+            LinkError: there is no such type.
+        """
+        return self._shape(self._known_service(service_type, "Request"))
+
+    def response(self, service_type: str) -> Shape:
+        """Return what the response of a service type is made of.
+
+        Raises:
+            LinkError: there is no such type.
+        """
+        return self._shape(self._known_service(service_type, "Response"))
+
+    def definition(self, message_type: str) -> str:
+        """Return the text of a definition, with those that it is made of after it, as bags store it.
+
+        Raises:
+            LinkError: there is no such type.
+        """
+        return self._store.generate_msgdef(self._known(message_type), ros_version=self._generation)[0]
+
+    def digest(self, message_type: str) -> str:
+        """Return what tells versions of a type apart: the md5 sum of ROS 1, the type hash (RIHS01) of ROS 2.
+
+        Raises:
+            LinkError: there is no such type.
+        """
+        name = self._known(message_type)
+        if self._generation == 1:
+            return self._store.generate_msgdef(name, ros_version=1)[1]
+        return self._store.hash_rihs01(name)
+
+    def serialise(self, message_type: str, message: Mapping[str, Any], encoding: Encoding) -> bytes:
+        """Return the bytes of a complete message, as `shapes.completed` makes it; CDR is little endian.
+
+        Args:
+            message_type: ROS name; a request or response is `std_srvs/Trigger_Request` or `…_Response`.
+            message: with every field of its type.
+            encoding: how to lay it out.
+
+        Raises:
+            LinkError: there is no such type, or the message does not follow its definition.
+        """
+        name = self._known(message_type)
+        try:
+            made = self._codec.as_object(name, message)
+            if encoding is Encoding.ROS1:
+                return bytes(self._store.serialize_ros1(made, name))
+            return bytes(self._store.serialize_cdr(made, name, little_endian=True))
+        except (KeyError, TypeError, AttributeError, ValueError, OverflowError, struct.error) as error:
+            raise LinkError(
+                f"the message cannot be laid out as its definition says: {error}",
+                where=message_type,
+                fix="Give each field a value of its kind.",
+            ) from error
+
+    def deserialise(self, message_type: str, data: bytes | memoryview, encoding: Encoding) -> dict[str, Any]:
+        """Return the message that these bytes are.
+
+        Args:
+            message_type: ROS name; a request or response is `std_srvs/Trigger_Request` or `…_Response`.
+            data: the bytes; CDR with its header.
+            encoding: how they are laid out.
+
+        Raises:
+            LinkError: there is no such type, or these are not the bytes of one.
+        """
+        name = self._known(message_type)
+        read = self._store.deserialize_ros1 if encoding is Encoding.ROS1 else self._store.deserialize_cdr
+        try:
+            return self._codec.as_mapping(name, read(data, name))
+        except (_serde_error(), AssertionError, IndexError, ValueError, struct.error) as error:
+            raise LinkError(
+                f"{len(data)} bytes are no message of this type: {error}",
+                where=message_type,
+                fix="Name the ROS distribution that sent it, or give its definition, in the options of the robot.",
+            ) from error
+
+    def _shape(self, name: str) -> Shape:
+        if name not in self._shapes:
+            fields = [
+                self._field(name, field, description)
+                for field, description in self._store.fielddefs[name][1]
+                if field != FILLER
+            ]
+            self._shapes[name] = Shape(plain_type(name), tuple(fields))
+        return self._shapes[name]
+
+    def _field(self, owner: str, name: str, description: Any) -> Field:
+        kind, detail = description
+        default = _DEFAULTS.get((owner, name)) if self._generation == 2 else None  # noqa: PLR2004  # of ROS
+        if kind in {NodeKind.BASIC, NodeKind.TYPE}:
+            return Field(name, self._kind(kind, detail), default=default, limit=_text_limit(kind, detail))
+        (inner_kind, inner), number = detail
+        count = number if kind == NodeKind.ARRAY else UpTo(number or None)
+        return Field(name, self._kind(inner_kind, inner), count, default, _text_limit(inner_kind, inner))
+
+    def _kind(self, kind: int, detail: Any) -> str | Shape:
+        if kind == NodeKind.BASIC:
+            basic: str = detail[0]
+            return _ROS1_KINDS.get(basic, basic) if self._generation == 1 else basic
+        if self._generation == 1 and detail in _ROS1_STAMPS:
+            return _ROS1_STAMPS[detail]
+        return self._shape(detail)
+
+    def _known(self, name: str) -> str:
+        spelt = full_name(name)
+        if spelt in self._store.fielddefs:
+            return spelt
+        part = full_name(name, "srv")  # a request or response
+        if part in self._store.fielddefs:
+            return part
+        raise _unknown(name, "message", [plain_type(known) for known in self._store.fielddefs if "/msg/" in known])
+
+    def _known_service(self, name: str, part: str) -> str:
+        spelt = service_part(plain_type(name), part)
+        if spelt in self._store.fielddefs:
+            return spelt
+        services = {plain_type(known).rpartition("_")[0] for known in self._store.fielddefs if "/srv/" in known}
+        raise _unknown(name, "service", sorted(services))
+
+
+@lru_cache(maxsize=8)
+def _catalogue(generation: int, distro: str | None, extra: tuple[Path, ...]) -> TypeCatalogue:
+    return TypeCatalogue(filled_store(generation, distro, extra), generation)
+
+
+def _text_limit(kind: int, detail: Any) -> int | None:
+    return (detail[1] or None) if kind == NodeKind.BASIC else None
+
+
+def _serde_error() -> type[Exception]:
+    from rosbags.serde import SerdeError  # noqa: PLC0415  # an extra, loaded by now
+
+    return SerdeError
+
+
+def _unknown(name: str, kind: str, known: Sequence[str]) -> LinkError:
+    near = nearest(name, known)
+    suffix = "msg" if kind == "message" else "srv"
+    return LinkError(
+        f"there is no {kind} type {name!r}",
+        where=name,
+        fix=f"Did you mean {near!r}?"
+        if near
+        else f"Name the .{suffix} file that defines it in the robot's option types=.",
+    )

@@ -1,0 +1,199 @@
+"""Fills a `rosbags` type store: types of a ROS distribution, those of the user's files, and the standard services."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.ros.message_codec import NodeKind
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from rosbags.typesys.store import Typestore
+
+__all__ = ["ROS1_DISTROS", "ROS2_DISTROS", "STANDARD_SERVICES", "filled_store", "full_name", "service_part"]
+
+#: The distributions whose types are known. All of ROS 1's noetic series have the same messages.
+ROS1_DISTROS = ("kinetic", "lunar", "melodic", "noetic")
+ROS2_DISTROS = ("foxy", "galactic", "humble", "iron", "jazzy", "kilted")
+
+#: Type stores hold messages only. These services are the same in all distributions of both generations.
+STANDARD_SERVICES = MappingProxyType(
+    {
+        "std_srvs/Empty": "---\n",
+        "std_srvs/SetBool": "bool data\n---\nbool success\nstring message\n",
+        "std_srvs/Trigger": "---\nbool success\nstring message\n",
+    }
+)
+
+_SEPARATOR = "---"
+
+
+def filled_store(generation: int, distro: str | None, extra: Sequence[Path]) -> Typestore:
+    """Return a store with the types of a distribution, of the user's files and of the standard services.
+
+    Args:
+        generation: of ROS, 1 or 2.
+        distro: name of the distribution; None is noetic or jazzy.
+        extra: `.msg` and `.srv` files, or folders that are searched for them. A file's package is the folder that its
+            `msg` or `srv` folder stands in, or else the one that it stands in itself.
+
+    Raises:
+        LinkError: `rosbags` is not installed, there is no such distribution, or a file cannot be used.
+    """
+    rosbags = _rosbags()
+    store: Typestore = rosbags.get_typestore(_store_of(rosbags, generation, distro))
+    definitions = _definitions(extra)
+    for name, text in STANDARD_SERVICES.items():
+        definitions.setdefault(f"{name}.srv", ("the standard services", text))
+    found: dict[str, Any] = {}
+    for name, (where, text) in definitions.items():
+        found |= _parsed(rosbags, name, text, where)
+    for name in found.keys() & store.fielddefs.keys():
+        _check_same(name, found[name], store, definitions)
+    store.register({name: fields for name, fields in found.items() if name not in store.fielddefs})
+    _check_references(found, store, definitions)
+    return store
+
+
+def full_name(name: str, kind: str = "msg") -> str:
+    """Return a type's name as type stores spell it.
+
+    Example:
+        >>> full_name("geometry_msgs/Twist"), full_name("std_srvs/Trigger", "srv")
+        ('geometry_msgs/msg/Twist', 'std_srvs/srv/Trigger')
+    """
+    parts = name.split("/")
+    return name if len(parts) != 2 else f"{parts[0]}/{kind}/{parts[1]}"  # noqa: PLR2004  # package and name
+
+
+def service_part(service_type: str, part: str) -> str:
+    """Return the name of the `Request` or `Response` of a service type."""
+    return f"{full_name(service_type, 'srv')}_{part}"
+
+
+def _rosbags() -> Any:
+    try:
+        from rosbags import typesys  # noqa: PLC0415  # an extra, needed only where types are looked up
+    except ModuleNotFoundError as error:
+        raise LinkError(
+            f"message types cannot be looked up: {error.name} cannot be imported",
+            where="robot",
+            fix="Install it: pip install 'robot-runner[ros]'.",
+        ) from error
+    return typesys
+
+
+def _store_of(rosbags: Any, generation: int, distro: str | None) -> Any:
+    if generation == 1:
+        _check_distro(distro, ROS1_DISTROS)
+        return rosbags.Stores.ROS1_NOETIC
+    _check_distro(distro, ROS2_DISTROS)
+    return rosbags.Stores[f"ROS2_{(distro or 'jazzy').upper()}"]
+
+
+def _check_distro(distro: str | None, known: Sequence[str]) -> None:
+    if distro is not None and distro not in known:
+        raise LinkError(
+            f"the message types of ROS distribution {distro!r} are not known",
+            where="distro",
+            fix=did_you_mean(distro, known),
+        )
+
+
+def _definitions(extra: Sequence[Path]) -> dict[str, tuple[str, str]]:
+    """Return the text of each of the user's types, with its file, by name and suffix."""
+    found: dict[str, tuple[str, str]] = {}
+    for path in extra:
+        for file in _files(path):
+            package = file.parent.parent if file.parent.name in {"msg", "srv"} else file.parent
+            try:
+                found[f"{package.resolve().name}/{file.name}"] = (str(file), file.read_text(encoding="utf-8"))
+            except (OSError, UnicodeDecodeError) as error:
+                raise LinkError(
+                    f"the type definition cannot be read: {error}",
+                    where=str(file),
+                    fix="Give a .msg or .srv file that can be read.",
+                ) from error
+    return found
+
+
+def _files(path: Path) -> Iterator[Path]:
+    if path.is_file() and path.suffix in {".msg", ".srv"}:
+        yield path
+        return
+    files = sorted(file for suffix in ("msg", "srv") for file in path.rglob(f"*.{suffix}")) if path.is_dir() else []
+    if not files:
+        raise LinkError(
+            "there is no .msg or .srv file" if path.exists() else "there is no such file or folder",
+            where=str(path),
+            fix="Name a .msg or .srv file, or a folder that holds some.",
+        )
+    yield from files
+
+
+def _parsed(rosbags: Any, name: str, text: str, where: str) -> dict[str, Any]:
+    stem, _, suffix = name.rpartition(".")
+    if suffix == "msg":
+        return _message(rosbags, full_name(stem), text, where)
+    request, separator, response = _halves(text)
+    if not separator:
+        raise LinkError("a service has no line '---'", where=where, fix="Put '---' between request and response.")
+    parts = {"Request": request, "Response": response}
+    return {
+        name: fields
+        for part, body in parts.items()
+        for name, fields in _message(rosbags, service_part(stem, part), body, where).items()
+    }
+
+
+def _halves(text: str) -> tuple[str, str, str]:
+    lines = text.splitlines()
+    for index, line in enumerate(lines):
+        if line.strip() == _SEPARATOR:
+            return "\n".join(lines[:index]), _SEPARATOR, "\n".join(lines[index + 1 :])
+    return text, "", ""
+
+
+def _message(rosbags: Any, name: str, text: str, where: str) -> dict[str, Any]:
+    # The parser resolves names within the package only if its own is spelt with `msg`.
+    spelt = name.replace("/srv/", "/msg/")
+    try:
+        (fields,) = rosbags.get_types_from_msg(f"{text.strip()}\n", spelt).values()
+    except rosbags.TypesysError as error:
+        raise LinkError(
+            f"the definition of {name} cannot be read: {str(error).splitlines()[-1][:120]!r}",
+            where=where,
+            fix="Mend the definition.",
+        ) from error
+    return {name: fields}
+
+
+def _check_references(found: Mapping[str, Any], store: Typestore, definitions: Mapping[str, tuple[str, str]]) -> None:
+    for name, (_, fields) in found.items():
+        for field, (kind, detail) in fields:
+            referred = detail if isinstance(detail, str) else detail[0][1] if kind > NodeKind.TYPE else None
+            if isinstance(referred, str) and referred not in store.fielddefs:
+                raise LinkError(
+                    f"field {field!r} of {name} is of the type {referred!r}, which is not known",
+                    where=_file_of(name, definitions),
+                    fix="Name the folder that defines it too." if "/msg/" in referred else "Mend the definition.",
+                )
+
+
+def _file_of(name: str, definitions: Mapping[str, tuple[str, str]]) -> str:
+    package, kind, short = name.split("/")
+    stem = short if kind == "msg" else short.rpartition("_")[0]
+    return definitions.get(f"{package}/{stem}.{kind}", (name, ""))[0]
+
+
+def _check_same(name: str, fields: Any, store: Typestore, definitions: Mapping[str, tuple[str, str]]) -> None:
+    if list(fields[1]) != list(store.fielddefs[name][1]):
+        raise LinkError(
+            f"{name} is defined otherwise in this distribution of ROS",
+            where=_file_of(name, definitions),
+            fix="Leave the file out, or name the distribution that it is of.",
+        )

@@ -1,0 +1,124 @@
+"""What a robot's watchdog hears, and how it decides that the robot must stand still.
+
+The watchdog's nodes for real robots (`robot/`) decide in the same way; they have code of their own because they keep to
+the robot's Python. The tests hold both to one suite.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import LinkError
+
+if TYPE_CHECKING:
+    from robot_runner.core.links.robot import Message
+
+__all__ = [
+    "HEARTBEAT_TOPIC",
+    "HEARTBEAT_TYPE",
+    "RELEASE_SERVICE",
+    "RELEASE_TYPE",
+    "TWIST",
+    "TWIST_STAMPED",
+    "VELOCITY_COMMANDS",
+    "Watchdog",
+    "velocity_command",
+    "velocity_of",
+]
+
+
+# Velocity commands: the two types that robots hear them in.
+
+TWIST = "geometry_msgs/Twist"
+#: What a TurtleBot3 hears by default from ROS 2 Jazzy on.
+TWIST_STAMPED = "geometry_msgs/TwistStamped"
+#: A robot goes on carrying out such a command until the next one: a link on which one was published ends with zero.
+VELOCITY_COMMANDS = frozenset({TWIST, TWIST_STAMPED})
+
+
+def velocity_command(message_type: str, speed: float, rate: float) -> Message:
+    """Return the command to move ahead at `speed` in m/s and to turn at `rate` in rad/s.
+
+    A stamp is left at zero, which robots take as "now": by one from a laptop whose clock is a second off, a robot would
+    take the command as too old, and with it the one to stand still.
+
+    Example:
+        >>> velocity_command(TWIST_STAMPED, 0.2, 0.0)["twist"]["linear"]
+        {'x': 0.2, 'y': 0.0, 'z': 0.0}
+    """
+    twist = {"linear": {"x": speed, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": rate}}
+    return {"twist": twist} if message_type == TWIST_STAMPED else twist
+
+
+def velocity_of(message_type: str, message: Message) -> Message:
+    """Return the part of a command that is the velocity: `linear` and `angular`.
+
+    Example:
+        >>> velocity_of(TWIST_STAMPED, {"twist": {"linear": {"x": 0.2}}})
+        {'linear': {'x': 0.2}}
+    """
+    twist: Message = message.get("twist", {}) if message_type == TWIST_STAMPED else message
+    return twist
+
+
+#: Counts up from 1 while a run operates the robot; a 0 says farewell.
+HEARTBEAT_TOPIC = "robot_runner/heartbeat"
+HEARTBEAT_TYPE = "std_msgs/UInt32"
+#: For a person who wants to drive a robot that the watchdog holds.
+RELEASE_SERVICE = "robot_runner/watchdog/release"
+RELEASE_TYPE = "std_srvs/Trigger"
+
+
+class Watchdog:
+    """Decides when a robot must stand still because who drives it has fallen silent.
+
+    From the first heartbeat on, silence means that the link is lost: the robot must stand still until a heartbeat is
+    heard again, or a person releases it. Times are in seconds on one monotonic clock, given by whoever calls.
+
+    Args:
+        heartbeat_timeout: how long the heartbeat may be silent, s; 0 for as long as it likes.
+        command_timeout: how long the commands may be silent while the robot moves, s; 0 for as long as they like.
+
+    Raises:
+        LinkError: a time-out is negative.
+
+    Example:
+        >>> watchdog = Watchdog(heartbeat_timeout=0.4)
+        >>> watchdog.hear_heartbeat(1, now=10.0)
+        >>> watchdog.must_stop(10.3), watchdog.must_stop(10.5)
+        (False, True)
+    """
+
+    def __init__(self, *, heartbeat_timeout: float = 0.4, command_timeout: float = 0.0) -> None:
+        if heartbeat_timeout < 0 or command_timeout < 0:
+            raise LinkError(
+                f"its time-outs are {heartbeat_timeout!r} s and {command_timeout!r} s",
+                where="the watchdog",
+                fix="Give 0 or more.",
+            )
+        self._heartbeat_timeout = heartbeat_timeout
+        self._command_timeout = command_timeout
+        self._heartbeat_at: float | None = None
+        self._moved_at: float | None = None
+
+    def hear_heartbeat(self, count: int, now: float) -> None:
+        """Take a heartbeat."""
+        self._heartbeat_at = now if count else None
+
+    def hear_command(self, is_moving: bool, now: float) -> None:
+        """Take a velocity command: whether it moves the robot, or has it stand still."""
+        self._moved_at = now if is_moving else None
+
+    def release(self) -> None:
+        """Let the robot be moved by somebody else, until the next heartbeat."""
+        self._heartbeat_at = self._moved_at = None
+
+    def must_stop(self, now: float) -> bool:
+        """Whether the robot must be told to stand still at this moment."""
+        return _is_over(self._heartbeat_at, self._heartbeat_timeout, now) or _is_over(
+            self._moved_at, self._command_timeout, now
+        )
+
+
+def _is_over(heard_at: float | None, timeout: float, now: float) -> bool:
+    return heard_at is not None and timeout > 0 and now - heard_at > timeout

@@ -1,0 +1,1 @@
+"""The command that offers the embedded robot on a ROS graph."""

@@ -1,0 +1,96 @@
+"""Offer the embedded robot on a ROS graph, as if it were a real one.
+
+Whatever runs on the graph (an experiment with robot = 'ros1' or 'dds', rviz, your own nodes) finds a TurtleBot3 Burger
+there: its topics, the services of its tasks, its watchdog. Its power meter is opened as a serial port. A line "ready"
+is printed once all of it is there; Ctrl-C or SIGTERM ends it.
+"""
+
+from __future__ import annotations
+
+import signal
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.cli.console import output
+from robot_runner.cli.parser import UsageError
+from robot_runner.core.errors import did_you_mean
+from robot_runner.core.words import counted, shown_duration
+from robot_runner.simulator.graph_simulation import SimulatedPlace, check_pace, on_graph
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Iterator
+
+    from robot_runner.cli.parser import Parser
+
+__all__ = ["add_arguments", "execute"]
+
+_ROBOTS = ("turtlebot3",)
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add what the command takes."""
+    parser.add_argument("robot", metavar="ROBOT", help="the robot to offer: turtlebot3")
+    parser.add_argument(
+        "--link",
+        metavar="LINK",
+        required=True,
+        help="the graph: ros1, ros2 or dds, with the options that robot takes in a config, such as dds:domain=7",
+    )
+    parser.add_argument("--namespace", metavar="NAME", default="", help="the namespace of the robot, such as /alice")
+    parser.add_argument("--seed", metavar="N", type=int, default=1, help="the seed of its noise; 1 if it is left out")
+    parser.add_argument(
+        "--use-sim-time",
+        action="store_true",
+        help="publish the simulation's time on /clock and stamp messages with it; nodes need use_sim_time",
+    )
+    parser.add_argument(
+        "--real-time-factor",
+        metavar="N",
+        type=float,
+        default=1.0,
+        help="simulated seconds a real second; 1 if it is left out, and another needs --use-sim-time",
+    )
+
+
+def execute(arguments: Namespace) -> int:
+    """Let the robot live on the graph until somebody ends it."""
+    if arguments.robot not in _ROBOTS:
+        fix = did_you_mean(arguments.robot, _ROBOTS)
+        raise UsageError(f"there is no simulated {arguments.robot!r}", where="robot-runner simulate", fix=fix)
+    place = SimulatedPlace(
+        link=arguments.link,
+        namespace=arguments.namespace,
+        seed=arguments.seed,
+        real_time_factor=arguments.real_time_factor,
+        is_clock=arguments.use_sim_time,
+    )
+    check_pace(place)
+    console = output()
+    with _ending() as is_over, on_graph(place) as simulation:
+        console.print(f"simulated {arguments.robot} on {arguments.link}, namespace {arguments.namespace or '/'}")
+        console.print(f"power meter: {simulation.meter_port}")
+        console.print("ready")
+        console.file.flush()
+        simulation.robot.live(is_over=lambda: bool(is_over))
+    console.print(f"ended after {shown_duration(simulation.robot.now)} of the robot's time")
+    if simulation.robot.lags:
+        console.print(f"it could not keep its pace {counted(simulation.robot.lags, 'time')}: this machine is too busy")
+    return 0
+
+
+@contextmanager
+def _ending() -> Iterator[list[int]]:
+    """While it lasts, a signal to end is noted in the list instead of breaking off what is being done."""
+    noted: list[int] = []
+
+    def note(number: int, frame: Any) -> None:
+        del frame
+        noted.append(number)
+
+    earlier = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield noted
+    finally:
+        for number, handler in earlier.items():
+            signal.signal(number, handler)

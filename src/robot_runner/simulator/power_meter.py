@@ -1,0 +1,240 @@
+"""The power meter: an INA219 on the battery's lead, and the microcontroller that sends its registers."""
+
+from __future__ import annotations
+
+import binascii
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from robot_runner.simulator.simulated_clock import STEP_NS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    import numpy.typing as npt
+
+    from robot_runner.simulator.simulated_clock import SimulatedClock
+    from robot_runner.simulator.supply import PowerSupply
+    from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
+
+__all__ = ["CONFIGURATION", "HELLO_SIZE", "SAMPLE_SIZE", "Arrival", "Ina219Meter", "hello_frame", "sample_frames"]
+
+
+# The device's side of the power meter's serial protocol (`docs/ina219-protocol.md`): registers to frames.
+
+SAMPLE_SIZE = 16
+HELLO_SIZE = 20
+
+_SYNC = b"\xa5\x5a"
+_SAMPLE = 0x11
+_HELLO = 0x12
+_HEAD_SIZE = 6
+_CHECKSUM_SIZE = 2
+_CHECKSUM_START = 0xFFFF
+
+_SAMPLE_LAYOUT = np.dtype(
+    [
+        ("sync", "S2"),
+        ("type", "u1"),
+        ("length", "u1"),
+        ("sequence", "<u2"),
+        ("time", "<u4"),
+        ("shunt", "<i2"),
+        ("bus", "<u2"),
+        ("checksum", "<u2"),
+    ]
+)
+
+# What each value of the checksum's high byte turns into: CRC-16 with polynomial 0x1021, most significant bit first.
+_CHECKSUM_STEPS = np.array([binascii.crc_hqx(bytes([high]), 0) for high in range(256)], dtype=np.uint16)
+
+
+def hello_frame(*, sequence: int, time: int, rate: int, shunt: int, configuration: int) -> bytes:
+    """Return a hello frame.
+
+    Args:
+        sequence: the number that the next sample will carry; of it the lower 16 bits are sent.
+        time: the device's clock in µs; of it the lower 32 bits are sent.
+        rate: samples a second.
+        shunt: the shunt's resistance in µΩ.
+        configuration: the sensor's configuration register.
+
+    Example:
+        >>> hello_frame(sequence=0, time=0, rate=200, shunt=100_000, configuration=0x1CCF).hex()
+        'a55a120c000000000000c800a0860100cf1c0b0d'
+    """
+    payload = struct.pack("<IHIH", time % 2**32, rate, shunt, configuration)
+    checked = struct.pack("<BBH", _HELLO, len(payload), sequence % 2**16) + payload
+    return _SYNC + checked + struct.pack("<H", binascii.crc_hqx(checked, _CHECKSUM_START))
+
+
+def sample_frames(
+    *,
+    sequences: npt.NDArray[np.int64],
+    times: npt.NDArray[np.int64],
+    shunts: npt.NDArray[np.int64],
+    buses: npt.NDArray[np.int64],
+) -> bytes:
+    """Return many sample frames, one after the other, `SAMPLE_SIZE` bytes each.
+
+    Args:
+        sequences: the samples' numbers; of each the lower 16 bits are sent.
+        times: the device's clock in µs; of each the lower 32 bits are sent.
+        shunts: the shunt voltage register, -32768..32767.
+        buses: the bus voltage register, 0..65535.
+    """
+    frames = np.zeros(len(sequences), dtype=_SAMPLE_LAYOUT)
+    frames["sync"] = _SYNC
+    frames["type"] = _SAMPLE
+    frames["length"] = SAMPLE_SIZE - _HEAD_SIZE - _CHECKSUM_SIZE
+    frames["sequence"] = sequences % 2**16
+    frames["time"] = times % 2**32
+    frames["shunt"] = shunts
+    frames["bus"] = buses
+    checked = frames.view(np.uint8).reshape(-1, SAMPLE_SIZE)[:, len(_SYNC) : -_CHECKSUM_SIZE]
+    frames["checksum"] = _checksums(checked)
+    return frames.tobytes()
+
+
+def _checksums(rows: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint16]:
+    checksums = np.full(len(rows), _CHECKSUM_START, dtype=np.uint16)
+    for column in rows.T:
+        checksums = (checksums << 8) ^ _CHECKSUM_STEPS[(checksums >> 8) ^ column]
+    return checksums
+
+
+#: The sensor's configuration register: 16 V, ±320 mV, two conversions averaged, continuous (SBOS448G, table 4).
+CONFIGURATION = 0x1CCF
+
+_SHUNT_LSB = 10e-6  # V (SBOS448G, shunt voltage register)
+_SHUNT_LIMIT = 32000  # PGA ÷8: ±320 mV
+_BUS_LSB = 4e-3  # V (SBOS448G, bus voltage register)
+_BUS_LIMIT = 4000  # 16 V range
+_CONVERSION_READY = 0b10
+
+_SECOND_NS = 1_000_000_000
+_BYTE_NS = 10 * _SECOND_NS // 115200  # 8 data bits, a start and a stop bit
+_USB_PACKET = 64  # a USB adapter hands over at most so many bytes at once
+_HELLO_REQUEST = b"?"
+_SEQUENCES = 2**16  # hellos go by the number as it is sent, which wraps
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """Bytes that came out of the line together, and when the last of them did (ns)."""
+
+    time_ns: int
+    data: bytes
+
+
+class Ina219Meter:
+    """The device, switched on when it is made: opening the port of an Arduino resets it.
+
+    Args:
+        clock: the simulation's clock.
+        supply: the currents and voltages that the sensor sees.
+        reach: brings `supply` up to a step of the simulation's grid.
+        noise: the noise of the sensor's converters.
+    """
+
+    def __init__(
+        self,
+        parameters: Turtlebot3Parameters,
+        clock: SimulatedClock,
+        supply: PowerSupply,
+        *,
+        reach: Callable[[int], None],
+        noise: np.random.Generator,
+    ) -> None:
+        self._parameters = parameters
+        self._clock = clock
+        self._supply = supply
+        self._reach = reach
+        self._noise = noise
+        self._rate = parameters.meter_rate
+        self._switched_on_ns = clock.now_ns
+        self._next = 0  # the number of the next sample
+        self._hello_before = 0  # the sample before which a hello is due beyond the regular ones
+
+    def write(self, data: bytes) -> None:
+        """Take bytes from the host: a `?` asks for a hello before the next sample."""
+        if _HELLO_REQUEST in data:
+            on_for_ns = self._clock.now_ns - self._switched_on_ns
+            self._hello_before = on_for_ns * self._rate // _SECOND_NS + 1
+
+    def arrived(self) -> list[Arrival]:
+        """Return what has come out of the line by now and was not returned before, oldest first."""
+        count = self._count_arrived()
+        if count == 0:
+            return []
+        numbers = np.arange(self._next, self._next + count)
+        frames, ends = self._stream(numbers)
+        self._next += count
+        return list(_packets(frames, ends))
+
+    def _count_arrived(self) -> int:
+        # A sample counts once its frame, and a hello before it, are through the line.
+        line_ns = (SAMPLE_SIZE + HELLO_SIZE) * _BYTE_NS
+        since_ns = self._clock.now_ns - self._switched_on_ns - line_ns
+        due = since_ns * self._rate // _SECOND_NS + 1 if since_ns >= 0 else 0
+        return max(0, due - self._next)
+
+    def _stream(self, numbers: npt.NDArray[np.int64]) -> tuple[bytes, list[tuple[int, int]]]:
+        """Return the bytes of these samples and of the hellos between them, with (end, arrival in ns) of each frame."""
+        due_ns = numbers * _SECOND_NS // self._rate
+        samples = self._sample(numbers, due_ns)
+        pieces: list[bytes] = []
+        ends: list[tuple[int, int]] = []
+        position = 0
+        for index, number in enumerate(numbers.tolist()):
+            sent_ns = self._switched_on_ns + int(due_ns[index])
+            if number % _SEQUENCES % self._rate == 0 or number == self._hello_before:
+                pieces.append(self._hello(number, int(due_ns[index])))
+                sent_ns += HELLO_SIZE * _BYTE_NS
+                position += HELLO_SIZE
+                ends.append((position, sent_ns))
+            pieces.append(samples[index * SAMPLE_SIZE : (index + 1) * SAMPLE_SIZE])
+            position += SAMPLE_SIZE
+            ends.append((position, sent_ns + SAMPLE_SIZE * _BYTE_NS))
+        return b"".join(pieces), ends
+
+    def _sample(self, numbers: npt.NDArray[np.int64], due_ns: npt.NDArray[np.int64]) -> bytes:
+        steps = (self._switched_on_ns + due_ns) // STEP_NS
+        self._reach(int(steps[-1]))
+        noise = self._noise.standard_normal((len(numbers), 2))
+        shunt = (
+            self._supply.current[steps] * self._parameters.meter_shunt
+            + self._parameters.meter_shunt_deviation * noise[:, 0]
+        )
+        bus = self._supply.bus_voltage(steps) + self._parameters.meter_bus_deviation * noise[:, 1]
+        return sample_frames(
+            sequences=numbers,
+            times=due_ns // 1000,
+            shunts=_register(shunt / _SHUNT_LSB, -_SHUNT_LIMIT, _SHUNT_LIMIT),
+            buses=(_register(bus / _BUS_LSB, 0, _BUS_LIMIT) << 3) | _CONVERSION_READY,
+        )
+
+    def _hello(self, number: int, due_ns: int) -> bytes:
+        return hello_frame(
+            sequence=number,
+            time=due_ns // 1000,
+            rate=self._rate,
+            shunt=round(self._parameters.meter_shunt * 1e6),
+            configuration=CONFIGURATION,
+        )
+
+
+def _register(values: npt.NDArray[np.float64], low: int, high: int) -> npt.NDArray[np.int64]:
+    return np.clip(np.rint(values), low, high).astype(np.int64)
+
+
+def _packets(data: bytes, ends: list[tuple[int, int]]) -> Iterator[Arrival]:
+    frame = 0
+    for start in range(0, len(data), _USB_PACKET):
+        end = min(start + _USB_PACKET, len(data))
+        while ends[frame][0] < end:
+            frame += 1
+        yield Arrival(ends[frame][1], data[start:end])

@@ -1,0 +1,153 @@
+"""The clock of a simulation: time goes by only while somebody sleeps on it."""
+
+from __future__ import annotations
+
+import heapq
+import time
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import LinkError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+__all__ = ["STEPS_PER_SECOND", "STEP_NS", "SimulatedClock", "Ticker", "tick_time"]
+
+#: The grid of the simulation: physics, sensors and power are known at its points (5 ms).
+STEP_NS = 5_000_000
+STEPS_PER_SECOND = 200
+
+_SECOND_NS = 1_000_000_000
+#: In real time the simulation is at most this far ahead.
+_PACE_NS = 20_000_000
+
+
+def tick_time(number: int, rate: int) -> int:
+    """Return when (ns) tick `number` of something `rate` times a second falls due: on the next point of the grid."""
+    return -(-number * _SECOND_NS // (rate * STEP_NS)) * STEP_NS
+
+
+class Ticker:
+    """Something that happens at a rate on a simulated clock until it is closed."""
+
+    def __init__(self, rate: int, callback: Callable[[], None], *, now_ns: int) -> None:
+        self.callback = callback
+        self.is_closed = False
+        self._rate = rate
+        self._number = now_ns * rate // _SECOND_NS
+
+    def due_after(self, now_ns: int) -> int:
+        """Move on to the first tick after this moment and return its time in ns."""
+        while (due := tick_time(self._number, self._rate)) <= now_ns:
+            self._number += 1
+        return due
+
+    def close(self) -> None:
+        """Tick no more; closing twice does nothing."""
+        self.is_closed = True
+
+
+class _PeriodTicker(Ticker):
+    """Something that happens once a period, counted from now, wherever on the grid that falls."""
+
+    def __init__(self, period: float, callback: Callable[[], None], *, now_ns: int) -> None:
+        super().__init__(1, callback, now_ns=0)
+        self._begun_ns = now_ns
+        self._period = period
+        self._number = 1
+
+    def due_after(self, now_ns: int) -> int:
+        """Move on to the first tick after this moment and return its time in ns."""
+        while (due := self._begun_ns + round(self._number * self._period * _SECOND_NS)) <= now_ns:
+            self._number += 1
+        return due
+
+
+class SimulatedClock:
+    """A clock that starts at 0 s and is moved on by sleeping on it; what is due in between happens on the way.
+
+    Times are whole nanoseconds inside, so that many short sleeps add up exactly. With a `real_time_factor` a sleep
+    takes as long as it says (1.0), half as long (2.0), and so on; without one it takes as long as the physics needs.
+
+    Example:
+        >>> clock = SimulatedClock()
+        >>> clock.sleep(1.5)
+        >>> clock.now()
+        1.5
+    """
+
+    def __init__(self, real_time_factor: float | None = None) -> None:
+        self._real_time_factor = real_time_factor
+        self._now_ns = 0
+        self._due: list[tuple[int, int, Ticker]] = []
+        self._scheduled = 0
+        self._is_moving_on = False
+
+    @property
+    def now_ns(self) -> int:
+        """The nanoseconds since the simulation began."""
+        return self._now_ns
+
+    @property
+    def step(self) -> int:
+        """The last point of the simulation's grid that is not in the future."""
+        return self._now_ns // STEP_NS
+
+    def now(self) -> float:
+        """Return the seconds since the simulation began."""
+        return self._now_ns / _SECOND_NS
+
+    def sleep(self, seconds: float) -> None:
+        """Let this many simulated seconds go by; negative counts as zero.
+
+        Raises:
+            LinkError: a callback that this clock called sleeps on it.
+        """
+        if self._is_moving_on:
+            raise LinkError(
+                f"a callback slept {seconds} s on the simulated clock, on which somebody is sleeping already",
+                where="the simulated clock",
+                fix="Note the message in the callback and return; sleep in the mission.",
+            )
+        self._is_moving_on = True
+        try:
+            target_ns = self._now_ns + max(0, round(seconds * _SECOND_NS))
+            if self._real_time_factor is None:
+                self._move_to(target_ns)
+            else:
+                self._move_in_pace(target_ns, self._real_time_factor)
+        finally:
+            self._is_moving_on = False
+
+    def every(self, rate: int, callback: Callable[[], None]) -> Ticker:
+        """Have `callback` called `rate` times a second, on the grid, while somebody sleeps."""
+        ticker = Ticker(rate, callback, now_ns=self._now_ns)
+        self._schedule(ticker)
+        return ticker
+
+    def call_every(self, period: float, callback: Callable[[], None]) -> Ticker:
+        """Have `callback` called every `period` seconds from now on, while somebody sleeps."""
+        ticker = _PeriodTicker(period, callback, now_ns=self._now_ns)
+        self._schedule(ticker)
+        return ticker
+
+    def _move_in_pace(self, target_ns: int, factor: float) -> None:
+        began, began_ns = time.monotonic(), self._now_ns
+        while self._now_ns < target_ns:
+            self._move_to(min(self._now_ns + _PACE_NS, target_ns))
+            ahead = (self._now_ns - began_ns) / _SECOND_NS / factor - (time.monotonic() - began)
+            if ahead > 0:
+                time.sleep(ahead)
+
+    def _move_to(self, target_ns: int) -> None:
+        while self._due and self._due[0][0] <= target_ns:
+            due_ns, _, ticker = heapq.heappop(self._due)
+            self._now_ns = due_ns
+            if not ticker.is_closed:
+                self._schedule(ticker)
+                ticker.callback()
+        self._now_ns = target_ns
+
+    def _schedule(self, ticker: Ticker) -> None:
+        self._scheduled += 1  # those due at the same moment come in the order in which they were scheduled
+        heapq.heappush(self._due, (ticker.due_after(self._now_ns), self._scheduled, ticker))

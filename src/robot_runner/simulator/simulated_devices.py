@@ -1,0 +1,212 @@
+"""The power meter of an embedded robot on a pseudo-terminal, where it is opened as a serial port is."""
+
+from __future__ import annotations
+
+import os
+import select
+import tempfile
+import tty
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.host import UtilisationSample
+from robot_runner.core.links.serial_line import SIMULATED_PORT, Chunk
+from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
+
+if TYPE_CHECKING:
+    from robot_runner.simulator.simulated_clock import SimulatedClock
+    from robot_runner.simulator.simulated_turtlebot3 import SimulatedTurtlebot3, Simulation
+
+__all__ = ["MeterTerminal", "SimulatedHost", "SimulatedSerialLine", "SimulatedUtilisationSampler"]
+
+
+# Links to the embedded robot beside its topics: its power meter's serial line and its on-board computer.
+
+_SECOND_NS = 1_000_000_000
+_HIGHEST_RATE = STEPS_PER_SECOND
+
+
+class SimulatedSerialLine:
+    """The serial line of a robot's power meter, which is switched on when the line is opened.
+
+    Bytes come in pieces of up to 64, as a USB adapter hands them over, stamped with the simulation's time.
+
+    Example:
+        >>> from robot_runner.simulator.simulated_turtlebot3 import Simulation
+        >>> simulation = Simulation(seed=1)
+        >>> line = SimulatedSerialLine(simulation)
+        >>> simulation.clock.sleep(0.1)
+        >>> line.drain()[0].data[:4].hex()
+        'a55a120c'
+        >>> line.close()
+        >>> simulation.close()
+    """
+
+    def __init__(self, simulation: Simulation, *, namespace: str = "") -> None:
+        self._meter = simulation.turtlebot3(namespace).open_power_meter()
+        self._is_closed = False
+
+    @property
+    def is_simulated(self) -> bool:
+        """Always true."""
+        return True
+
+    def drain(self) -> list[Chunk]:
+        """Return, oldest first, everything that arrived since the last call.
+
+        Raises:
+            LinkError: the line was closed.
+        """
+        self._check_open()
+        return [Chunk(arrival.time_ns / _SECOND_NS, arrival.data) for arrival in self._meter.arrived()]
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the meter.
+
+        Raises:
+            LinkError: the line was closed.
+        """
+        self._check_open()
+        self._meter.write(data)
+
+    def close(self) -> None:
+        """Close the line; closing twice does nothing."""
+        self._is_closed = True
+
+    def _check_open(self) -> None:
+        if self._is_closed:
+            raise LinkError(
+                "the line was closed",
+                where="the simulated power meter",
+                fix="Drain it before it is closed.",
+            )
+
+
+class SimulatedUtilisationSampler:
+    """A sampler on the on-board computer of a robot, started when it is made."""
+
+    def __init__(self, robot: SimulatedTurtlebot3, clock: SimulatedClock, rate: float) -> None:
+        self._robot = robot
+        self._clock = clock
+        self._rate = rate
+        self._started_ns = clock.now_ns
+        self._samples: list[UtilisationSample] | None = None
+
+    def stop(self) -> list[UtilisationSample]:
+        """End sampling and return the samples, oldest first; a second call returns the same."""
+        if self._samples is None:
+            taken = self._robot.utilisation(start_ns=self._started_ns, stop_ns=self._clock.now_ns, rate=self._rate)
+            self._samples = [UtilisationSample(one.time, one.cpu, one.memory) for one in taken]
+        return list(self._samples)
+
+
+class SimulatedHost:
+    """The on-board computer of a robot of a simulation.
+
+    Example:
+        >>> from robot_runner.simulator.simulated_turtlebot3 import Simulation
+        >>> simulation = Simulation(seed=1)
+        >>> sampler = SimulatedHost(simulation).sample_utilisation(10)
+        >>> simulation.clock.sleep(2.0)
+        >>> len(sampler.stop())
+        20
+        >>> simulation.close()
+    """
+
+    def __init__(self, simulation: Simulation, *, namespace: str = "") -> None:
+        self._robot = simulation.turtlebot3(namespace)
+        self._clock = simulation.clock
+        self._samplers = ExitStack()
+        self._is_closed = False
+
+    @property
+    def is_simulated(self) -> bool:
+        """Always true."""
+        return True
+
+    def sample_utilisation(self, rate: float) -> SimulatedUtilisationSampler:
+        """Begin to sample CPU and memory utilisation `rate` times a second, 200 at most.
+
+        Raises:
+            LinkError: the rate is not one that the computer can be sampled at, or the link was closed.
+        """
+        if self._is_closed:
+            raise LinkError(
+                "the link was closed",
+                where="the simulated on-board computer",
+                fix="Use it before the run ends.",
+            )
+        if not 0 < rate <= _HIGHEST_RATE:
+            raise LinkError(
+                f"the sample rate is {rate!r} Hz",
+                where="the simulated on-board computer",
+                fix=f"Give a rate above 0 and up to {_HIGHEST_RATE} Hz.",
+            )
+        sampler = SimulatedUtilisationSampler(self._robot, self._clock, rate)
+        self._samplers.callback(sampler.stop)
+        return sampler
+
+    def close(self) -> None:
+        """End all samplers; closing twice does nothing."""
+        self._is_closed = True
+        self._samplers.close()
+
+
+_READ_SIZE = 4096
+
+
+class MeterTerminal:
+    """A pseudo-terminal behind which the meter is switched on whenever somebody opens it, as an Arduino is reset.
+
+    What nobody reads in time is lost, as on a serial line.
+
+    Args:
+        simulation: whose robot's meter it is.
+        namespace: of that robot.
+
+    Attributes:
+        port: where to open it; its name tells who opens it that the meter is simulated.
+
+    Example:
+        >>> from robot_runner.simulator.simulated_turtlebot3 import Simulation
+        >>> terminal = MeterTerminal(Simulation(seed=1))
+        >>> terminal.port.name
+        'simulated-ina219'
+        >>> terminal.close()
+    """
+
+    def __init__(self, simulation: Simulation, *, namespace: str = "") -> None:
+        self._simulation = simulation
+        self._namespace = namespace
+        self._line: SimulatedSerialLine | None = None
+        self._folder = tempfile.TemporaryDirectory(prefix="robot-runner-")
+        self._device, port = os.openpty()
+        tty.setraw(port)
+        self.port = Path(self._folder.name) / SIMULATED_PORT
+        self.port.symlink_to(os.ttyname(port))
+        os.close(port)  # from now on the device hears a hang-up while nobody has the port open
+        os.set_blocking(self._device, False)
+        self._hang_up = select.poll()
+        self._hang_up.register(self._device, 0)
+
+    def exchange(self) -> None:
+        """Hand over what the meter has sent by now, and hear what was sent to it."""
+        if self._hang_up.poll(0):
+            self._line = None
+            return
+        if self._line is None:
+            self._line = SimulatedSerialLine(self._simulation, namespace=self._namespace)
+        with suppress(OSError):  # there is nothing to read, or it was closed just now
+            self._line.write(os.read(self._device, _READ_SIZE))
+        with suppress(OSError):  # nobody has read what came before
+            for chunk in self._line.drain():
+                os.write(self._device, chunk.data)
+
+    def close(self) -> None:
+        """Take the port away; closing twice does nothing."""
+        if self._device >= 0:
+            os.close(self._device)
+            self._device = -1
+            self._folder.cleanup()

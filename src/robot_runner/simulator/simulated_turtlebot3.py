@@ -1,0 +1,214 @@
+"""One simulated TurtleBot3 Burger: topics, services, power meter, on-board computer, and the truth about it."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import LinkError
+from robot_runner.simulator.drive import DifferentialDrive, Pose, WheelOdometry
+from robot_runner.simulator.onboard import OnboardComputer, Task, TaskRunner, Utilisation
+from robot_runner.simulator.power_meter import Ina219Meter
+from robot_runner.simulator.sensors import SensorBoard, published_topics
+from robot_runner.simulator.simulated_clock import SimulatedClock
+from robot_runner.simulator.supply import Battery, PowerModel, PowerSupply
+from robot_runner.simulator.turtlebot3_parameters import NoiseStreams, Turtlebot3Parameters
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+
+__all__ = ["COMMAND_TOPICS", "SERVICES", "SimulatedTurtlebot3", "Simulation"]
+
+
+#: The topics that the robot hears, with their types.
+COMMAND_TOPICS = {"cmd_vel": "geometry_msgs/Twist"}
+
+#: The services that the robot offers, with their types.
+SERVICES = {
+    "task/stop": "std_srvs/Trigger",
+    **{f"task/{task.value}/{verb}": "std_srvs/Trigger" for task in Task for verb in ("start", "stop")},
+}
+
+
+class SimulatedTurtlebot3:
+    """A robot in its own copy of the arena; it shares nothing with other robots but the clock.
+
+    Physics and power are computed when somebody looks, up to the clock's time and each step once.
+
+    Attributes:
+        namespace: its name in the simulation: empty, or `/alice`.
+        parameters: the figures that it is made of.
+        topics: the topics that it publishes, by name within its namespace.
+
+    Example:
+        >>> from robot_runner.simulator.simulated_turtlebot3 import Simulation
+        >>> simulation = Simulation(seed=1)
+        >>> robot = simulation.turtlebot3()
+        >>> robot.drive(0.2, 0.0)
+        >>> simulation.clock.sleep(5.0)
+        >>> round(robot.pose.x, 1), robot.is_moving
+        (1.0, True)
+        >>> simulation.close()
+    """
+
+    def __init__(self, namespace: str, clock: SimulatedClock, seed: int, parameters: Turtlebot3Parameters) -> None:
+        streams = NoiseStreams(seed, namespace)
+        self.namespace = namespace
+        self.parameters = parameters
+        self._clock = clock
+        self._tasks = TaskRunner(streams.named("tasks"), deviation=parameters.task_power_deviation)
+        self._drive = DifferentialDrive(parameters, _wheel_radii(parameters, streams))
+        model = PowerModel(parameters, self._drive, self._tasks, streams)
+        self._supply = PowerSupply(model, Battery(parameters), shunt=parameters.meter_shunt)
+        self._computer = OnboardComputer(parameters, self._drive, self._tasks, streams.named("onboard"))
+        self._meter_noise = streams.named("ina219")
+        left, right = streams.named("encoders").random(2).tolist()
+        board = SensorBoard(
+            parameters,
+            clock,
+            self._drive,
+            WheelOdometry(parameters, self._drive, (left, right)),
+            self._supply,
+            streams.named("imu"),
+            streams.named("scan"),
+        )
+        self.topics = published_topics(board)
+
+    @property
+    def pose(self) -> Pose:
+        """The true pose."""
+        self._reach(self._clock.step)
+        return self._drive.pose
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether a wheel truly turns."""
+        self._reach(self._clock.step)
+        return self._drive.is_moving
+
+    @property
+    def running_task(self) -> Task | None:
+        """The task that the on-board computer executes, if any."""
+        return self._tasks.running
+
+    @property
+    def energy(self) -> float:
+        """The energy in joules that the robot has truly drawn since the simulation began."""
+        self._extend(self._clock.step)
+        return float(self._supply.energy[-1])
+
+    def drive(self, linear: float, angular: float) -> None:
+        """Drive at these velocities (m/s, rad/s), limited to what the robot can do, until told otherwise."""
+        self._reach(self._clock.step)
+        self._drive.command(linear, angular)
+
+    def call(self, service: str) -> dict[str, bool | str]:
+        """Call one of `SERVICES` and return its response: `success` and `message`."""
+        _, *name, verb = service.split("/")
+        if not name:
+            return _response(stopped=self._tasks.stop(step=self._next_step))
+        return self._start(Task(name[0])) if verb == "start" else self._stop(Task(name[0]))
+
+    def open_power_meter(self) -> Ina219Meter:
+        """Switch the power meter on and return it."""
+        return Ina219Meter(self.parameters, self._clock, self._supply, reach=self._extend, noise=self._meter_noise)
+
+    def utilisation(self, *, start_ns: int, stop_ns: int, rate: float) -> list[Utilisation]:
+        """Return what the on-board computer sampled `rate` times a second (200 at most) between two past moments."""
+        self._reach(self._clock.step)
+        return self._computer.samples(start_ns=start_ns, stop_ns=stop_ns, rate=rate)
+
+    @property
+    def _next_step(self) -> int:
+        # What changes now shows from the next step on: this one's power may have been read already.
+        return self._clock.step + 1
+
+    def _start(self, task: Task) -> dict[str, bool | str]:
+        if self._tasks.start(task, step=self._next_step):
+            return {"success": True, "message": f"{task.value} started"}
+        running = self._tasks.running
+        return {"success": False, "message": f"{running.value if running else 'a task'} is running already"}
+
+    def _stop(self, task: Task) -> dict[str, bool | str]:
+        if self._tasks.running is not task:
+            return {"success": False, "message": f"{task.value} is not running"}
+        return _response(stopped=self._tasks.stop(step=self._next_step))
+
+    def _reach(self, step: int) -> None:
+        self._drive.advance(step)
+
+    def _extend(self, step: int) -> None:
+        self._drive.advance(step)
+        self._supply.extend(step)
+
+
+def _response(*, stopped: Task | None) -> dict[str, bool | str]:
+    return {"success": True, "message": f"{stopped.value} stopped" if stopped else "nothing was running"}
+
+
+def _wheel_radii(parameters: Turtlebot3Parameters, streams: NoiseStreams) -> tuple[float, float]:
+    noise = parameters.wheel_radius_deviation * streams.named("wheels").standard_normal(2)
+    left, right = (parameters.wheel_radius + noise).tolist()
+    return left, right
+
+
+# A simulation: one clock, and the robots that live by it.
+
+
+class Simulation:
+    """Robots by namespace on one clock, deterministic for a seed.
+
+    Each robot drives in its own copy of the arena: robots do not see or touch each other.
+
+    Attributes:
+        clock: moves on only while it is slept on.
+        parameters: what its robots are made of.
+        real_time_factor: simulated seconds a real second; None for as fast as the physics goes.
+        offers: the services that others than the robots offer, by full name: their types and what answers.
+
+    Example:
+        >>> simulation = Simulation(seed=1)
+        >>> simulation.turtlebot3("/alice") is simulation.turtlebot3("alice")
+        True
+        >>> simulation.close()
+    """
+
+    def __init__(
+        self, seed: int, *, parameters: Turtlebot3Parameters | None = None, real_time_factor: float | None = None
+    ) -> None:
+        self.clock = SimulatedClock(real_time_factor)
+        self.parameters = parameters or Turtlebot3Parameters()
+        self._seed = seed
+        self.offers: dict[str, tuple[str, Callable[[Mapping[str, Any]], Mapping[str, Any]]]] = {}
+        self._robots: dict[str, SimulatedTurtlebot3] = {}
+        self._is_closed = False
+
+    @property
+    def robots(self) -> Mapping[str, SimulatedTurtlebot3]:
+        """The robots that were asked for so far, by namespace: empty, or `/alice`."""
+        return MappingProxyType(self._robots)
+
+    def turtlebot3(self, namespace: str = "") -> SimulatedTurtlebot3:
+        """Return the robot of this namespace, which is made when it is first asked for.
+
+        Raises:
+            LinkError: the simulation was closed.
+        """
+        if self._is_closed:
+            raise LinkError(
+                "the simulation was closed",
+                where=f"robot {namespace!r}",
+                fix="Connect to the robot within the run.",
+            )
+        name = namespace.strip("/")
+        full = f"/{name}" if name else ""
+        if full not in self._robots:
+            self._robots[full] = SimulatedTurtlebot3(full, self.clock, self._seed, self.parameters)
+        return self._robots[full]
+
+    def close(self) -> None:
+        """Let go of all robots; closing twice does nothing. The clock can still be read and slept on."""
+        self._is_closed = True
+        self._robots.clear()
+        self.offers.clear()

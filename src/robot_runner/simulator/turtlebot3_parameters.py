@@ -1,0 +1,149 @@
+"""Seeded noise: a stream of its own for each source, so that no source's noise depends on who else is listened to."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from robot_runner.core.errors import LinkError
+
+__all__ = ["NoiseStreams", "Turtlebot3Parameters"]
+
+
+# Every figure of the simulated robot in one place; `docs/simulator.md` states the source of each.
+
+_MAY_BE_ZERO = ("_deviation", "cpu_", "memory_", "initial_charge")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Turtlebot3Parameters:
+    """What the simulated TurtleBot3 Burger is made of. SI units; shares of a whole in percent (0..100).
+
+    A `…_deviation` is the standard deviation of seeded noise. A `cpu_…` or `memory_…` of a task is what the
+    task adds to the idle computer; a `…_power` is what the whole robot draws in that state (paper, Fig. 4).
+
+    Attributes:
+        task_power_factor: multiplies the power that the robot draws while a task runs, so that two versions
+            of a software can be compared: with 1.1 every task draws 10 % more.
+
+    Raises:
+        LinkError: a figure is not finite, is negative, or is zero where only noise and load may be.
+
+    Example:
+        >>> Turtlebot3Parameters(task_power_factor=1.1).wheel_radius
+        0.033
+    """
+
+    # Body and drive
+    mass: float = 1.0
+    wheel_mass: float = 0.0285
+    wheel_radius: float = 0.033
+    wheel_radius_deviation: float = 0.00003
+    wheel_separation: float = 0.160
+    body_length: float = 0.138
+    body_width: float = 0.178
+    body_height: float = 0.192
+    max_linear_velocity: float = 0.22
+    max_angular_velocity: float = 2.84
+    motor_stall_torque: float = 1.4
+    servo_time_constant: float = 0.1
+    servo_gain: float = 0.1
+    floor_friction: float = 1.0
+    encoder_ticks: int = 4096
+
+    # Power
+    asleep_power: float = 7.6
+    awake_power: float = 7.95
+    moving_power: float = 10.5
+    computation_power: float = 9.45
+    video_power: float = 9.55
+    network_power: float = 8.25
+    task_power_factor: float = 1.0
+    turning_motor_share: float = 70.0
+    motor_efficiency: float = 50.0
+    run_power_deviation: float = 0.6
+    task_power_deviation: float = 1.0
+    sample_power_deviation: float = 0.15
+    wandering_power_deviation: float = 0.04
+
+    # Battery
+    battery_voltage: float = 11.1
+    battery_capacity: float = 1.8
+    battery_resistance: float = 0.12
+    initial_charge: float = 100.0
+
+    # Power meter
+    meter_rate: int = 200
+    meter_shunt: float = 0.1
+    meter_shunt_deviation: float = 0.00002
+    meter_bus_deviation: float = 0.002
+
+    # On-board computer
+    cpu_idle: float = 11.0
+    cpu_moving: float = 3.0
+    cpu_computation: float = 25.0
+    cpu_video: float = 14.4
+    cpu_network: float = 18.5
+    cpu_deviation: float = 1.5
+    run_cpu_deviation: float = 0.4
+    memory_idle: float = 23.5
+    memory_computation: float = 0.4
+    memory_video: float = 3.8
+    memory_network: float = 0.95
+    memory_deviation: float = 0.15
+    run_memory_deviation: float = 0.2
+
+    # Sensors
+    odometry_rate: int = 30
+    imu_rate: int = 200
+    scan_rate: int = 5
+    gyroscope_deviation: float = 0.0017
+    accelerometer_deviation: float = 0.02
+    scan_minimum: float = 0.12
+    scan_maximum: float = 3.5
+    scan_deviation: float = 1.2
+
+    def __post_init__(self) -> None:
+        for parameter in fields(self):
+            value = getattr(self, parameter.name)
+            may_be_zero = any(part in parameter.name for part in _MAY_BE_ZERO)
+            if not math.isfinite(value) or value < 0 or (value == 0 and not may_be_zero):
+                raise LinkError(
+                    f"the simulated robot's {parameter.name} is {value!r}",
+                    where="Turtlebot3Parameters",
+                    fix=f"Give a finite number {'of at least' if may_be_zero else 'above'} 0.",
+                )
+
+    @property
+    def battery_energy(self) -> float:
+        """The energy of the full battery in joules: nominal voltage times capacity (11.1 V, 1.8 Ah: 71.9 kJ)."""
+        return self.battery_voltage * self.battery_capacity * 3600.0
+
+    @property
+    def max_wheel_speed(self) -> float:
+        """The highest speed of a wheel in rad/s, as the highest turning rate of the robot implies it."""
+        ground_speed = max(self.max_linear_velocity, self.max_angular_velocity * self.wheel_separation / 2)
+        return ground_speed / self.wheel_radius
+
+
+_SEED_BITS = 64
+
+
+class NoiseStreams:
+    """The random streams of one robot, by name.
+
+    Example:
+        >>> streams = NoiseStreams(7, "/alice")
+        >>> streams.named("imu").random() == NoiseStreams(7, "/alice").named("imu").random()
+        True
+    """
+
+    def __init__(self, seed: int, namespace: str) -> None:
+        self._entropy = (seed % 2**_SEED_BITS, zlib.crc32(namespace.encode()))
+
+    def named(self, name: str) -> np.random.Generator:
+        """Return the stream of this name from its beginning."""
+        return np.random.default_rng([*self._entropy, zlib.crc32(name.encode())])

@@ -1,0 +1,184 @@
+"""A serial line whose bytes a test writes beforehand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.host import UtilisationSample
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from robot_runner.core.events.context import Clock
+    from robot_runner.core.links.serial_line import Chunk
+
+__all__ = ["FakeHostLink", "FakeSerialLine"]
+
+
+# A computer whose utilisation a test writes down.
+
+#: A percentage that stays the same, or one for each time on the run's clock.
+Utilisation = float | Callable[[float], float]
+
+
+class _Sampler:
+    def __init__(self, link: FakeHostLink, clock: Clock, rate: float) -> None:
+        self._link = link
+        self._clock = clock
+        self._rate = rate
+        self._begun = clock.now()
+        self._samples: list[UtilisationSample] | None = None
+
+    def stop(self) -> list[UtilisationSample]:
+        if self._samples is None:
+            count = math.floor((self._clock.now() - self._begun) * self._rate + 1e-9)
+            times = (self._begun + number / self._rate for number in range(count + 1))
+            self._samples = [self._link.sample_at(time) for time in times if not self._link.misses(time)]
+        return self._samples
+
+
+class FakeHostLink:
+    """A `HostLink` to a computer that is as busy as the test says.
+
+    Args:
+        clock: the run's.
+        cpu: CPU utilisation in percent, a number or a function of time.
+        memory: memory utilisation in percent, a number or a function of time.
+        misses: says of a time whether the sample of that time is missing.
+        is_simulated: whether it says that it is a simulated computer.
+
+    Attributes:
+        is_closed: whether it was closed.
+
+    Example:
+        >>> from robot_runner.testing import FakeClock, FakeHostLink
+        >>> clock = FakeClock()
+        >>> sampler = FakeHostLink(clock, cpu=20.0, memory=25.0).sample_utilisation(2)
+        >>> clock.sleep(1.0)
+        >>> [sample.time for sample in sampler.stop()]
+        [0.0, 0.5, 1.0]
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        *,
+        cpu: Utilisation = 10.0,
+        memory: Utilisation = 25.0,
+        misses: Callable[[float], bool] = lambda _: False,
+        is_simulated: bool = False,
+    ) -> None:
+        self.is_closed = False
+        self.misses = misses
+        self._clock = clock
+        self._cpu = cpu
+        self._memory = memory
+        self._is_simulated = is_simulated
+
+    @property
+    def is_simulated(self) -> bool:
+        """What it was made with."""
+        return self._is_simulated
+
+    def sample_utilisation(self, rate: float) -> _Sampler:
+        """Begin to sample.
+
+        Raises:
+            LinkError: the link was closed.
+        """
+        if self.is_closed:
+            raise LinkError("the link was closed", where="FakeHostLink", fix="Use it before the run ends.")
+        return _Sampler(self, self._clock, rate)
+
+    def sample_at(self, time: float) -> UtilisationSample:
+        """Return the sample of a time on the run's clock."""
+        return UtilisationSample(time, _value(self._cpu, time), _value(self._memory, time))
+
+    def close(self) -> None:
+        """Leave; closing twice does nothing."""
+        self.is_closed = True
+
+
+def _value(utilisation: Utilisation, time: float) -> float:
+    return utilisation(time) if callable(utilisation) else utilisation
+
+
+class FakeSerialLine:
+    """A `SerialLine` on which scripted bytes arrive when their time has come.
+
+    Args:
+        clock: the run's.
+        chunks: what arrives; the times are those of the clock.
+        lost_at: when the line is lost, s; once what arrived before was taken it raises.
+        is_simulated: whether it says that a simulated device is at its other end.
+
+    Attributes:
+        written: the bytes that were sent to the device.
+        is_closed: whether it was closed.
+
+    Example:
+        >>> from robot_runner.core.links.serial_line import Chunk
+        >>> from robot_runner.testing import FakeClock, FakeSerialLine
+        >>> clock = FakeClock()
+        >>> line = FakeSerialLine(clock, [Chunk(1.0, b"hello")])
+        >>> line.drain()
+        []
+        >>> clock.sleep(1.0)
+        >>> line.drain()
+        [Chunk(received_at=1.0, data=b'hello')]
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        chunks: Iterable[Chunk] = (),
+        *,
+        lost_at: float | None = None,
+        is_simulated: bool = False,
+    ) -> None:
+        self.written = bytearray()
+        self.is_closed = False
+        self._clock = clock
+        self._coming = sorted(chunks, key=lambda chunk: chunk.received_at)
+        self._lost_at = lost_at
+        self._is_simulated = is_simulated
+
+    @property
+    def is_simulated(self) -> bool:
+        """What it was made with."""
+        return self._is_simulated
+
+    def drain(self) -> list[Chunk]:
+        """Return what has arrived since the last call.
+
+        Raises:
+            LinkError: the line was closed, or lost and drained.
+        """
+        now = self._clock.now() if self._lost_at is None else min(self._clock.now(), self._lost_at)
+        arrived = [chunk for chunk in self._coming if chunk.received_at <= now]
+        if self.is_closed or not arrived:
+            self._check()
+        self._coming = self._coming[len(arrived) :]
+        return arrived
+
+    def write(self, data: bytes) -> None:
+        """Note what is sent.
+
+        Raises:
+            LinkError: the line was closed or lost.
+        """
+        self._check()
+        self.written += data
+
+    def close(self) -> None:
+        """Close the line; closing twice does nothing."""
+        self.is_closed = True
+
+    def _check(self) -> None:
+        is_lost = self._lost_at is not None and self._clock.now() >= self._lost_at
+        if self.is_closed or is_lost:
+            problem = "the line was closed" if self.is_closed else "the device was unplugged"
+            raise LinkError(problem, where="FakeSerialLine", fix="Plug it in again.")

@@ -1,0 +1,283 @@
+"""A robot link that tests script: it records what it is told."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.core.links.robot import Encoding, Qos, RawMessage
+from robot_runner.ros.graph_links import full_name
+from robot_runner.ros.shapes import completed
+from robot_runner.ros.watchdog import VELOCITY_COMMANDS, velocity_of
+
+if TYPE_CHECKING:
+    from robot_runner.core.events.context import Clock
+    from robot_runner.core.links.robot import Message
+    from robot_runner.ros.type_catalogue import TypeCatalogue
+
+__all__ = ["Answer", "FakeRobotLink", "Publication", "ServiceCall"]
+
+_WHERE = "FakeRobotLink"
+_ANY_TYPE = "*"
+#: How far a wait moves the clock on between two looks, s.
+_POLL = 0.01
+#: What a service answers: a response, an error to raise, or a function from the request to a response.
+Answer = Mapping[str, Any] | Exception | Callable[[Mapping[str, Any]], Mapping[str, Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Publication:
+    """A message that was published to a robot, and when."""
+
+    time: float
+    topic: str
+    message_type: str
+    message: Message
+    qos: Qos = Qos.DEFAULT
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceCall:
+    """A service of a robot that was called, and when."""
+
+    time: float
+    service: str
+    service_type: str
+    request: Message
+
+
+class _Listener:
+    def __init__(self, message_type: str, callback: Callable[[Message], None]) -> None:
+        self.message_type = message_type
+        self.callback = callback
+        self.is_closed = False
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+class _Offer:
+    def __init__(self, services: dict[str, Answer], service: str) -> None:
+        self._services = services
+        self._service = service
+
+    def close(self) -> None:
+        self._services.pop(self._service, None)
+
+
+class FakeRobotLink:
+    """A `RobotLink` that records what it is told and says what the test has it say.
+
+    Names are taken as they are given; messages are not checked against their types. Raw messages are those of ROS 2.
+
+    Attributes:
+        publications: what was published, oldest first.
+        calls: the services that were called, oldest first.
+        is_closed: whether it was closed.
+        fault: raised by whatever is asked of the link, once it is set.
+        known_topics: what others publish or hear on the graph, by name, with their types.
+
+    Example:
+        >>> from robot_runner.testing import FakeClock, FakeRobotLink
+        >>> link = FakeRobotLink(FakeClock(), services={"lamp/on": {"success": True}})
+        >>> heard = []
+        >>> subscription = link.subscribe("battery_state", "sensor_msgs/BatteryState", heard.append)
+        >>> link.deliver("battery_state", {"voltage": 11.1})
+        >>> heard, link.call("lamp/on", "std_srvs/Trigger")
+        ([{'voltage': 11.1}], {'success': True})
+    """
+
+    def __init__(
+        self, clock: Clock, *, services: Mapping[str, Answer] | None = None, is_simulated: bool = False
+    ) -> None:
+        self.publications: list[Publication] = []
+        self.calls: list[ServiceCall] = []
+        self.is_closed = False
+        self.fault: LinkError | None = None
+        self._clock = clock
+        self.known_topics: dict[str, str] = {}
+        self._services = dict(services or {})
+        self._service_types: dict[str, str] = {}
+        self._is_simulated = is_simulated
+        self._listeners: defaultdict[str, list[_Listener]] = defaultdict(list)
+
+    @property
+    def is_simulated(self) -> bool:
+        """What it was made with."""
+        return self._is_simulated
+
+    @property
+    def encoding(self) -> Encoding:
+        """That of ROS 2."""
+        return Encoding.CDR
+
+    @property
+    def stands_still(self) -> bool:
+        """Whether the last velocity command on each topic was one to stand still, or none was given."""
+        last = {
+            each.topic: velocity_of(each.message_type, each.message)
+            for each in self.publications
+            if each.message_type in VELOCITY_COMMANDS
+        }
+        return not any(map(_moves, last.values()))
+
+    @property
+    def topics_heard(self) -> set[str]:
+        """The topics that somebody is subscribed to."""
+        return {topic for topic, listeners in self._listeners.items() if not all(each.is_closed for each in listeners)}
+
+    def publish(self, topic: str, message_type: str, message: Message, *, qos: Qos = Qos.DEFAULT) -> None:
+        """Record the message.
+
+        Raises:
+            LinkError: the link was closed, or the fault that was set.
+        """
+        self._check()
+        self.publications.append(Publication(self._clock.now(), topic, message_type, message, qos))
+
+    def subscribe(
+        self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None
+    ) -> _Listener:
+        """Have `callback` called with what is delivered on the topic.
+
+        Raises:
+            LinkError: the link was closed, or the fault that was set.
+        """
+        del qos
+        self._check()
+        listener = _Listener(message_type, callback)
+        self._listeners[topic].append(listener)
+        return listener
+
+    def subscribe_raw(
+        self, topic: str, message_type: str, callback: Callable[[RawMessage], None], *, qos: Qos | None = None
+    ) -> _Listener:
+        """Have `callback` called with the bytes of what is delivered on the topic, completed as its type has it.
+
+        Raises:
+            LinkError: there is no such type, the link was closed, or the fault that was set.
+        """
+        types = _standard_types()
+        shape = types.shape(message_type)
+
+        def hear(message: Message) -> None:
+            data = types.serialise(message_type, completed(shape, message, where=topic), Encoding.CDR)
+            callback(RawMessage(data, round(self._clock.now() * 1e9)))
+
+        return self.subscribe(topic, message_type, hear, qos=qos)
+
+    def wait_for(
+        self,
+        topic: str,
+        message_type: str,
+        condition: Callable[[Message], bool] | None = None,
+        *,
+        timeout: float = 5.0,
+    ) -> Message:
+        """Let the clock go on until what is delivered satisfies the condition (None: anything).
+
+        Raises:
+            LinkError: nothing does within `timeout` seconds of the clock, or as `subscribe`.
+        """
+        found: list[Message] = []
+
+        def hear(message: Message) -> None:
+            if condition is None or condition(message):
+                found.append(message)
+
+        listener, deadline = self.subscribe(topic, message_type, hear), self._clock.now() + timeout
+        try:
+            while not found and self._clock.now() < deadline:
+                self._clock.sleep(_POLL)
+        finally:
+            listener.close()
+        if not found:
+            fix = "Deliver one while the clock is slept on: clock.at(1.0, lambda: link.deliver(...))."
+            raise LinkError(f"no message came within {timeout:g} s", where=topic, fix=fix)
+        return found[0]
+
+    def deliver(self, topic: str, message: Message) -> None:
+        """Hand a message to whoever subscribed to the topic."""
+        for listener in list(self._listeners[topic]):
+            if not listener.is_closed:
+                listener.callback(message)
+
+    def call(self, service: str, service_type: str, request: Message | None = None, *, timeout: float = 5.0) -> Message:
+        """Record the call and answer as scripted.
+
+        Raises:
+            LinkError: no answer was scripted for the service, the link was closed, or the fault that was set.
+        """
+        del timeout
+        self._check()
+        self.calls.append(ServiceCall(self._clock.now(), service, service_type, request or {}))
+        if service not in self._services:
+            fix = did_you_mean(service, self._services)
+            raise LinkError(f"there is no service {service!r}", where=_WHERE, fix=fix)
+        answer = self._services[service]
+        if isinstance(answer, Exception):
+            raise answer
+        return answer(request or {}) if callable(answer) else answer
+
+    def offer(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> _Offer:
+        """Have `call` answered by a function until the offer is closed.
+
+        Raises:
+            LinkError: there is such a service, the link was closed, or the fault that was set.
+        """
+        self._check()
+        if service in self._services:
+            raise LinkError(f"there is a service {service!r} already", where=_WHERE, fix="Choose another name.")
+        self._services[service] = answer
+        self._service_types[service] = service_type
+        return _Offer(self._services, service)
+
+    def topics(self) -> dict[str, str]:
+        """Return the types of what is published and heard here, and of what the test says is there."""
+        self._check()
+        types = dict(self.known_topics)
+        types |= {topic: listeners[-1].message_type for topic, listeners in self._listeners.items() if listeners}
+        types |= {each.topic: each.message_type for each in self.publications}
+        return {full_name("", topic): message_type for topic, message_type in types.items()}
+
+    def services(self) -> dict[str, str]:
+        """Return the types of the services; `*` where a test scripted one."""
+        self._check()
+        return {full_name("", name): self._service_types.get(name, _ANY_TYPE) for name in self._services}
+
+    def nodes(self) -> list[str]:
+        """Return one node."""
+        self._check()
+        return ["/fake_robot"]
+
+    def definition(self, message_type: str) -> str:
+        """Return the text of a type's definition, as ROS 2 has it.
+
+        Raises:
+            LinkError: there is no such type.
+        """
+        return _standard_types().definition(message_type)
+
+    def close(self) -> None:
+        """Hear and say no more; closing twice does nothing."""
+        self.is_closed = True
+        self._listeners.clear()
+
+    def _check(self) -> None:
+        if self.fault is not None:
+            raise self.fault
+        if self.is_closed:
+            raise LinkError("the link was closed", where=_WHERE, fix="Use it before the run ends.")
+
+
+def _standard_types() -> TypeCatalogue:
+    from robot_runner.ros.type_catalogue import TypeCatalogue  # noqa: PLC0415  # it takes rosbags
+
+    return TypeCatalogue.of(2)
+
+
+def _moves(twist: Message) -> bool:
+    return any(component for part in ("linear", "angular") for component in twist.get(part, {}).values())

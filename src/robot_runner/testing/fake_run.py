@@ -1,0 +1,311 @@
+"""A run without an experiment around it: the six events, heard by plugins that are under test."""
+
+from __future__ import annotations
+
+import heapq
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
+from itertools import count
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.events.context import Resources, RobotRunnerContext
+from robot_runner.core.events.manager import CLOSED_BY, EventManager, OwnerKind, RobotRunnerEvents
+from robot_runner.core.events.measure import CONFIG_OWNER, MeasureBroker, resolve_columns
+from robot_runner.core.links.connect import SIMULATED, open_clock
+from robot_runner.core.plugin import System
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.core.events.context import Clock, Closable
+    from robot_runner.core.events.measure import Measure, MeasureValue
+    from robot_runner.core.links.host import HostLink
+    from robot_runner.core.links.robot import RobotLink
+    from robot_runner.core.links.serial_line import SerialLine
+    from robot_runner.core.plugin import Plugin
+
+__all__ = [
+    "FakeClock",
+    "FakeLinks",
+    "RecordingBroker",
+    "Rehearsal",
+    "Repetition",
+    "context_for",
+    "make_context",
+    "rehearse",
+]
+
+
+# A clock that tests move.
+
+
+class Repetition:
+    """Something that a fake clock does again and again until it is closed."""
+
+    def __init__(self) -> None:
+        self.is_closed = False
+
+    def close(self) -> None:
+        """Do it no more; closing twice does nothing."""
+        self.is_closed = True
+
+
+class FakeClock:
+    """A `Clock` on which time goes by only while it is slept on; what was scheduled happens on the way.
+
+    Args:
+        start: what it shows at first, s.
+
+    Example:
+        >>> clock = FakeClock(start=100.0)
+        >>> clock.at(101.0, lambda: print("one second later"))
+        >>> clock.sleep(5.0)
+        one second later
+        >>> clock.now()
+        105.0
+    """
+
+    def __init__(self, start: float = 0.0) -> None:
+        self._now = start
+        self._due: list[tuple[float, int, Callable[[], None]]] = []
+        self._numbers = count()  # what is due at the same time happens in the order in which it was scheduled
+
+    def now(self) -> float:
+        """Return the seconds that it shows."""
+        return self._now
+
+    def sleep(self, seconds: float) -> None:
+        """Move on; whatever a scheduled callback raises comes out of here."""
+        target = self._now + max(seconds, 0.0)
+        while self._due and self._due[0][0] <= target:
+            self._now, _, callback = heapq.heappop(self._due)
+            callback()
+        self._now = max(self._now, target)
+
+    def at(self, time: float, callback: Callable[[], None]) -> None:
+        """Have `callback` called when the clock shows `time`, or at the next sleep if it does already."""
+        heapq.heappush(self._due, (max(time, self._now), next(self._numbers), callback))
+
+    def every(self, period: float, callback: Callable[[], None]) -> Repetition:
+        """Have `callback` called every `period` seconds, first one period from now, until the result is closed."""
+        repetition, begun = Repetition(), self._now
+
+        def tick(number: int) -> None:
+            if not repetition.is_closed:
+                self.at(begun + (number + 1) * period, lambda: tick(number + 1))
+                callback()
+
+        self.at(begun + period, lambda: tick(1))
+        return repetition
+
+    call_every = every  # so that a `PeriodicSampler` takes its readings on this clock
+
+
+# A run's context for a test, with the gate for measures that a real run has.
+
+
+class RecordingBroker(MeasureBroker):
+    """The broker of a real run, which also keeps what it would report.
+
+    Attributes:
+        records: what happened, oldest first, each with its kind (`measure`, `refused`, `shared`, `finding`).
+
+    Example:
+        >>> from robot_runner.core.events.measure import Measure, Origin
+        >>> broker = RecordingBroker({"Scale": [Measure("Mass", "kg", "Mass of the robot.")]})
+        >>> broker.publish("Scale", "Mass", 1.0, Origin.MEASURED)
+        >>> broker.values
+        {'Mass': 1.0}
+    """
+
+    def __init__(self, measures_by_plugin: Mapping[str, Sequence[Measure]], *, run_id: str = "r_1") -> None:
+        columns, _ = resolve_columns(None, measures_by_plugin)
+        self.records: list[tuple[str, dict[str, Any]]] = []
+        super().__init__(run_id, columns, lambda kind, fields: self.records.append((kind, fields)))
+
+    @property
+    def values(self) -> dict[str, MeasureValue]:
+        """The values published so far, by column."""
+        return {name: published.value for name, published in self.measures.items()}
+
+
+class FakeLinks:
+    """What a test has stand in for the links of a robot; plugins get them as they would get real ones.
+
+    Args:
+        robot: for `connect_robot`.
+        serial: for `open_serial_line`.
+        host: for `connect_host`.
+        namespace: the robot's.
+
+    Example:
+        >>> from robot_runner.testing import FakeClock, FakeHostLink
+        >>> links = FakeLinks(host=FakeHostLink(FakeClock()))
+    """
+
+    def __init__(
+        self,
+        *,
+        robot: RobotLink | None = None,
+        serial: SerialLine | None = None,
+        host: HostLink | None = None,
+        namespace: str = "",
+    ) -> None:
+        key = namespace.strip("/") or "/"
+        named = {f"robot {key}": robot, f"serial {key}": serial, f"host {key}": host}
+        self._links: dict[str, Closable] = {name: link for name, link in named.items() if link is not None}
+
+    def plant(self, resources: Resources) -> None:
+        """Have the run find these links opened already."""
+        resources.open("simulation", _NoSimulation)
+        for key, link in self._links.items():
+            resources.open(key, partial(_itself, link))
+
+
+def _itself(link: Closable) -> Closable:
+    return link
+
+
+class _NoSimulation:
+    """Stands where the simulation of a run would be, so that none is started."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+def make_context(
+    folder: Path,
+    *plugins: Plugin,
+    robot: str | None = SIMULATED,
+    links: FakeLinks | None = None,
+    clock: Clock | None = None,
+    combination: Mapping[str, Any] | None = None,
+    run_seed: int = 1,
+) -> RobotRunnerContext:
+    """Return the context of a run for the first of `plugins`; `context_for` makes those of the others.
+
+    The measures that the plugins declare are the only ones that can be published. Close `context.resources`
+    when done, as the end of a run does.
+
+    Args:
+        folder: where the run's folder is made, such as pytest's `tmp_path`.
+        plugins: the plugins of the experiment; without any, the context is the config's.
+        robot: how the robot is reached.
+        links: stand in for the robot's links; without them the embedded robot is used, where `robot` names it.
+        clock: the run's clock; left out, a `FakeClock` where `links` are given, else that of the robot.
+        combination: the treatment of each factor.
+        run_seed: the seed of the run.
+
+    Raises:
+        LinkError: `robot` cannot be reached.
+
+    Example:
+        >>> from pathlib import Path
+        >>> context = make_context(Path("unused"), robot=None, combination={"Task": "Video"})
+        >>> context.owner, context.combination["Task"]
+        ('config', 'Video')
+    """
+    resources = Resources()
+    if links is not None:
+        links.plant(resources)
+    elif clock is None and robot is not None:
+        clock = open_clock(robot, resources, seed=run_seed)
+    return RobotRunnerContext(
+        experiment_name="test",
+        experiment_folder=folder,
+        robot=robot,
+        run_id="r_1",
+        run_number=1,
+        run_count=1,
+        attempt=1,
+        combination=combination or {},
+        repetition=1,
+        run_seed=run_seed,
+        run_path=folder / "runs" / "r_1",
+        clock=clock or FakeClock(),
+        resources=resources,
+        owner=plugins[0].name if plugins else CONFIG_OWNER,
+        broker=RecordingBroker({plugin.name: plugin.measures for plugin in plugins}),
+    )
+
+
+def context_for(plugin: Plugin, context: RobotRunnerContext) -> RobotRunnerContext:
+    """Return the same run's context for another plugin."""
+    return replace(context, owner=plugin.name)
+
+
+class Rehearsal:
+    """Emits the events of one run to plugins, in the order in which a real run does.
+
+    Args:
+        context: the run's, as `make_context` makes it.
+        plugins: who hears.
+
+    Raises:
+        ConfigError: a callback's signature does not fit.
+    """
+
+    def __init__(self, context: RobotRunnerContext, *plugins: Plugin) -> None:
+        self._contexts = {plugin.name: context_for(plugin, context) for plugin in plugins}
+        self._systems = [plugin for plugin in plugins if isinstance(plugin, System)]
+        self._manager = EventManager()
+        for plugin in plugins:
+            kind = OwnerKind.SYSTEM if isinstance(plugin, System) else OwnerKind.PROFILER
+            self._manager.subscribe_methods(plugin, owner=plugin.name, kind=kind)
+
+    def emit(self, event: RobotRunnerEvents) -> None:
+        """Emit one event and raise what a callback raised."""
+        emission = self._manager.emit(event, self._contexts.__getitem__)
+        for failure in emission.failures:
+            raise failure.error
+
+    def execute(self, mission: Callable[[], None]) -> None:
+        """Emit all six events, with `mission` beside what hears `launch_mission`.
+
+        What was opened is closed and the systems are made safe before anything is raised.
+        """
+        try:
+            with ExitStack() as closing:
+                for event in (RobotRunnerEvents.START_RUN, RobotRunnerEvents.START_MEASUREMENT):
+                    closing.callback(self.emit, CLOSED_BY[event])
+                    self.emit(event)
+                self.emit(RobotRunnerEvents.LAUNCH_MISSION)
+                mission()
+        except BaseException:
+            self.make_safe()
+            raise
+        self.emit(RobotRunnerEvents.POPULATE_RUN_DATA)
+
+    def make_safe(self) -> None:
+        """Make all systems safe, the last one first."""
+        for system in reversed(self._systems):
+            system.make_safe(self._contexts[system.name])
+
+
+def rehearse(
+    context: RobotRunnerContext, *plugins: Plugin, mission: Callable[[], None] = lambda: None
+) -> Mapping[str, MeasureValue]:
+    """Execute one run with these plugins and return the measures that they published, by column.
+
+    Args:
+        context: the run's, as `make_context` makes it.
+        plugins: who hears the events; systems before profilers, closing events in reverse.
+        mission: what happens while profilers measure; for a profiler alone, something like
+            `lambda: context.clock.sleep(2.0)`.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from robot_runner.plugins import Measure, Profiler
+        >>> from robot_runner.testing import make_context, rehearse
+        >>> class Scale(Profiler):
+        ...     measures = (Measure("Mass", "kg", "Mass of the robot."),)
+        ...     def populate_run_data(self, context):
+        ...         context.publish("Mass", 1.0)
+        >>> scale = Scale()
+        >>> dict(rehearse(make_context(Path("unused"), scale, robot=None), scale))
+        {'Mass': 1.0}
+    """
+    Rehearsal(context, *plugins).execute(mission)
+    return context.measures

@@ -1,0 +1,104 @@
+"""The command shows what it understood before it writes."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from tests.analysis.importing.foreign_folder import make_earlier_folder, write
+
+from robot_runner.analysis import load_results
+from robot_runner.cli.main import main
+
+
+@pytest.fixture
+def root(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return make_earlier_folder(tmp_path / "earlier")
+
+
+def test_a_dry_run_shows_and_writes_nothing(root, tmp_path, capsys):
+    assert main(["import", str(root), "--dry-run"]) == 0
+    shown = capsys.readouterr().out
+    for part in (
+        "earlier: what was understood of run_table.csv",
+        "3 done, 1 to do",
+        "power_mW in mW",
+        "integral(power.csv:power_mW) (guessed)",
+        "unit not known",
+        "Nothing was written",
+    ):
+        assert part in shown
+    assert [path.name for path in tmp_path.iterdir()] == ["earlier"]
+
+
+def test_without_a_terminal_it_wants_a_yes(root, tmp_path, capsys):
+    assert main(["import", str(root)]) == 2
+    assert "add --yes" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["earlier"]
+
+
+def test_with_a_yes_it_writes_and_lists_the_differences(root, tmp_path, capsys):
+    assert main(["import", str(root), "--yes"]) == 0
+    shown = capsys.readouterr().out
+    assert "energy_J: 1 of 3 runs differ by more than 0.1%" in shown
+    assert "run_2: 30 in the table, 24 recomputed (-20.00%)" in shown
+    assert len(load_results(tmp_path / "earlier_imported").done) == 3
+
+
+@pytest.mark.parametrize(("answer", "code"), [("y", 0), ("n", 2), ("", 2)])
+def test_at_a_terminal_it_asks(root, tmp_path, monkeypatch, answer, code):
+    monkeypatch.setattr("robot_runner.analysis.commands.import_.terminal_input", lambda: 0)
+    monkeypatch.setattr("builtins.input", lambda question: answer)
+    assert main(["import", str(root), "--to", "ours"]) == code
+    assert (tmp_path / "ours").exists() is (code == 0)
+
+
+def test_everything_can_be_said_by_options(tmp_path, capsys):
+    root = tmp_path / "made by hand"
+    write(root / "runs.csv", "nr;what;spent;who;again\n1;video;0,5;me;0\n2;network;0,25;you;0\n")
+    for number in (1, 2):
+        write(root / "raw" / f"run{number}" / "meter.csv", "when;value\n0;900\n1000;900\n")
+    said = [
+        *("--name", "Rover", "--table", "runs.csv", "--run-id", "nr", "--factor", "what", "--measure", "spent"),
+        *("--repetition", "again", "--ignore", "who", "--unit", "spent=mWh", "--run-folder", "raw/run{run_id}"),
+        *("--samples", "meter.csv:when:ms", "--sample-unit", "meter.csv:value=mW", "--origin", "measured"),
+        *("--recompute", "spent=integral(meter.csv:value)", "--no-guess", "--to", str(tmp_path / "ours"), "--yes"),
+        *("--save-description", str(tmp_path / "said.toml"), "--json"),
+    ]
+    assert main(["import", str(root), *said]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["factors"] == {"what": ["video", "network"]}
+    assert told["differences"][0]["recomputed"] == pytest.approx(0.9)
+    results = load_results(tmp_path / "ours")
+    assert (results.name, results.unit("spent")) == ("Rover", "mWh")
+    assert results.samples()["value_W"].tolist() == [0.9] * 4
+    assert 'time_unit = "ms"' in (tmp_path / "said.toml").read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (["--unit", "energy"], "'energy' names no unit"),
+        (["--unit", "energy=Jule"], "'Jule' is no unit that is known"),
+        (["--samples", "power.csv"], "'power.csv' names no column"),
+        (["--samples", "power.csv:t:weeks"], "times cannot be in 'weeks'"),
+        (["--sample-unit", "power=mW"], "'power=mW' names no file"),
+        (["--recompute", "energy"], "'energy' is no recipe"),
+        (["--description", "none.toml"], "cannot be read"),
+    ],
+)
+def test_slips_are_refused_with_a_fix(root, capsys, words, problem):
+    assert main(["import", str(root), "--dry-run", *words]) == 2
+    complaint = capsys.readouterr().err
+    assert problem in complaint
+    assert "fix:" in complaint
+
+
+def test_export_names_the_data_package(root, tmp_path, capsys):
+    main(["import", str(root), "--yes", "--to", "ours"])
+    capsys.readouterr()
+    assert main(["export", "ours", "--to", "out", "--json"]) == 0
+    files = json.loads(capsys.readouterr().out)["files"]
+    assert files[-1].endswith("datapackage.json")
+    assert all((tmp_path / name).exists() for name in files)

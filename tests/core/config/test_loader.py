@@ -1,0 +1,173 @@
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from robot_runner.core.config.loader import load_config
+from robot_runner.core.errors import ConfigError, Finding
+
+Write = Callable[..., Path]
+
+
+def refused(path: Path, **overrides: str) -> tuple[Finding, ...]:
+    with pytest.raises(ConfigError) as error:
+        load_config(path, overrides)
+    assert all(finding.fix for finding in error.value.findings)
+    return error.value.findings
+
+
+def test_a_file_that_is_not_there_is_refused_with_the_nearest_name(write_config: Write) -> None:
+    path = write_config()
+    (finding,) = refused(path.with_name("confg.py"))
+    assert finding.problem == "there is no such file"
+    assert "config.py" in finding.fix
+
+
+def test_a_folder_is_refused(tmp_path: Path) -> None:
+    assert refused(tmp_path)[0].problem == "it is a folder"
+
+
+def test_a_file_that_is_not_python_is_refused_with_the_line(tmp_path: Path) -> None:
+    path = tmp_path / "config.py"
+    path.write_text("x = 1\nclass RobotRunnerConfig\n    pass\n")
+    (finding,) = refused(path)
+    assert finding.where.endswith("config.py:2")
+    assert "class RobotRunnerConfig" in finding.problem
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"a\0b"])
+def test_bytes_that_are_no_source_are_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "config.py"
+    path.write_bytes(content)
+    assert "it is not" in refused(path)[0].problem
+
+
+def test_a_file_without_a_config_class_is_refused_with_the_class_that_was_meant(tmp_path: Path) -> None:
+    path = tmp_path / "config.py"
+    path.write_text("class RobotRunerConfig:\n    pass\n")
+    (finding,) = refused(path)
+    assert finding.fix == "Rename the class RobotRunerConfig to RobotRunnerConfig."
+
+
+def test_a_class_derived_from_ours_may_have_any_name(write_config: Write) -> None:
+    path = write_config(
+        head="from robot_runner import *\nclass Mine(ExperimentConfig):\n    experiment_name = 'mine'\n"
+    )
+    assert load_config(path).source.class_name == "Mine"
+
+
+def test_two_config_classes_are_one_too_many(tmp_path: Path) -> None:
+    path = tmp_path / "config.py"
+    path.write_text(
+        "from robot_runner import ExperimentConfig\nclass A(ExperimentConfig): pass\nclass B(ExperimentConfig): pass\n"
+    )
+    assert "A, B" in refused(path)[0].problem
+
+
+def test_what_the_file_raises_is_a_finding_with_the_line_of_the_file(write_config: Write) -> None:
+    path = write_config(head="import json\njson.loads('nonsense')\nclass RobotRunnerConfig:\n    pass\n")
+    (finding,) = refused(path)
+    assert finding.where == f"{path}:2"
+    assert "JSONDecodeError" in finding.problem
+
+
+def test_a_config_that_exits_while_it_is_loaded_does_not_take_us_with_it(write_config: Write) -> None:
+    path = write_config(head="import sys\nsys.exit(0)\nclass RobotRunnerConfig:\n    pass\n")
+    assert "SystemExit" in refused(path)[0].problem
+
+
+def test_a_missing_package_is_named(write_config: Write) -> None:
+    path = write_config(head="import no_such_package\nclass RobotRunnerConfig:\n    pass\n")
+    (finding,) = refused(path)
+    assert "'no_such_package'" in finding.fix
+
+
+def test_neighbours_of_the_config_can_be_imported_and_are_known(write_config: Write, tmp_path: Path) -> None:
+    (tmp_path / "neighbour_module.py").write_text("NAME = 'from next door'\n")
+    head = "import neighbour_module\nclass RobotRunnerConfig:\n    experiment_name = neighbour_module.NAME\n"
+    loaded = load_config(write_config(head=head))
+    assert loaded.config.experiment_name == "from next door"
+    assert loaded.local_modules == (tmp_path / "neighbour_module.py",)
+
+
+def test_the_papers_import_lines_activate_plugins(write_config: Write) -> None:
+    head = """\
+import plugins.systems.BasicTurtlebot3
+import plugins.profilers.Ina219
+import plugins.profilers.PsUtil
+class RobotRunnerConfig:
+    meter = plugins.profilers.Ina219.Ina219
+"""
+    loaded = load_config(write_config(head=head))
+    assert [plugin.__name__ for plugin in loaded.activated] == ["BasicTurtlebot3", "Ina219", "PsUtil"]
+    assert loaded.config.meter is loaded.activated[1]
+
+
+def test_the_papers_import_lines_exist_only_while_a_config_is_loaded(write_config: Write) -> None:
+    load_config(write_config(head="import plugins.profilers.PsUtil\nclass RobotRunnerConfig:\n    pass\n"))
+    assert not [name for name in sys.modules if name == "plugins" or name.startswith("plugins.")]
+    with pytest.raises(ModuleNotFoundError):
+        __import__("plugins.profilers.PsUtil")
+
+
+def test_a_plugin_that_is_not_installed_is_refused_with_the_nearest_name(write_config: Write) -> None:
+    path = write_config(head="import plugins.profilers.Ina291\nclass RobotRunnerConfig:\n    pass\n")
+    (finding,) = refused(path)
+    assert finding.where.startswith(f"{path}:1")
+    assert finding.fix == "Did you mean 'Ina219'?"
+
+
+def test_a_users_own_package_named_plugins_comes_first(write_config: Write, tmp_path: Path) -> None:
+    (tmp_path / "plugins").mkdir()
+    (tmp_path / "plugins" / "__init__.py").write_text("OWN = True\n")
+    head = "import plugins\nimport plugins.profilers.PsUtil\nclass RobotRunnerConfig:\n    own = plugins.OWN\n"
+    try:
+        loaded = load_config(write_config(head=head))
+    finally:
+        sys.modules.pop("plugins", None)
+    assert loaded.config.own
+    assert [plugin.__name__ for plugin in loaded.activated] == ["PsUtil"]
+
+
+def test_explicit_subscriptions_are_recorded(write_config: Write) -> None:
+    body = """
+        def __init__(self):
+            EventSubscriptionController.subscribe_to_multiple_events([
+                (RobotRunnerEvents.LAUNCH_MISSION, self.go),
+            ])
+        def go(self, context): pass
+        """
+    loaded = load_config(write_config(body))
+    assert [request.callback for request in loaded.subscriptions] == [loaded.config.go]
+
+
+def test_a_parameter_can_be_set_from_outside_and_is_seen_by_the_constructor(write_config: Write) -> None:
+    body = """
+        speed = 0.2
+        fast = False
+        def __init__(self):
+            self.seen = (self.robot, self.speed, self.fast)
+        """
+    loaded = load_config(write_config(body), {"robot": "simulated", "speed": "0.1", "fast": "yes"})
+    assert loaded.config.seen == ("simulated", 0.1, True)
+
+
+def test_an_override_wins_over_what_the_constructor_sets(write_config: Write) -> None:
+    body = """
+        def __init__(self):
+            self.experiment_name = "made here"
+        """
+    assert load_config(write_config(body), {"experiment_name": "x"}).config.experiment_name == "x"
+
+
+def test_every_override_that_cannot_be_is_a_finding(write_config: Write) -> None:
+    findings = refused(write_config(), robt="simulated", time_between_runs_in_ms="soon", operation_type="manual")
+    assert [finding.where for finding in findings] == [
+        "--set robt=simulated",
+        "--set time_between_runs_in_ms=soon",
+        "--set operation_type=manual",
+    ]
+    assert findings[0].fix == "Did you mean 'robot'?"

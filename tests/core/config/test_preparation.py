@@ -1,0 +1,248 @@
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from robot_runner.core.config.parameters import PARAMETERS, OperationType, Parameter
+from robot_runner.core.config.preparation import prepare
+
+if TYPE_CHECKING:
+    from robot_runner.core.errors import Finding
+
+Write = Callable[..., Path]
+
+
+def findings_of(path: Path, **overrides: str) -> tuple[Finding, ...]:
+    before = sorted(path.parent.rglob("*"))
+    preparation = prepare(path, overrides)
+    assert [each for each in sorted(path.parent.rglob("*")) if "__pycache__" not in each.parts] == [
+        each for each in before if "__pycache__" not in each.parts
+    ]
+    assert (preparation.experiment is None) == any(finding.is_error for finding in preparation.findings)
+    assert all(finding.where and finding.problem and finding.fix for finding in preparation.findings)
+    return preparation.findings
+
+
+def test_a_well_formed_config_has_no_findings(write_config: Write) -> None:
+    assert findings_of(write_config()) == ()
+
+
+def test_a_config_need_not_derive_from_ours(write_config: Write) -> None:
+    head = "from robot_runner import *\nclass RobotRunnerConfig:\n    experiment_name = 'plain'\n"
+    experiment = prepare(write_config(head=head)).experiment
+    assert experiment is not None
+    assert experiment.parameters.operation_type is OperationType.AUTO
+
+
+WRONG_VALUES = [
+    ("experiment_name", "''"),
+    ("experiment_name", "'../outside'"),
+    ("experiment_name", "7"),
+    ("results_output_path", "7"),
+    ("results_output_path", "''"),
+    ("operation_type", "'auto'"),
+    ("time_between_runs_in_ms", "True"),
+    ("time_between_runs_in_ms", "-1"),
+    ("time_between_runs_in_ms", "1.5"),
+    ("robot", "7"),
+    ("required_ros_version", "True"),
+    ("required_ros_version", "3"),
+    ("required_ros_version", "'one'"),
+    ("required_ros_distro", "7"),
+    ("on_failure", "'stop'"),
+    ("attempts", "0"),
+    ("run_deadline_in_s", "0"),
+    ("event_deadline_in_s", "float('inf')"),
+    ("grace_in_s", "-1"),
+    ("run_process", "'fork'"),
+]
+
+
+@pytest.mark.parametrize(("name", "value"), WRONG_VALUES)
+def test_a_malformed_parameter_is_refused_with_its_value_and_what_it_must_be(
+    write_config: Write, name: str, value: str
+) -> None:
+    findings = findings_of(write_config(f"{name} = {value}"))
+    (finding,) = [each for each in findings if each.where.endswith(f".{name}")]
+    assert finding.is_error
+    assert repr(eval(value)) in finding.problem  # noqa: S307 - from the table above
+    assert finding.fix.startswith("It must be ")
+
+
+def test_all_malformed_parameters_are_found_at_once(write_config: Write) -> None:
+    values = dict(WRONG_VALUES)
+    findings = findings_of(write_config("\n".join(f"{name} = {value}" for name, value in values.items())))
+    assert {finding.where.rpartition(".")[2] for finding in findings} == set(values)
+
+
+@pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda parameter: parameter.name)
+def test_every_parameter_accepts_its_default(parameter: Parameter) -> None:
+    assert parameter.default is not None or parameter.accepts(None)
+    if parameter.name != "experiment_name":
+        assert parameter.accepts(parameter.default)
+
+
+@pytest.mark.parametrize("value", ["1", "2", "None", "any", "'any'"])
+def test_the_ros_version_can_be_a_generation_none_or_any(write_config: Write, value: str) -> None:
+    assert findings_of(write_config(f"required_ros_version = {value}"), robot="simulated") == ()
+
+
+def test_a_missing_name_is_refused(write_config: Write) -> None:
+    head = "from robot_runner import *\nclass RobotRunnerConfig:\n    pass\n"
+    assert "missing" in findings_of(write_config(head=head))[0].problem
+
+
+@pytest.mark.parametrize(
+    ("body", "meant"),
+    [
+        ("experiment_nam = 'x'", "experiment_name"),
+        ("time_betwen_runs_in_ms = 5", "time_between_runs_in_ms"),
+        ("opertion_type: int", "operation_type"),
+        ("plugin = []", "plugins"),
+        ("def lunch_mission(self, context): pass", "launch_mission"),
+        ("def populate_rundata(self): pass", "populate_run_data"),
+        ("def before_runs(self): pass", "before_run"),
+    ],
+)
+def test_a_misspelt_name_is_refused_with_the_one_that_was_meant(write_config: Write, body: str, meant: str) -> None:
+    head = "from robot_runner import *\nclass RobotRunnerConfig:\n    experiment_name = 'x'\n"
+    head = head if "experiment_nam" not in body else head.replace("    experiment_name = 'x'\n", "")
+    findings = findings_of(write_config(body, head=head))
+    assert any(finding.is_error and repr(meant) in finding.fix for finding in findings)
+
+
+def test_a_name_of_the_users_own_is_left_alone(write_config: Write) -> None:
+    assert findings_of(write_config("speed = 0.1\n_launch_missions = 3\ndef drive(self): pass")) == ()
+
+
+def test_callbacks_signatures_are_checked(write_config: Write) -> None:
+    (finding,) = findings_of(write_config("def start_run(self, context, speed): pass"))
+    assert "start_run(context, speed)" in finding.problem
+    assert "config.py:" in finding.where
+
+
+@pytest.mark.parametrize(
+    ("plugins", "problem"),
+    [
+        ("PsUtil()", "it is"),
+        ("[PsUtil]", "PsUtil is a class"),
+        ("['PsUtil']", "'PsUtil' is no plugin"),
+        ("[PsUtil(), PsUtil()]", "2 plugins are named 'PsUtil'"),
+        ("[PsUtil(name='a/b')]", "a plugin cannot be named 'a/b'"),
+    ],
+)
+def test_what_is_no_list_of_distinct_plugins_is_refused(write_config: Write, plugins: str, problem: str) -> None:
+    head = f"""\
+from robot_runner import *
+from robot_runner.plugins.profilers import PsUtil
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "x"
+    robot = "simulated"
+    plugins = {plugins}
+"""
+    assert any(problem in finding.problem for finding in findings_of(write_config(head=head)))
+
+
+@pytest.mark.parametrize(
+    ("table", "problem"),
+    [
+        ("", "it does not say which runs to execute"),
+        ("    def create_run_table(self): return []\n", "it returned []"),
+        ("    def create_run_table(self): return 1 / 0\n", "ZeroDivisionError"),
+        ("    def create_run_table(self): return RunTableModel([])\n", "factors"),
+        ("    def create_run_table(self): return RunTableModel([Factor('A', [1, 1])])\n", "twice"),
+        (
+            "    def create_run_table(self): return RunTableModel([Factor('A', [1])], data_columns=['run_id'])\n",
+            "that name already",
+        ),
+    ],
+)
+def test_a_run_table_that_cannot_be_is_refused(write_config: Write, table: str, problem: str) -> None:
+    findings = findings_of(write_config(table=table))
+    assert any(problem in finding.problem or problem in finding.where for finding in findings)
+
+
+def test_an_unknown_robot_is_refused_with_the_nearest(write_config: Write) -> None:
+    (finding,) = findings_of(write_config(), robot="simulatd")
+    assert "'simulated'" in finding.fix
+
+
+def test_without_ros_an_experiment_that_requires_it_is_refused_and_told_of_the_simulated_robot(
+    write_config: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("ROS_VERSION", raising=False)
+    monkeypatch.setattr("robot_runner.ros.required_ros.installed_ros", lambda: None)
+    (finding,) = findings_of(write_config("required_ros_version = 1\nrequired_ros_distro = 'melodic'"))
+    assert "requires ROS 1 melodic, and no ROS is found" in finding.problem
+    assert "--set robot=simulated" in finding.fix
+
+
+@pytest.mark.parametrize(
+    ("version", "distro", "refused"), [("1", "noetic", 1), ("2", "humble", 1), ("1", "melodic", 0)]
+)
+def test_the_ros_that_is_sourced_must_be_the_one_required(
+    write_config: Write, monkeypatch: pytest.MonkeyPatch, version: str, distro: str, refused: int
+) -> None:
+    monkeypatch.setenv("ROS_VERSION", version)
+    monkeypatch.setenv("ROS_DISTRO", distro)
+    findings = findings_of(write_config("required_ros_version = 1\nrequired_ros_distro = 'melodic'"))
+    assert len(findings) == refused
+
+
+def test_a_results_path_below_a_file_is_refused(write_config: Write, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    (finding,) = findings_of(write_config("results_output_path = 'file/below'"))
+    assert finding.problem == f"{tmp_path / 'file'} is no folder"
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_an_unwritable_results_path_is_refused(write_config: Write, tmp_path: Path) -> None:
+    (tmp_path / "locked").mkdir(mode=0o500)
+    (finding,) = findings_of(write_config("results_output_path = 'locked'"))
+    assert "cannot be written" in finding.problem
+
+
+def test_findings_of_every_kind_come_together(write_config: Write) -> None:
+    body = "attempts = 0\nrobot = 'simulatd'\ndef lunch_mission(self): pass\ndef stop_run(self, a, b, c): pass"
+    table = "    def create_run_table(self): return RunTableModel([])\n"
+    assert len(findings_of(write_config(body, table=table))) >= 4
+
+
+def test_a_disk_too_small_for_what_will_be_kept_is_refused_with_both_figures(write_config: Write) -> None:
+    head = """\
+from robot_runner import *
+from robot_runner.plugins import Profiler
+class Camera(Profiler):
+    bytes_per_run = 10**18
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "x"
+    plugins = [Camera()]
+"""
+    (finding,) = findings_of(write_config(head=head))
+    assert finding.problem.startswith("4 runs will keep about 4,000,000,000,000.02 MB, and ")
+    assert " MB are free in " in finding.problem
+
+
+def test_threads_that_loading_starts_are_warned_of_where_runs_are_forked(write_config: Write) -> None:
+    head = """\
+import threading
+from robot_runner import *
+OVER = threading.Event()
+threading.Thread(target=OVER.wait, name="poller", daemon=True).start()
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "x"
+"""
+    path = write_config(head=head)
+    try:
+        (finding,) = findings_of(path)
+        assert "(poller)" in finding.problem
+        assert not finding.is_error
+        assert findings_of(path, run_process="spawn") == ()
+    finally:
+        import sys
+
+        sys.modules["robot_runner_config"].OVER.set()

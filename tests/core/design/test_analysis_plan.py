@@ -1,0 +1,79 @@
+"""What is fixed for the analysis before the experiment is checked, and survives the manifest."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Hypothesis
+from robot_runner.core.errors import DesignError
+
+NAMES = st.text(min_size=1, max_size=8).filter(lambda name: name.strip())
+HYPOTHESES = st.builds(Hypothesis, NAMES, measure=NAMES, factors=st.lists(NAMES, min_size=1, max_size=3, unique=True))
+PLANS = st.builds(
+    AnalysisPlan,
+    st.lists(NAMES, min_size=1, max_size=3),
+    alpha=st.floats(0.001, 0.5),
+    correction=st.sampled_from(Correction),
+    hypotheses=st.lists(HYPOTHESES, max_size=2),
+)
+
+
+@given(PLANS)
+def test_a_plan_comes_back_from_plain_data(plan):
+    assert AnalysisPlan.of_mapping(plan.as_mapping()) == plan
+
+
+def test_one_name_may_stand_for_a_list():
+    assert AnalysisPlan("Energy").measures == ("Energy",)
+    assert Hypothesis("It does.", measure="Energy", factors="Task").factors == ("Task",)
+
+
+def test_the_measures_of_hypotheses_are_planned():
+    plan = AnalysisPlan("Energy", hypotheses=[Hypothesis("It does.", measure="CPU", factors="Task")])
+    assert plan.measures == ("Energy", "CPU")
+
+
+@pytest.mark.parametrize("alpha", [0, 1, -0.1, 5, "0.05", None, float("nan")])
+def test_alpha_lies_between_0_and_1(alpha):
+    with pytest.raises(DesignError, match="alpha is"):
+        AnalysisPlan("Energy", alpha=alpha)
+
+
+def test_a_plan_without_measures_is_refused():
+    with pytest.raises(DesignError, match="it names no measure"):
+        AnalysisPlan()
+
+
+def test_a_correction_is_one_of_ours():
+    with pytest.raises(DesignError, match="correction is 'holm'"):
+        AnalysisPlan("Energy", correction="holm")
+
+
+def test_hypotheses_are_hypotheses():
+    with pytest.raises(DesignError, match="is no hypothesis"):
+        AnalysisPlan("Energy", hypotheses=["The task matters."])
+
+
+@pytest.mark.parametrize(("measure", "factors"), [("", "Task"), ("Energy", ()), ("Energy", [3])])
+def test_a_hypothesis_names_a_measure_and_factors(measure, factors):
+    with pytest.raises(DesignError):
+        Hypothesis("It does.", measure=measure, factors=factors)
+
+
+def test_names_that_the_design_lacks_are_found_with_the_nearest():
+    plan = AnalysisPlan("Enrgy", hypotheses=[Hypothesis("It does.", measure="CPU", factors="Tsk")])
+    found = [(finding.problem, finding.fix) for finding in plan.findings(["Task"], ["Energy", "CPU"])]
+    assert found == [
+        ("there is no measure 'Enrgy'", "Did you mean 'Energy'?"),
+        ("there is no factor 'Tsk'", "Did you mean 'Task'?"),
+    ]
+
+
+@pytest.mark.parametrize(
+    "plain", [{"alhpa": 0.05}, {"measures": "E", "hypotheses": [{"about": 1}]}, {"correction": "x"}]
+)
+def test_what_is_no_plan_is_refused(plain):
+    with pytest.raises(DesignError):
+        AnalysisPlan.of_mapping({"measures": ["Energy"], **plain})

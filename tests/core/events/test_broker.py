@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from robot_runner.core.errors import MeasureError
+from robot_runner.core.events.measure import Measure, MeasureBroker, Origin, resolve_columns
+
+
+@pytest.fixture
+def reported() -> list[tuple[str, dict[str, Any]]]:
+    return []
+
+
+@pytest.fixture
+def broker(reported: list[tuple[str, dict[str, Any]]]) -> MeasureBroker:
+    columns, _ = resolve_columns(None, {"Ina219": [Measure("Energy", "J")]})
+    return MeasureBroker("r_1", columns, lambda kind, fields: reported.append((kind, fields)))
+
+
+def test_a_measure_is_taken_and_reported_at_once(
+    broker: MeasureBroker, reported: list[tuple[str, dict[str, Any]]]
+) -> None:
+    broker.publish("Ina219", "Energy", 877.5, Origin.SIMULATED)
+    assert broker.measures["Energy"].value == 877.5
+    assert broker.measures["Energy"].unit == "J"
+    assert reported == [("measure", {"name": "Energy", "value": 877.5, "owner": "Ina219", "origin": "simulated"})]
+
+
+def test_a_later_value_replaces_an_earlier(broker: MeasureBroker) -> None:
+    broker.publish("Ina219", "Energy", 1, Origin.MEASURED)
+    broker.publish("config", "Energy", 2, Origin.MEASURED)
+    assert broker.measures["Energy"].value == 2
+    assert broker.measures["Energy"].owner == "config"
+
+
+def test_a_missing_value_is_none(broker: MeasureBroker) -> None:
+    broker.publish("Ina219", "Energy", None, Origin.MEASURED)
+    assert broker.measures["Energy"].value is None
+
+
+@pytest.mark.parametrize(("name", "value"), [("Enery", 1.0), ("Energy", float("nan")), ("Energy", [1])])
+def test_what_is_refused_is_reported_so_that_it_is_kept(
+    broker: MeasureBroker, reported: list[tuple[str, dict[str, Any]]], name: str, value: object
+) -> None:
+    with pytest.raises(MeasureError):
+        broker.publish("Ina219", name, value, Origin.MEASURED)
+    assert reported == [("refused", {"owner": "Ina219", "name": name, "value": repr(value)})]
+    assert broker.measures == {}
+
+
+def test_key_value_pairs_are_gathered_by_plugin(broker: MeasureBroker) -> None:
+    broker.share("robot", {"phase": "forward"})
+    broker.share("robot", {"phase": "rotate", "speed": 0.2})
+    assert broker.shared == {"robot": {"phase": "rotate", "speed": 0.2}}
+
+
+def test_a_warning_names_run_and_owner(broker: MeasureBroker) -> None:
+    broker.warn("Ina219", "12 frames were lost", "Look at the cable.")
+    (finding,) = broker.findings
+    assert finding.where == "r_1, Ina219"
+    assert not finding.is_error

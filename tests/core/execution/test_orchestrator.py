@@ -1,0 +1,343 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import pytest
+
+from robot_runner.core.errors import ExecutionError
+
+Execute = Callable[..., Any]
+
+LISTENING = """
+def before_experiment(self, context): self.note("before_experiment")
+def before_run(self, context): self.note("before_run")
+def start_run(self, context): self.note("start_run")
+def start_measurement(self, context): self.note("start_measurement")
+def launch_mission(self, context): self.note("launch_mission")
+def stop_measurement(self, context): self.note("stop_measurement")
+def stop_run(self, context): self.note("stop_run")
+def populate_run_data(self, context):
+    self.note("populate_run_data")
+    return {"Energy": 1.5}
+def continue_experiment(self, context):
+    self.note("continue")
+    return True
+def after_experiment(self, context): self.note("after_experiment")
+def note(self, event):
+    with (Path(__file__).parent / "heard.txt").open("a") as file:
+        print(event, file=file)
+"""
+
+
+@pytest.fixture(params=["fork", "spawn", "in_process"])
+def run_process(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+def test_every_run_ends_up_done_with_its_measures(execute: Execute, run_process: str) -> None:
+    executed = execute("def populate_run_data(self, context): return {'Energy': 877.5}", run_process=run_process)
+    assert executed.finished.done_count == 4
+    assert [row["status"] for row in executed.table] == ["Done"] * 4
+    assert [row["run_id"] for row in executed.table] == ["r_1", "r_2", "r_3", "r_4"]
+    assert [row["Energy"] for row in executed.table] == ["877.5"] * 4
+
+
+def test_the_events_come_in_the_order_of_the_paper(execute: Execute, run_process: str) -> None:
+    executed = execute(LISTENING, run_process=run_process, operation_type="semi")
+    heard = (executed.config.parent / "heard.txt").read_text(encoding="utf-8").split()
+    run = [
+        "before_run",
+        "start_run",
+        "start_measurement",
+        "launch_mission",
+        "stop_measurement",
+        "stop_run",
+        "populate_run_data",
+    ]
+    assert heard == ["before_experiment", *[*run, "continue"] * 3, *run, "after_experiment"]
+
+
+def test_each_event_is_stamped_in_its_column(execute: Execute, run_process: str) -> None:
+    executed = execute(run_process=run_process)
+    names = [name for name in executed.table[0] if name.endswith("_at") and name != "continue_at"]
+    assert len(names) == 7
+    for row in executed.table:
+        stamps = [row[name] for name in names]
+        assert all(stamp.endswith("Z") for stamp in stamps)
+        assert all(earlier <= later for earlier, later in pairwise(stamps))
+
+
+def test_what_before_experiment_sets_up_is_seen_in_forked_runs(execute: Execute) -> None:
+    executed = execute(
+        """
+        def before_experiment(self, context): self.calibration = 42
+        def populate_run_data(self, context): return {"Energy": self.calibration}
+        """
+    )
+    assert [row["Energy"] for row in executed.table] == ["42"] * 4
+
+
+def test_what_before_run_and_continue_set_is_seen_in_the_next_run(execute: Execute) -> None:
+    experiment = execute(
+        """
+        operation_type = OperationType.SEMI
+        runs = continued = 0
+        def before_run(self, context): self.runs += 1
+        def continue_experiment(self, context):
+            self.continued += 10
+            return True
+        def populate_run_data(self, context): return {"Energy": self.runs + self.continued}
+        """
+    )
+    assert [row["Energy"] for row in experiment.table] == ["1", "12", "23", "34"]
+
+
+def test_what_before_experiment_opened_is_closed_when_after_experiment_closes_it(execute: Execute) -> None:
+    # A process of ours that shared the pipe would keep `cat` waiting for more.
+    experiment = execute(
+        """
+        def before_experiment(self, context):
+            import subprocess
+            self.program = subprocess.Popen(["cat"], stdin=subprocess.PIPE)
+        def after_experiment(self, context):
+            self.program.stdin.close()
+            self.program.wait(timeout=10)
+        """
+    )
+    assert experiment.finished.done_count == 4
+
+
+def test_what_callbacks_print_goes_to_the_log_of_their_run(execute: Execute, run_process: str) -> None:
+    executed = execute(
+        "def launch_mission(self, context): print('mission of', context.run_id)", run_process=run_process
+    )
+    assert "mission of r_3" in executed.log("r_3")
+
+
+def test_what_programs_started_by_callbacks_print_goes_to_the_log_as_well(execute: Execute) -> None:
+    executed = execute("def launch_mission(self, context): __import__('os').system('echo from a shell')")
+    assert executed.log("r_1") == "from a shell\n"
+
+
+def test_an_exception_fails_the_run_and_the_experiment_goes_on(execute: Execute, run_process: str) -> None:
+    executed = execute(
+        """
+        def launch_mission(self, context):
+            if context.run_id == "r_2": raise RuntimeError("the wheel fell off")
+        """,
+        run_process=run_process,
+    )
+    assert [row["status"] for row in executed.table] == ["Done", "Failed", "Done", "Done"]
+    assert executed.finished.failures == ("r_2: launch_mission of config: RuntimeError: the wheel fell off",)
+    (failure,) = executed.journal("failure")
+    assert "RuntimeError: the wheel fell off" in failure["traceback"]
+
+
+def test_what_opened_is_closed_in_reverse_after_a_failure(execute: Execute, run_process: str) -> None:
+    executed = execute(
+        LISTENING.replace('self.note("launch_mission")', "1 / 0"), run_process=run_process, on_failure="stop"
+    )
+    heard = (executed.config.parent / "heard.txt").read_text(encoding="utf-8").split()
+    assert heard == [
+        "before_experiment",
+        "before_run",
+        "start_run",
+        "start_measurement",
+        "stop_measurement",
+        "stop_run",
+        "after_experiment",
+    ]
+
+
+def test_a_failed_start_is_closed_and_nothing_after_it_is_started(execute: Execute) -> None:
+    executed = execute(LISTENING.replace('self.note("start_run")', "1 / 0"), on_failure="stop")
+    heard = (executed.config.parent / "heard.txt").read_text(encoding="utf-8").split()
+    assert heard == ["before_experiment", "before_run", "stop_run", "after_experiment"]
+
+
+def test_the_policy_can_stop_the_experiment_at_the_first_failed_run(execute: Execute) -> None:
+    executed = execute("def launch_mission(self, context): raise ValueError(context.run_id)", on_failure="stop")
+    assert executed.finished.stopped_by_policy
+    assert [row["status"] for row in executed.table] == ["Failed", "-", "-", "-"]
+
+
+def test_a_run_is_tried_again_and_the_earlier_attempt_is_kept(execute: Execute, run_process: str) -> None:
+    executed = execute(
+        """
+        def launch_mission(self, context):
+            print("attempt", context.attempt)
+            if context.attempt < 3: raise ValueError("not yet")
+        """,
+        run_process=run_process,
+        attempts=3,
+    )
+    assert executed.finished.done_count == 4
+    assert "attempt 3" in executed.log("r_1")
+    earlier = sorted(executed.folder.glob("earlier_attempts/r_1/*/log.txt"))
+    assert [path.read_text(encoding="utf-8").split()[1] for path in earlier] == ["1", "2"]
+
+
+def test_a_failed_before_run_fails_the_run_without_starting_it(execute: Execute) -> None:
+    executed = execute("def before_run(self, context): raise ValueError('no battery')", on_failure="stop")
+    assert executed.finished.failures == ("r_1: before_run of config: ValueError: no battery",)
+    assert executed.table[0]["start_run_at"] == ""
+
+
+def test_a_failed_before_experiment_is_an_error_that_names_the_callback(execute: Execute) -> None:
+    with pytest.raises(ExecutionError) as refused:
+        execute("def before_experiment(self, context): raise ValueError('no robot')")
+    assert refused.value.where == "before_experiment of config"
+    assert "no robot" in refused.value.problem
+
+
+@pytest.mark.parametrize(
+    ("returned", "problem"),
+    [
+        ("{'Enery': 1}", "'Enery' was not declared"),
+        ("{'Energy': float('nan')}", "not a finite number"),
+        ("{'Energy': [1, 2]}", "of type list"),
+        ("42", "of type int"),
+        ("{'Energy': 1, 'CPU': 2, 'Mem': 3}", "'CPU' was not declared; measure 'Mem' was not declared"),
+    ],
+)
+def test_run_data_that_cannot_be_is_refused_and_the_row_does_not_shift(
+    execute: Execute, returned: str, problem: str
+) -> None:
+    executed = execute(f"def populate_run_data(self, context): return {returned}", on_failure="stop")
+    assert problem in executed.finished.failures[0]
+    assert "populate_run_data of config" in executed.finished.failures[0]
+    assert [row["Task"] for row in executed.table] == ["Video", "Network"] * 2
+
+
+def test_a_measure_that_nobody_gave_is_missing_and_said_to_be(execute: Execute) -> None:
+    executed = execute()
+    assert [row["Energy"] for row in executed.table] == [""] * 4
+    assert {finding.problem for finding in executed.finished.findings} == {"Energy has no value"}
+
+
+@pytest.mark.parametrize(
+    ("death", "reason"),
+    [
+        ("os._exit(3)", "its process exited with code 3"),
+        ("os._exit(0)", "its process exited with code 0 before the run had ended"),
+        ("os.kill(os.getpid(), 9)", "its process was killed by SIGKILL"),
+        ("faulthandler.disable(); os.abort()", "its process was killed by SIGABRT"),
+        ("sys.exit(4)", "SystemExit: 4"),
+    ],
+)
+def test_a_run_whose_process_dies_fails_with_the_cause(execute: Execute, death: str, reason: str) -> None:
+    executed = execute(
+        f"""
+        def launch_mission(self, context):
+            import faulthandler, os, sys
+            if context.run_number == 1: {death}
+        """
+    )
+    assert [row["status"] for row in executed.table] == ["Failed", "Done", "Done", "Done"]
+    assert executed.finished.failures == (
+        f"r_1: launch_mission{' of config' if 'SystemExit' in reason else ''}: {reason}",
+    )
+
+
+def test_a_run_past_its_deadline_is_told_to_end_and_closes_what_it_opened(execute: Execute) -> None:
+    executed = execute(
+        """
+        def launch_mission(self, context):
+            import time
+            if context.run_number == 1: time.sleep(60)
+        def stop_run(self, context): print("closed")
+        """,
+        run_deadline_in_s=0.3,
+    )
+    assert executed.finished.failures == (
+        "r_1: launch_mission of config: the run took longer than run_deadline_in_s = 0.3 s",
+    )
+    assert executed.log("r_1").endswith("closed\n")
+
+
+def test_a_run_that_does_not_end_is_killed_after_the_grace_period(execute: Execute) -> None:
+    executed = execute(
+        """
+        def launch_mission(self, context):
+            import signal, time
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
+            if context.run_number == 1: time.sleep(60)
+        """,
+        event_deadline_in_s=0.3,
+        grace_in_s=0.2,
+    )
+    assert executed.finished.failures == (
+        "r_1: launch_mission: the event took longer than event_deadline_in_s = 0.3 s",
+    )
+
+
+def test_a_grandchild_that_holds_the_pipe_does_not_hold_the_experiment(execute: Execute) -> None:
+    executed = execute(
+        """
+        def launch_mission(self, context):
+            import os, time
+            if os.fork() == 0:
+                time.sleep(60)
+        """
+    )
+    assert executed.finished.done_count == 4
+
+
+def test_a_second_execution_of_a_finished_experiment_executes_nothing(execute: Execute) -> None:
+    body = """
+        def populate_run_data(self, context):
+            return {"Energy": context.attempt}
+        """
+    execute(body)
+    again = execute(body)
+    assert again.finished.done_count == 4
+    assert [row["Energy"] for row in again.table] == ["1"] * 4
+
+
+def test_failed_runs_are_executed_again_when_the_experiment_is_resumed(execute: Execute) -> None:
+    body = """
+        def populate_run_data(self, context):
+            if context.run_id == "r_2" and context.attempt == 1: raise ValueError("flaky")
+            return {"Energy": context.attempt}
+        """
+    assert execute(body).finished.failed_count == 1
+    again = execute(body)
+    assert again.finished.done_count == 4
+    assert [row["Energy"] for row in again.table] == ["1", "2", "1", "1"]
+
+
+def test_the_order_of_a_resumed_experiment_is_the_recorded_one(execute: Execute) -> None:
+    table = """\
+    def create_run_table(self):
+        return RunTableModel([Factor("N", range(20))], shuffle=True, data_columns=[])
+"""
+    first = execute(table=table)
+    order = [row["N"] for row in first.table]
+    assert sorted(order, key=int) != order
+    (first.folder / "run_table.csv").unlink()
+    (first.folder / "journal.jsonl").unlink()
+    assert [row["N"] for row in execute(table=table).table] == order
+
+
+def test_two_orchestrators_on_one_experiment_are_one_too_many(execute: Execute) -> None:
+    body = """
+        def before_run(self, context):
+            import subprocess, sys
+            said = subprocess.run([sys.executable, "-c", SECOND, __file__], capture_output=True, text=True)
+            (Path(__file__).parent / "second.txt").write_text(said.stdout + said.stderr)
+        """
+    head_of_second = (
+        "import sys\nfrom pathlib import Path\n"
+        "from robot_runner.core.config.preparation import prepare_or_refuse\n"
+        "from robot_runner.core.errors import ExecutionError\n"
+        "from robot_runner.core.execution.notices import SilentObserver\n"
+        "from robot_runner.core.execution.orchestrator import execute_experiment\n"
+        "try: execute_experiment(prepare_or_refuse(Path(sys.argv[1])), SilentObserver())\n"
+        "except ExecutionError as error: print(error)\n"
+    )
+    executed = execute(body.replace("SECOND", repr(head_of_second)), on_failure="stop")
+    said = (executed.config.parent / "second.txt").read_text(encoding="utf-8")
+    assert "is being executed by process" in said
+    assert executed.finished.done_count == 4

@@ -1,0 +1,236 @@
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.errors import ExecutionError, StorageError
+from robot_runner.core.execution.notices import SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.execution.recovery import Resumption
+
+Execute = Callable[..., Any]
+Write = Callable[..., Path]
+
+COUNTING = """
+def populate_run_data(self, context):
+    return {"Energy": context.attempt}
+"""
+
+
+def resume(config: Path, **asked: Any) -> list[dict[str, str]]:
+    experiment = prepare_or_refuse(config)
+    execute_experiment(experiment, SilentObserver(), resumption=Resumption(**asked))
+    return read(experiment.folder.run_table)
+
+
+def read(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+
+
+def test_done_runs_can_be_executed_again_and_keep_what_they_left(execute: Execute) -> None:
+    executed = execute(COUNTING + "\ndef launch_mission(self, context): print('attempt', context.attempt)")
+    table = resume(executed.config, redo=("r_2", "r_4"))
+    assert [row["Energy"] for row in table] == ["1", "2", "1", "2"]
+    kept = executed.folder / "earlier_attempts" / "r_2" / "1" / "log.txt"
+    assert kept.read_text(encoding="utf-8") == "attempt 1\n"
+
+
+def test_only_the_chosen_runs_are_executed(write_config: Write) -> None:
+    table = resume(write_config(COUNTING), only=("r_3",))
+    assert [row["status"] for row in table] == ["-", "-", "Done", "-"]
+
+
+def test_a_run_that_is_not_in_the_table_cannot_be_chosen(write_config: Write) -> None:
+    with pytest.raises(ExecutionError) as refused:
+        resume(write_config(COUNTING), only=("r_7",), redo=("x",))
+    assert [finding.where for finding in refused.value.findings] == ["--redo x"]
+
+
+def test_a_changed_config_is_refused_with_the_lines_that_changed(execute: Execute, write_config: Write) -> None:
+    execute(COUNTING)
+    changed = write_config(COUNTING.replace("context.attempt", "2 * context.attempt"))
+    with pytest.raises(ExecutionError) as refused:
+        resume(changed)
+    (finding,) = refused.value.findings
+    assert finding.where.endswith("config.py:10")
+    assert 'return {"Energy": context.attempt}' in finding.problem
+    assert 'return {"Energy": 2 * context.attempt}' in finding.problem
+    assert "--accept-changes" in finding.fix
+
+
+def test_a_changed_config_can_be_accepted_and_both_are_kept(execute: Execute, write_config: Write) -> None:
+    executed = execute(COUNTING)
+    resume(write_config(COUNTING.replace("context.attempt", "7")), accept_changes=True)
+    assert "7" in (executed.folder / "config" / "config.py").read_text(encoding="utf-8")
+    assert "7" not in (executed.folder / "earlier_configs" / "1" / "config.py").read_text(encoding="utf-8")
+
+
+def test_comments_and_blank_lines_are_no_change(execute: Execute, write_config: Write) -> None:
+    execute(COUNTING)
+    assert len(resume(write_config("# a remark\n\n\n" + COUNTING))) == 4
+
+
+def test_another_setting_is_a_change(write_config: Write) -> None:
+    config = write_config(COUNTING)
+    execute_experiment(prepare_or_refuse(config, {"grace_in_s": "5"}), SilentObserver())
+    with pytest.raises(ExecutionError) as refused:
+        resume(config)
+    assert refused.value.findings[0].where == "--set grace_in_s"
+    assert "set by --set grace_in_s=5 and is not set" in refused.value.findings[0].problem
+
+
+def test_a_table_that_differs_from_the_plan_is_refused_cell_by_cell(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    path = executed.folder / "run_table.csv"
+    write(path, path.read_text(encoding="utf-8").replace("Video,1", "Network,1"))
+    with pytest.raises(ExecutionError) as refused:
+        resume(executed.config)
+    (finding,) = refused.value.findings
+    assert finding.where == f"{path}, run r_1, column 'Task'"
+    assert finding.problem == "the table has 'Network', the plan 'Video'"
+    assert path.exists()
+
+
+def test_a_table_that_differs_can_be_accepted(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    path = executed.folder / "run_table.csv"
+    rows = path.read_text(encoding="utf-8").splitlines()
+    write(path, "\n".join(rows[:-1]) + "\n")
+    assert len(resume(executed.config, accept_changes=True)) == 3
+
+
+def test_a_run_that_a_user_marks_as_to_do_is_executed_again(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    path = executed.folder / "run_table.csv"
+    write(path, path.read_text(encoding="utf-8").replace("r_2,Done", "r_2,-"))
+    assert [row["Energy"] for row in resume(executed.config)] == ["1", "2", "1", "1"]
+
+
+def test_a_hand_written_table_is_the_design(write_config: Write) -> None:
+    config = write_config(COUNTING)
+    table = config.parent / "results" / "trial" / "run_table.csv"
+    write(table, "Weather;Repetition;Task\nsunny;1;Network\nrain;1;Network\nrain;1;Video\n")
+    rows = resume(config)
+    assert [row["run_id"] for row in rows] == ["r_1", "r_2", "r_3"]
+    assert [row["Task"] for row in rows] == ["Network", "Network", "Video"]
+    assert [row["Weather"] for row in rows] == ["sunny", "rain", "rain"]
+    assert [row["status"] for row in rows] == ["Done"] * 3
+
+
+def test_a_hand_written_table_stays_the_design_when_it_is_resumed(write_config: Write) -> None:
+    config = write_config(COUNTING)
+    table = config.parent / "results" / "trial" / "run_table.csv"
+    write(table, "run_id,Repetition,Task\nfirst,1,Network\nsecond,1,Network\n")
+    resume(config, only=("second",))
+    rows = resume(config)
+    assert [(row["run_id"], row["status"]) for row in rows] == [("first", "Done"), ("second", "Done")]
+
+
+def test_everything_that_is_wrong_with_a_hand_written_table_is_said_at_once(write_config: Write) -> None:
+    config = write_config(COUNTING)
+    table = config.parent / "results" / "trial" / "run_table.csv"
+    text = "run_id,status,Repetition,Task\na,maybe,1,Video\na,-,1,Video\nb,-,1\n"
+    write(table, text)
+    with pytest.raises(StorageError) as refused:
+        resume(config)
+    assert len(refused.value.findings) >= 3
+    assert table.read_text(encoding="utf-8") == text
+
+
+def test_treatments_keep_their_types_when_resumed(write_config: Write) -> None:
+    head = """\
+from robot_runner import *
+class Tool:
+    def __init__(self, name): self.name = name
+    def __str__(self): return self.name
+TOOLS = [Tool("hammer"), Tool("saw")]
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = "results"
+"""
+    body = """
+def launch_mission(self, context):
+    assert any(context.combination["Tool"] is tool for tool in TOOLS)
+def populate_run_data(self, context):
+    return {"Seen": repr([context.combination[name] for name in ("Int", "Float", "Bool", "None", "Text")])}
+"""
+    table = """\
+    def create_run_table(self):
+        return RunTableModel([
+            Factor("Tool", TOOLS), Factor("Int", [-3]), Factor("Float", [-0.5]), Factor("Bool", [True]),
+            Factor("None", [None]), Factor("Text", ["1"]),
+        ], data_columns=["Seen"])
+"""
+    config = write_config(body, head=head, table=table)
+    resume(config, only=("r_1",))
+    rows = resume(config)
+    assert [row["Seen"] for row in rows] == ["[-3, -0.5, True, None, '1']"] * 2
+    assert [row["status"] for row in rows] == ["Done", "Done"]
+
+
+def test_a_torn_last_line_of_the_journal_is_skipped(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    journal = executed.folder / "journal.jsonl"
+    with journal.open("ab") as file:
+        file.write(b'{"kind":"attempt_finished","at":"2026-')
+    assert [row["status"] for row in resume(executed.config)] == ["Done"] * 4
+    assert b"2026-{" not in journal.read_bytes()
+
+
+def test_runs_that_the_table_had_not_yet_are_taken_from_the_journal(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    journal = executed.folder / "journal.jsonl"
+    lines = journal.read_text(encoding="utf-8").splitlines(keepends=True)
+    last_write = max(number for number, line in enumerate(lines) if '"table_written"' in line)
+    first_write = min(number for number, line in enumerate(lines) if '"table_written"' in line)
+    kept = [
+        line for number, line in enumerate(lines[:last_write]) if number <= first_write or "table_written" not in line
+    ]
+    journal.write_text("".join(kept), encoding="utf-8")
+    path = executed.folder / "run_table.csv"
+    rows = read(path)
+    header = ",".join(rows[0])
+    blank = [
+        ",".join(
+            value if name in {"run_id", "Task", "Repetition"} else ("-" if name == "status" else "")
+            for name, value in row.items()
+        )
+        for row in rows
+    ]
+    write(path, "\n".join([header, *blank]) + "\n")
+    assert [row["Energy"] for row in resume(executed.config)] == ["1"] * 4
+
+
+def test_the_manifest_tells_every_execution(execute: Execute) -> None:
+    import json
+
+    executed = execute(COUNTING)
+    resume(executed.config)
+    manifest = json.loads((executed.folder / "manifest.json").read_text(encoding="utf-8"))
+    assert len(manifest["executions"]) == 2
+    assert all(execution["finished_at"] for execution in manifest["executions"])
+
+
+def test_a_folder_that_holds_something_else_is_refused(write_config: Write) -> None:
+    config = write_config(COUNTING)
+    write(config.parent / "results" / "trial" / "manifest.json", '{"format": 1}')
+    with pytest.raises(ExecutionError, match="not one of ours"):
+        resume(config)
+
+
+def test_a_newer_format_is_refused(write_config: Write) -> None:
+    config = write_config(COUNTING)
+    write(config.parent / "results" / "trial" / "manifest.json", '{"format": 99}')
+    with pytest.raises(StorageError, match="newer"):
+        resume(config)

@@ -1,0 +1,58 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links import ssh_host as module
+from robot_runner.core.links.ssh_host import remedy, ssh_command, ssh_findings
+
+
+def test_the_client_never_asks_and_the_users_own_config_applies():
+    command = ssh_command("pi@robot", "true")
+    assert command[0] == "ssh"
+    assert "BatchMode=yes" in command
+    assert "-F" not in command
+    assert command[-3:] == ["--", "pi@robot", "true"]
+
+
+def test_a_config_of_the_experiment_takes_the_place_of_the_users():
+    assert ssh_command("robot", "true", config=Path("lab/ssh_config"))[1:3] == ["-F", "lab/ssh_config"]
+
+
+@pytest.mark.parametrize("host", ["", "-oProxyCommand=touch x", "a b", "a\nb"])
+def test_a_host_that_would_pass_for_something_else_is_refused(host):
+    with pytest.raises(LinkError, match="no host that ssh could connect to"):
+        ssh_command(host, "true")
+    (finding,) = ssh_findings("plugin PsUtil", host)
+    assert finding.is_error
+    assert finding.fix
+
+
+@pytest.mark.parametrize(
+    ("complaint", "fix"),
+    [
+        ("pi@robot: Permission denied (publickey,password).", "ssh-copy-id pi@robot"),
+        ("Host key verification failed.", "say yes to its key: ssh pi@robot"),
+        ("ssh: Could not resolve hostname robot: Name or service not known", "Look at the name"),
+        ("ssh: connect to host robot port 22: Connection refused", "Start the SSH server"),
+        ("ssh: connect to host robot port 22: Connection timed out", "switched on"),
+        ("something new", "ssh pi@robot true"),
+    ],
+)
+def test_what_ssh_complains_of_has_a_remedy(complaint, fix):
+    assert fix in remedy("pi@robot", complaint)
+
+
+def test_a_machine_without_ssh_is_told_how_to_get_it(monkeypatch):
+    monkeypatch.setattr(module.shutil, "which", lambda _: None)
+    (finding,) = ssh_findings("plugin PsUtil", "robot")
+    assert "not installed" in finding.problem
+    assert "openssh-client" in finding.fix
+
+
+def test_a_config_that_is_not_there_is_a_finding(monkeypatch, tmp_path):
+    monkeypatch.setattr(module.shutil, "which", lambda _: "/usr/bin/ssh")
+    (finding,) = ssh_findings("plugin PsUtil", "robot", config=tmp_path / "nothing")
+    assert "there is no ssh config" in finding.problem

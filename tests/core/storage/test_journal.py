@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.journal import Journal, read_journal, utc_now
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def test_what_is_appended_is_read_back_in_order(tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    with Journal(path) as journal:
+        journal.append("first", text="line\nbreak, ünïcode")
+        journal.append("second", flush=True, number=1.5)
+    records = list(read_journal(path))
+    assert [record["kind"] for record in records] == ["first", "second"]
+    assert records[0]["text"] == "line\nbreak, ünïcode"
+    assert records[1]["number"] == 1.5
+
+
+def test_a_journal_that_is_opened_again_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    for number in range(3):
+        with Journal(path) as journal:
+            journal.append("opened", number=number)
+    assert [record["number"] for record in read_journal(path)] == [0, 1, 2]
+
+
+@given(st.binary(max_size=200).filter(lambda torn: b"\n" not in torn))
+def test_a_torn_last_line_is_passed_over_and_cut_off(tmp_path_factory: pytest.TempPathFactory, torn: bytes) -> None:
+    path = tmp_path_factory.mktemp("torn") / "journal.jsonl"
+    with Journal(path) as journal:
+        journal.append("whole")
+    with path.open("ab") as file:
+        file.write(torn)
+    assert [record["kind"] for record in read_journal(path)] == ["whole"]
+    with Journal(path) as journal:
+        journal.append("after")
+    assert [record["kind"] for record in read_journal(path)] == ["whole", "after"]
+
+
+def test_a_torn_line_longer_than_a_block_is_cut_off(tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    path.write_bytes(b'{"kind":"whole"}\n' + b"x" * 200_000)
+    with Journal(path):
+        pass
+    assert path.read_bytes() == b'{"kind":"whole"}\n'
+
+
+def test_only_the_kinds_asked_for_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    with Journal(path) as journal:
+        for kind in ("event", "finding", "event", "eventual"):
+            journal.append(kind)
+    assert [record["kind"] for record in read_journal(path, kinds={"event"})] == ["event", "event"]
+
+
+def test_a_line_that_is_no_record_is_refused_with_its_number(tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    path.write_text('{"kind":"a"}\nnonsense\n{"kind":"b"}\n')
+    with pytest.raises(StorageError) as refused:
+        list(read_journal(path))
+    assert refused.value.where == f"{path}:2"
+
+
+def test_a_journal_that_is_not_there_has_no_records(tmp_path: Path) -> None:
+    assert list(read_journal(tmp_path / "journal.jsonl")) == []
+
+
+def test_a_journal_that_cannot_be_opened_is_an_error_with_a_fix(tmp_path: Path) -> None:
+    with pytest.raises(StorageError) as refused:
+        Journal(tmp_path / "missing" / "journal.jsonl")
+    assert refused.value.fix
+
+
+def test_moments_are_utc_with_milliseconds() -> None:
+    assert len(utc_now()) == len("2026-01-31T12:00:00.250Z")
+    assert utc_now().endswith("Z")

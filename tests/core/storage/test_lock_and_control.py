@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+import pytest
+
+from robot_runner.core.errors import ExecutionError
+from robot_runner.core.storage.lock import (
+    Command,
+    ExperimentLock,
+    forget_command,
+    holder_of,
+    send_command,
+    take_command,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def in_another_process(ask: object) -> str:
+    """POSIX locks are a process's own: only another one is kept out by them."""
+    reader, writer = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        os.write(writer, str(ask()).encode())  # type: ignore[operator]
+        os._exit(0)
+    os.close(writer)
+    said = os.read(reader, 4096).decode()
+    os.close(reader)
+    os.waitpid(pid, 0)
+    return said
+
+
+def refusal(path: Path) -> str:
+    try:
+        with ExperimentLock(path):
+            return "taken"
+    except ExecutionError as error:
+        return str(error)
+
+
+def test_a_lock_that_is_held_keeps_others_out_and_tells_who_holds_it(tmp_path: Path) -> None:
+    path = tmp_path / ".lock"
+    with ExperimentLock(path):
+        said = in_another_process(lambda: refusal(path))
+        assert f"process {os.getpid()}" in said
+        assert in_another_process(lambda: holder_of(path).pid) == str(os.getpid())  # type: ignore[union-attr]
+    assert in_another_process(lambda: refusal(path)) == "taken"
+    assert holder_of(path) is None
+
+
+def test_nobody_holds_a_lock_that_is_not_there(tmp_path: Path) -> None:
+    assert holder_of(tmp_path / ".lock") is None
+
+
+def test_a_lock_that_a_dead_process_signed_is_free(tmp_path: Path) -> None:
+    path = tmp_path / ".lock"
+    in_another_process(lambda: ExperimentLock(path).__enter__())
+    assert path.read_text()
+    with ExperimentLock(path):
+        pass
+
+
+def test_a_lock_in_a_folder_that_is_not_there_is_an_error(tmp_path: Path) -> None:
+    from robot_runner.core.errors import StorageError
+
+    with pytest.raises(StorageError), ExperimentLock(tmp_path / "missing" / ".lock"):
+        pass
+
+
+def test_a_command_is_taken_once(tmp_path: Path) -> None:
+    control = tmp_path / ".control"
+    assert take_command(control) is None
+    send_command(control, Command.CONTINUE)
+    assert take_command(control) is Command.CONTINUE
+    assert take_command(control) is None
+
+
+def test_a_command_can_be_forgotten_and_nonsense_is_none(tmp_path: Path) -> None:
+    control = tmp_path / ".control"
+    send_command(control, Command.CONTINUE)
+    forget_command(control)
+    assert take_command(control) is None
+    control.write_text("dance")
+    assert take_command(control) is None

@@ -1,0 +1,48 @@
+from __future__ import annotations
+
+import platform
+from pathlib import Path
+
+import pytest
+
+from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.manifest import FORMAT, describe_host, describe_software, read_manifest, write_manifest
+
+
+def test_the_host_is_told_by_what_it_is() -> None:
+    host = describe_host()
+    assert host["system"] == platform.system()
+    assert host["cores"] >= 1
+    assert host["memory_bytes"] > 1 << 20
+
+
+@pytest.mark.skipif(not Path("/proc/cpuinfo").exists(), reason="only Linux tells its processor so")
+def test_the_processor_is_named_and_not_numbered() -> None:
+    assert not describe_host()["processor"].isdigit()
+
+
+def test_every_installed_package_is_told_with_its_version() -> None:
+    packages = describe_software()["packages"]
+    assert packages["pytest"] == pytest.__version__
+    assert list(packages) == sorted(packages, key=str.lower)
+
+
+def test_a_manifest_comes_back_with_its_format(tmp_path: Path) -> None:
+    write_manifest(tmp_path / "manifest.json", {"seed": 7, "path": Path("a/b")})
+    assert read_manifest(tmp_path / "manifest.json") == {"format": FORMAT, "seed": 7, "path": "a/b"}
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [("nonsense", "cannot be read"), ("[]", "no manifest"), ("{}", "no manifest"), ('{"format": 99}', "newer")],
+)
+def test_what_is_no_manifest_of_ours_is_refused(tmp_path: Path, text: str, problem: str) -> None:
+    (tmp_path / "manifest.json").write_text(text)
+    with pytest.raises(StorageError, match=problem) as refused:
+        read_manifest(tmp_path / "manifest.json")
+    assert refused.value.fix
+
+
+def test_a_folder_without_a_manifest_is_no_experiment(tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match="no experiment here"):
+        read_manifest(tmp_path / "manifest.json")

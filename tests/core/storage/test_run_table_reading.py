@@ -1,0 +1,340 @@
+"""A run table that people made or edited is read as they meant it, or refused with every problem that it has."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.table_columns import FactorColumn, TableLayout
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from robot_runner.core.storage.run_table_rows import RunTableRows
+
+TASK = Factor("Task", ["Video", "Network"])
+SPEED = Factor("Speed", [0.1, 1, True, None])
+LAYOUT = TableLayout.of_model(RunTableModel([TASK, SPEED]), ["CPU", "Energy"])
+
+
+def read(folder: Path, text: str | bytes, layout: TableLayout = LAYOUT) -> RunTableRows:
+    path = folder / "run_table.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read_run_table(path, layout)
+
+
+def findings_of(folder: Path, text: str | bytes, layout: TableLayout = LAYOUT) -> list[str]:
+    with pytest.raises(StorageError) as caught:
+        read(folder, text, layout)
+    return [str(finding).replace(f"{folder}/", "") for finding in caught.value.findings]
+
+
+def warnings_of(rows: RunTableRows, folder: Path) -> list[str]:
+    return [str(finding).replace(f"{folder}/", "") for finding in rows.warnings]
+
+
+def test_the_factors_alone_are_enough(tmp_path: Path) -> None:
+    rows = read(tmp_path, "Task,Speed\nVideo,0.1\nNetwork,1\nVideo,1\n")
+    assert [rows.run_id(place) for place in range(3)] == ["r_1", "r_2", "r_3"]
+    assert rows.count(RunStatus.TODO) == 3
+    assert [tuple(rows.combination(place).values()) for place in range(3)] == [
+        ("Video", 0.1),
+        ("Network", 1),
+        ("Video", 1),
+    ]
+    assert rows.row(0)["Energy"] is None
+    assert rows.row(0)["start_run_at"] is None
+    assert rows.warnings == ()
+
+
+def test_columns_may_stand_in_any_order_and_under_the_papers_headings(tmp_path: Path) -> None:
+    rows = read(tmp_path, "Energy,Speed,Status,Task,ID\n877,0.1,Done,Video,r_1\n,1,-,Network,r_2\n")
+    assert rows.status(0) is RunStatus.DONE
+    assert rows.row(0)["Energy"] == 877
+    assert rows.index_of("r_2") == 1
+
+
+def test_a_heading_id_beside_run_id_is_the_users_own(tmp_path: Path) -> None:
+    rows = read(tmp_path, "run_id,Task,Speed,ID\nr_1,Video,1,abc\n")
+    assert rows.layout.extras == ("ID",)
+    assert rows.row(0)["ID"] == "abc"
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"], ids=["plain", "with a mark"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"], ids=["unix", "windows", "old mac"])
+def test_what_spreadsheets_write_is_read(tmp_path: Path, delimiter: str, mark: bytes, end: str) -> None:
+    lines = [["run_id", "Task", "Speed"], ["a1", "Video", "0.1"], ["a2", "Network", "TRUE"]]
+    rows = read(tmp_path, mark + end.join(delimiter.join(line) for line in lines).encode())
+    assert [dict(rows.combination(place)) for place in range(2)] == [
+        {"Task": "Video", "Speed": 0.1},
+        {"Task": "Network", "Speed": True},
+    ]
+    assert rows.index_of("a2") == 1
+    assert rows.warnings == ()
+
+
+def test_decimal_commas_are_read_between_semicolons(tmp_path: Path) -> None:
+    layout = TableLayout.of_model(RunTableModel([SPEED]), ["Energy"], {"Energy": "number"})
+    rows = read(tmp_path, "run_id;Speed;Energy\nr_1;0,1;877,5\n", layout)
+    assert (rows.row(0)["Speed"], rows.row(0)["Energy"]) == (0.1, 877.5)
+
+
+def test_blank_lines_and_trailing_commas_are_no_runs(tmp_path: Path) -> None:
+    rows = read(tmp_path, "\nTask,Speed,,\n\nVideo,1,,\n,,,\nNetwork,1\n\n")
+    assert len(rows) == 2
+
+
+def test_cells_may_be_written_as_people_write(tmp_path: Path) -> None:
+    rows = read(tmp_path, " Task , Speed\n video ,1.0\nNETWORK,true\nVideo,1e-1\nVideo,none\n")
+    assert [tuple(rows.combination(place).values()) for place in range(4)] == [
+        ("Video", 1),
+        ("Network", True),
+        ("Video", 0.1),
+        ("Video", None),
+    ]
+    assert type(rows.combination(0)["Speed"]) is int
+    assert rows.warnings == ()
+
+
+def test_a_users_own_columns_are_kept_at_the_end(tmp_path: Path) -> None:
+    rows = read(tmp_path, "Remark,Task,Speed,Energy,Weather\nlate,Video,1,5,\n,Network,1,6,007\n")
+    assert rows.layout.columns[-4:] == ("CPU", "Energy", "Remark", "Weather")
+    assert (rows.row(0)["Remark"], rows.row(0)["Weather"]) == ("late", None)
+    assert rows.row(1)["Weather"] == "007"
+
+
+def test_a_value_that_is_no_treatment_is_kept_with_a_warning(tmp_path: Path) -> None:
+    rows = read(tmp_path, "Task,Speed\nVidoe,1\nVideo,2.5\nVidoe,1\nVideo,\n")
+    assert [tuple(rows.combination(place).values()) for place in range(4)] == [
+        ("Vidoe", 1),
+        ("Video", 2.5),
+        ("Vidoe", 1),
+        ("Video", None),
+    ]
+    assert warnings_of(rows, tmp_path) == [
+        "run_table.csv, line 2, column 'Task': 'Vidoe' is no treatment of factor 'Task' → Did you mean 'Video'?",
+        (
+            "run_table.csv, line 3, column 'Speed': '2.5' is no treatment of factor 'Speed' → "
+            "Choose one of: 0.1, 1, True, None."
+        ),
+        "run_table.csv, line 5, column 'Speed': the cell is empty → Choose one of: 0.1, 1, True, None.",
+    ]
+
+
+def test_a_measure_or_time_stamp_of_another_kind_is_kept_with_a_warning(tmp_path: Path) -> None:
+    layout = TableLayout(
+        (FactorColumn("Task", TASK),), ("Energy", "Lost"), types={"Energy": "number", "Lost": "boolean"}
+    )
+    rows = read(tmp_path, "Task,start_run_at,Energy,Lost\nVideo,31.1.2026,n/a,yes\nVideo,,5,FALSE\n", layout)
+    assert [rows.row(0)[name] for name in ("start_run_at", "Energy", "Lost")] == ["31.1.2026", "n/a", "yes"]
+    assert [rows.row(1)[name] for name in ("start_run_at", "Energy", "Lost")] == [None, 5, False]
+    assert warnings_of(rows, tmp_path) == [
+        (
+            "run_table.csv, line 2, column 'start_run_at': '31.1.2026' is no time stamp → "
+            "Write it as in 2026-01-31T12:00:00.250Z."
+        ),
+        (
+            "run_table.csv, line 2, column 'Energy': 'n/a' is no number, as the column's other values → "
+            "Mend the cell, or leave it empty where there is no value."
+        ),
+        (
+            "run_table.csv, line 2, column 'Lost': 'yes' is no boolean, as the column's other values → "
+            "Mend the cell, or leave it empty where there is no value."
+        ),
+    ]
+
+
+def test_repetitions_may_be_uneven_and_are_counted_where_they_are_not_written(tmp_path: Path) -> None:
+    layout = TableLayout.of_model(RunTableModel([TASK], repetitions=2), [])
+    written = read(tmp_path, "Task,Repetition\nVideo,1\nVideo,2.0\nVideo,7\n", layout)
+    assert [written.repetition(place) for place in range(3)] == [1, 2, 7]
+    counted = read(tmp_path, "Task\nVideo\nNetwork\nVideo\n", layout)
+    assert [counted.repetition(place) for place in range(3)] == [1, 1, 2]
+
+
+def test_without_its_config_a_table_goes_by_looks_and_types(tmp_path: Path) -> None:
+    layout = TableLayout(
+        (FactorColumn("Task"), FactorColumn("Speed")), ("Energy",), types={"Task": "string", "Speed": "number"}
+    )
+    rows = read(tmp_path, "Task,Speed,Energy\n1,0.5,\n2,1,877\n", layout)
+    assert [dict(rows.combination(place)) for place in range(2)] == [
+        {"Task": "1", "Speed": 0.5},
+        {"Task": "2", "Speed": 1},
+    ]
+    assert rows.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "findings"),
+    [
+        ("", ["run_table.csv: there are no runs in it → {empty}"]),
+        ("Task,Speed\n", ["run_table.csv: there are no runs in it → {empty}"]),
+        ("Tasks,Speed\nVideo,1\n", ["run_table.csv, line 1: the column of factor 'Task' is missing → Rename 'Tasks'."]),
+        (
+            "Speed\n1\n",
+            ["run_table.csv, line 1: the column of factor 'Task' is missing → Add a column 'Task'."],
+        ),
+        (
+            "Task,Speed,Task\nVideo,1,Video\n",
+            ["run_table.csv, line 1, column 'Task': heading 'Task' is there twice → Rename or delete one."],
+        ),
+        (
+            "ID,Run ID,Task,Speed\na,b,Video,1\n",
+            ["run_table.csv, line 1, column 'run_id': heading 'run_id' is there twice → Rename or delete one."],
+        ),
+        (
+            ",Task,Speed\n0,Video,1\n",
+            ["run_table.csv, line 1: heading 1 is empty → Name the column, or delete it."],
+        ),
+        (
+            "Task,Speed\nVideo\nVideo,1,late\nVideo,1\n",
+            [
+                "run_table.csv, line 2: the row has 1 cells, the heading has 2 → {cells}",
+                "run_table.csv, line 3: the row has 3 cells, the heading has 2 → {cells}",
+            ],
+        ),
+        (
+            "run_id,Task,Speed\nr_1,Video,1\nr_1,Video,1\nR_1,Video,1\n",
+            [
+                "run_table.csv, line 3, column 'run_id': run id 'r_1' is there twice → Give each run an id of its own.",
+                "run_table.csv, line 4, column 'run_id': run id 'R_1' is there twice → Give each run an id of its own.",
+            ],
+        ),
+        (
+            "run_id,Task,Speed\na,Video,1\n,Video,1\n",
+            [
+                (
+                    "run_table.csv, line 3, column 'run_id': the run has no id → "
+                    "Give it an id, or leave the whole column empty: runs are numbered then."
+                )
+            ],
+        ),
+        (
+            "run_id,Task,Speed\n../a,Video,1\na/b,Video,1\n.,Video,1\n",
+            [
+                "run_table.csv, line 2, column 'run_id': '../a' cannot name a run's folder → {folder}",
+                "run_table.csv, line 3, column 'run_id': 'a/b' cannot name a run's folder → {folder}",
+                "run_table.csv, line 4, column 'run_id': '.' cannot name a run's folder → {folder}",
+            ],
+        ),
+        (
+            "status,Task,Speed\nDnoe,Video,1\nok,Video,1\nDnoe,Video,1\n",
+            [
+                "run_table.csv, line 2, column 'status': 'Dnoe' is no status → Did you mean 'Done'?",
+                (
+                    "run_table.csv, line 3, column 'status': 'ok' is no status → "
+                    "Choose one of: '-', 'Running', 'Done', 'Failed'."
+                ),
+                "run_table.csv, line 4, column 'status': 'Dnoe' is no status → Did you mean 'Done'?",
+            ],
+        ),
+        (
+            'Task,Speed\n"Vid\neo",1\nVideo\n',
+            [
+                "run_table.csv, line 4: the row has 1 cells, the heading has 2 → {cells}",
+                (
+                    "run_table.csv, line 2, column 'Task': 'Vid\\neo' is no treatment of factor 'Task' → "
+                    "Did you mean 'Video'?"
+                ),
+            ],
+        ),
+        (
+            'Task,Speed\nVideo,1\n"Video,1\nNetwork,1\n',
+            [
+                (
+                    "run_table.csv, line 3: a cell is not quoted rightly from here on (unexpected end of data) → "
+                    "Put the cell between double quotes, and double those inside it."
+                )
+            ],
+        ),
+        (
+            'Task,Speed\nVideo,1\n"Video"x,1\n',
+            [
+                (
+                    "run_table.csv, line 3: a cell is not quoted rightly from here on (',' expected after '\"') → "
+                    "Put the cell between double quotes, and double those inside it."
+                )
+            ],
+        ),
+        (
+            "Task,Speed\nVid\xe9o,1\n".encode("latin-1"),
+            [
+                (
+                    "run_table.csv: it is not UTF-8: 'utf-8' codec can't decode byte 0xe9 in position 14: "
+                    "invalid continuation byte → Save it as CSV with the character set UTF-8."
+                )
+            ],
+        ),
+    ],
+    ids=range(16),
+)
+def test_every_problem_is_named_with_its_line_and_column(
+    tmp_path: Path, text: str | bytes, findings: list[str]
+) -> None:
+    shared = {
+        "empty": "Add a line for each run, or delete the file: it is planned anew then.",
+        "cells": "Give it a cell under each heading; an empty one where there is no value.",
+        "folder": "Use letters, digits, '_', '-' and '.' (60 at most).",
+    }
+    assert findings_of(tmp_path, text) == [finding.format(**shared) for finding in findings]
+
+
+def test_a_number_of_a_repetition_that_is_none_is_refused(tmp_path: Path) -> None:
+    layout = TableLayout.of_model(RunTableModel([TASK], repetitions=2), [])
+    fix = "Write which repetition it is: a whole number from 1."
+    assert findings_of(tmp_path, "Task,Repetition\nVideo,0\nVideo,1\nVideo,\nVideo,1.5\n", layout) == [
+        f"run_table.csv, line 2, column 'Repetition': '0' is no number of a repetition → {fix}",
+        f"run_table.csv, line 4, column 'Repetition': '' is no number of a repetition → {fix}",
+        f"run_table.csv, line 5, column 'Repetition': '1.5' is no number of a repetition → {fix}",
+    ]
+
+
+def test_problems_of_several_kinds_are_listed_together(tmp_path: Path) -> None:
+    findings = findings_of(tmp_path, "run_id,status,Task,Speed,Speed\na,Dnoe,Video,1,1\na,-,Video\n")
+    assert len(findings) == 3
+
+
+def test_a_thousand_problems_are_not_all_listed(tmp_path: Path) -> None:
+    findings = findings_of(tmp_path, "Task,Speed\n" + "Video\n" * 1000)
+    assert len(findings) == 51
+    assert "run_table.csv: there are 951 more of them" in findings
+
+
+def test_lines_are_counted_across_chunks(tmp_path: Path) -> None:
+    text = "run_id,Task,Speed\n" + "".join(f"r_{number},Video,1\n" for number in range(1, 1200)) + "r_7,Video,1\n"
+    (finding,) = findings_of(tmp_path, text)
+    assert finding.startswith("run_table.csv, line 1201, column 'run_id': run id 'r_7' is there twice")
+
+
+def test_a_file_that_cannot_be_opened_is_named_with_a_fix(tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match="it cannot be read: No such file or directory → Mend the path"):
+        read_run_table(tmp_path / "run_table.csv", LAYOUT)
+    with pytest.raises(StorageError, match="it cannot be read: Is a directory → Move the folder"):
+        read_run_table(tmp_path, LAYOUT)
+
+
+def test_a_long_cell_is_read_whole(tmp_path: Path) -> None:
+    text = "x" * 200_000
+    rows = read(tmp_path, f"Task,Speed,Energy\nVideo,1,{text}\n")
+    assert rows.row(0)["Energy"] == text
+
+
+def test_a_table_edited_by_hand_can_be_recorded_in(tmp_path: Path) -> None:
+    rows = read(tmp_path, "ID,Task,Speed\nsecond,Video,1\nfirst,Network,1\n")
+    rows.record("first", status=RunStatus.DONE, measures={"Energy": 1.5})
+    assert rows.row(1)["Energy"] == 1.5
+    with pytest.raises(StorageError, match="there is no run 'r_1'"):
+        rows.index_of("r_1")
+
+
+def test_types_are_those_of_the_factors_whatever_the_cells_look_like(tmp_path: Path) -> None:
+    layout = TableLayout.of_model(RunTableModel([Factor("Load", ["1", 2, "None"])]), [])
+    values: list[Any] = [row["Load"] for row in read(tmp_path, "Load\n1\n2\nNone\n", layout)]
+    assert values == ["1", 2, "None"]

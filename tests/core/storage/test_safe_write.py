@@ -1,0 +1,144 @@
+"""A file is replaced whole or not at all, and what the system refuses is said with a fix."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+from typing import TextIO
+
+import pytest
+
+from robot_runner.core.errors import StorageError
+from robot_runner.core.storage import safe_write
+from robot_runner.core.storage.safe_write import fsync_folder, storage_error, write_beside_and_rename
+
+
+def names_in(folder: Path) -> list[str]:
+    return [path.name for path in folder.iterdir()]
+
+
+def test_a_file_is_made_and_replaced_as_it_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    write_beside_and_rename(path, lambda file: file.write("first\n"))
+    write_beside_and_rename(path, lambda file: file.write("é\r\nlast\n"))
+    assert path.read_bytes() == "é\r\nlast\n".encode()
+    assert names_in(tmp_path) == ["table.csv"]
+
+
+def test_it_is_written_in_the_folder_itself_and_never_elsewhere(tmp_path: Path) -> None:
+    seen: list[Path] = []
+
+    def write(file: TextIO) -> None:
+        seen.append(Path(file.name))
+
+    write_beside_and_rename(tmp_path / "table.csv", write)
+    assert [path.parent for path in seen] == [tmp_path]
+
+
+def test_the_file_and_then_its_folder_are_flushed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    flushed: list[str] = []
+    fsync = os.fsync
+
+    def watch(descriptor: int) -> None:
+        flushed.append("folder" if stat.S_ISDIR(os.fstat(descriptor).st_mode) else "file")
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", watch)
+    write_beside_and_rename(tmp_path / "table.csv", lambda file: file.write("x"))
+    assert flushed == ["file", "folder"]
+
+
+def test_a_new_file_has_the_permissions_that_the_user_asks_for(tmp_path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        write_beside_and_rename(tmp_path / "table.csv", lambda file: file.write("x"))
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "table.csv").stat().st_mode) == 0o640
+
+
+def test_a_symbolic_link_stays_and_its_target_is_replaced(tmp_path: Path) -> None:
+    target = tmp_path / "elsewhere" / "table.csv"
+    target.parent.mkdir()
+    link = tmp_path / "table.csv"
+    link.symlink_to(target)
+    write_beside_and_rename(link, lambda file: file.write("new"))
+    assert link.is_symlink()
+    assert target.read_text(encoding="utf-8") == "new"
+
+
+@pytest.mark.parametrize(
+    ("number", "fix"),
+    [
+        (errno.ENOSPC, "Make room on the disk, then try again."),
+        (errno.EACCES, "Mend the permissions of the file and its folder."),
+        (errno.EROFS, "Choose a folder on a file system that can be written."),
+        (errno.EIO, "Mend what the system names, then try again."),
+    ],
+)
+def test_where_the_system_refuses_the_old_file_is_intact(tmp_path: Path, number: int, fix: str) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("old", encoding="utf-8")
+
+    def refuse(file: TextIO) -> None:
+        file.write("half of it")
+        raise OSError(number, os.strerror(number))
+
+    with pytest.raises(StorageError) as caught:
+        write_beside_and_rename(path, refuse)
+    assert str(caught.value) == f"{path}: it cannot be written: {os.strerror(number)} → {fix}"
+    assert path.read_text(encoding="utf-8") == "old"
+    assert names_in(tmp_path) == ["table.csv"]
+
+
+def test_a_disk_that_fills_up_while_flushing_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("old", encoding="utf-8")
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(StorageError, match="No space left on device"):
+        write_beside_and_rename(path, lambda file: file.write("new"))
+    assert path.read_text(encoding="utf-8") == "old"
+    assert names_in(tmp_path) == ["table.csv"]
+
+
+def test_an_error_of_the_writer_goes_through_and_leaves_nothing_behind(tmp_path: Path) -> None:
+    def interrupt(_: TextIO) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_beside_and_rename(tmp_path / "table.csv", interrupt)
+    assert names_in(tmp_path) == []
+
+
+def test_a_folder_that_is_missing_or_a_file_is_named_with_a_fix(tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match="Mend the path, or make the folder first"):
+        write_beside_and_rename(tmp_path / "nowhere" / "table.csv", lambda file: file.write("x"))
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    with pytest.raises(StorageError, match="a part of it is a file"):
+        write_beside_and_rename(tmp_path / "file" / "table.csv", lambda file: file.write("x"))
+
+
+def test_a_file_system_that_flushes_no_folders_is_no_reason_to_fail(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(number: int) -> None:
+        raise OSError(number, "refused")
+
+    monkeypatch.setattr(safe_write.os, "fsync", lambda _: refuse(errno.EINVAL))
+    fsync_folder(tmp_path)
+    monkeypatch.setattr(safe_write.os, "fsync", lambda _: refuse(errno.EIO))
+    with pytest.raises(OSError, match="refused"):
+        fsync_folder(tmp_path)
+
+
+def test_an_error_without_a_number_is_said_as_it_is() -> None:
+    error = storage_error(Path("table.csv"), "read", OSError("odd"))
+    assert str(error) == "table.csv: it cannot be read: odd → Mend what the system names, then try again."

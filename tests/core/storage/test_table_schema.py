@@ -1,0 +1,185 @@
+"""`run_table.schema.json` says of each column what it holds, in words that other tools know."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
+from robot_runner.core.storage.table_columns import ColumnRole, TableLayout
+from robot_runner.core.storage.table_schema import (
+    ColumnDescription,
+    describe_columns,
+    read_schema,
+    type_of_values,
+    write_schema,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+ENERGY = ColumnDescription(
+    name="Energy",
+    role=ColumnRole.MEASURE,
+    type="number",
+    title="Energy",
+    description="Drawn from the battery.",
+    unit="J",
+    owner="Ina219",
+    origin="simulated",
+    findings=("r_3: 12 samples were lost",),
+)
+
+
+def full_rows() -> RunTableRows:
+    model = RunTableModel(
+        [Factor("Task", ["a,b", 'c"d', "e\nf"]), Factor("Speed", [0.1, 2]), Factor("Lidar", [True, False])],
+        repetitions=2,
+    )
+    rows = RunTableRows.of_plan(
+        model.plan(), TableLayout.of_model(model, ["Energy", "Samples", "Lost", "Note", "Never"])
+    )
+    stamps = dict.fromkeys(rows.layout.stamps, "2026-01-31T12:00:00.250Z")
+    measures: dict[str, Any] = {"Energy": 877.5, "Samples": 12, "Lost": True, "Note": "ok"}
+    rows.record("r_1", status=RunStatus.DONE, stamps=stamps, measures=measures)
+    rows.record("r_2", status=RunStatus.FAILED, measures={"Energy": 1e-7, "Samples": None})
+    return rows
+
+
+def test_a_description_comes_back_as_it_was(tmp_path: Path) -> None:
+    bare = ColumnDescription(name="run_id", role=ColumnRole.PROGRESS, type="string")
+    write_schema(tmp_path / "schema.json", [bare, ENERGY])
+    assert read_schema(tmp_path / "schema.json") == (bare, ENERGY)
+
+
+def test_the_file_is_a_table_schema_with_our_own_keys_beside(tmp_path: Path) -> None:
+    write_schema(tmp_path / "schema.json", [ENERGY])
+    schema = json.loads((tmp_path / "schema.json").read_text(encoding="utf-8"))
+    assert schema["missingValues"] == [""]
+    assert schema["primaryKey"] == ["run_id"]
+    assert schema["fields"] == [
+        {
+            "name": "Energy",
+            "type": "number",
+            "title": "Energy",
+            "description": "Drawn from the battery.",
+            "unit": "J",
+            "robot_runner:role": "measure",
+            "robot_runner:owner": "Ina219",
+            "robot_runner:origin": "simulated",
+            "robot_runner:findings": ["r_3: 12 samples were lost"],
+        }
+    ]
+
+
+def test_columns_are_described_in_their_order_with_the_types_of_their_values() -> None:
+    described = describe_columns(full_rows(), {"Energy": ENERGY})
+    assert tuple(column.name for column in described) == full_rows().layout.columns
+    assert {column.name: column.type for column in described if column.role is not ColumnRole.TIMESTAMP} == {
+        "run_id": "string",
+        "status": "string",
+        "Task": "string",
+        "Speed": "number",
+        "Lidar": "boolean",
+        "Repetition": "integer",
+        "Energy": "number",
+        "Samples": "integer",
+        "Lost": "boolean",
+        "Note": "string",
+        "Never": "any",
+    }
+    assert {column.type for column in described if column.role is ColumnRole.TIMESTAMP} == {"datetime"}
+    assert next(column for column in described if column.name == "Energy") == ENERGY
+    assert next(column for column in described if column.name == "Repetition").role is ColumnRole.REPETITION
+
+
+def test_a_time_stamp_that_is_none_makes_its_column_text() -> None:
+    rows = full_rows()
+    rows.record("r_2", stamps={"start_run_at": "noon"})
+    types = {column.name: column.type for column in describe_columns(rows)}
+    assert types["start_run_at"] == "string"
+    assert types["stop_run_at"] == "datetime"
+
+
+@pytest.mark.parametrize(
+    ("values", "kind"),
+    [
+        ([], "any"),
+        ([None], "any"),
+        ([True, None], "boolean"),
+        ([1, 2], "integer"),
+        ([1, 2.5], "number"),
+        ([2.5], "number"),
+        (["a", "1"], "string"),
+        ([object()], "string"),
+        ([True, 1], "any"),
+        (["a", 1], "any"),
+        ([float("inf"), 1.0], "any"),
+    ],
+)
+def test_a_type_is_named_only_where_it_fits_all_values(values: list[object], kind: str) -> None:
+    assert type_of_values(values) == kind
+
+
+def test_none_as_a_treatment_is_no_missing_value() -> None:
+    model = RunTableModel([Factor("Limit", [1, None])])
+    rows = RunTableRows.of_plan(model.plan(), TableLayout.of_model(model, []))
+    assert next(column.type for column in describe_columns(rows) if column.name == "Limit") == "any"
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("{", "Expecting property name enclosed in double quotes"),
+        ("[]", "it has no list of fields"),
+        ('{"fields": 5}', "it has no list of fields"),
+        ('{"fields": [{"type": "number"}]}', "fields[0] has no name"),
+        ('{"fields": [{"name": "A", "robot_runner:role": "odd"}]}', "fields[0] has the unknown role 'odd'"),
+    ],
+)
+def test_what_is_no_schema_is_refused(tmp_path: Path, text: str, problem: str) -> None:
+    (tmp_path / "schema.json").write_text(text, encoding="utf-8")
+    with pytest.raises(StorageError) as caught:
+        read_schema(tmp_path / "schema.json")
+    assert caught.value.problem.startswith(f"it is no schema of a run table: {problem}")
+    assert caught.value.fix == "Restore it from a backup, or delete it: it is written anew."
+
+
+def test_a_schema_that_is_not_there_is_said_to_be_missing(tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match="it cannot be read: No such file"):
+        read_schema(tmp_path / "schema.json")
+
+
+def test_a_schema_of_another_tool_is_read_with_all_columns_as_a_users_own(tmp_path: Path) -> None:
+    (tmp_path / "schema.json").write_text('{"fields": [{"name": "A", "type": "number"}]}', encoding="utf-8")
+    assert read_schema(tmp_path / "schema.json") == (ColumnDescription(name="A", role=ColumnRole.EXTRA, type="number"),)
+
+
+def test_frictionless_finds_the_table_valid_and_its_faults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the library's own
+        import frictionless
+    monkeypatch.chdir(tmp_path)  # it takes no absolute paths for safe
+    rows = full_rows()
+    write_run_table(tmp_path / "run_table.csv", rows)
+    write_schema(tmp_path / "schema.json", describe_columns(rows, {"Energy": ENERGY}))
+
+    def validate() -> Any:
+        schema = frictionless.Schema.from_descriptor("schema.json")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return frictionless.Resource(path="run_table.csv", schema=schema).validate()
+
+    report = validate()
+    assert report.valid, report.to_summary()
+    assert report.tasks[0].stats["rows"] == len(rows)
+    table = (tmp_path / "run_table.csv").read_text(encoding="utf-8")
+    (tmp_path / "run_table.csv").write_text(table.replace("877.5", "much"), encoding="utf-8")
+    assert [error.type for task in validate().tasks for error in task.errors] == ["type-error"]

@@ -1,0 +1,47 @@
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint
+
+import pytest
+
+from robot_runner.core.errors import PluginError
+from robot_runner.core.plugin import GROUPS, InstalledPlugin, find_plugin, installed_plugins
+
+
+def announced(value: str, kind: str = "profilers") -> InstalledPlugin:
+    point = EntryPoint(name="Odd", value=value, group=f"robot_runner.{kind}")
+    return InstalledPlugin("Odd", kind, "some-package", "1.0", point)
+
+
+def test_the_built_in_plugins_come_in_through_entry_points_like_anybodys() -> None:
+    assert {"BasicTurtlebot3"} <= {plugin.name for plugin in installed_plugins("systems")}
+    assert {"Ina219", "PsUtil"} <= {plugin.name for plugin in installed_plugins("profilers")}
+    assert {plugin.package for plugin in installed_plugins()} == {"robot-runner"}
+
+
+@pytest.mark.parametrize("plugin", installed_plugins(), ids=lambda plugin: plugin.name)
+def test_every_built_in_plugin_is_of_its_kind_and_says_what_it_measures_and_needs(plugin: InstalledPlugin) -> None:
+    found = plugin.load()
+    assert issubclass(found, GROUPS[plugin.kind])
+    assert found.__doc__
+    assert found.needs
+
+
+def test_a_plugin_that_is_not_installed_is_refused_with_the_nearest_name() -> None:
+    with pytest.raises(PluginError) as refused:
+        find_plugin("profilers", "PsUtill")
+    assert refused.value.fix == "Did you mean 'PsUtil'?"
+
+
+def test_a_plugin_that_cannot_be_imported_names_its_package() -> None:
+    with pytest.raises(PluginError) as refused:
+        announced("no_such_module:Odd").load()
+    assert "ModuleNotFoundError" in refused.value.problem
+    assert "some-package" in refused.value.fix
+
+
+def test_what_is_no_plugin_of_its_kind_is_refused() -> None:
+    with pytest.raises(PluginError, match="is no Profiler"):
+        announced("collections:OrderedDict").load()
+    with pytest.raises(PluginError, match="is no Profiler"):
+        announced("robot_runner.ros.turtlebot3:BasicTurtlebot3").load()

@@ -1,0 +1,508 @@
+"""A converted config says the same in our own words: it plans the same runs, and yields the same measures."""
+
+from __future__ import annotations
+
+import ast
+import csv
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.legacy.earlier_configs import ROBOT, RUNNER
+
+from robot_runner.core.config.preparation import prepare as prepare_own
+from robot_runner.core.errors import ConfigError
+from robot_runner.core.execution.notices import SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.legacy.conversion.converting import check_conversion, convert
+from robot_runner.legacy.conversion.edits import Edits
+from robot_runner.legacy.loading import prepare
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from tests.legacy.earlier_configs import Executed
+
+
+@pytest.fixture
+def converted() -> Callable[[Path], Path]:
+    """Return what converts a file, writes the new one beside it, and sees that both plan the same runs."""
+
+    def written(path: Path) -> Path:
+        conversion = convert(path)
+        new = path.with_name("converted.py")
+        new.write_text(conversion.text, encoding="utf-8")
+        assert [str(finding) for finding in check_conversion(conversion, new) if finding.is_error] == []
+        return new
+
+    return written
+
+
+def measures_of(path: Path, columns: list[str]) -> list[list[str]]:
+    experiment = prepare_own(path, {"results_output_path": str(path.parent / "own")}).experiment
+    finished = execute_experiment(experiment, SilentObserver())
+    assert finished.failures == ()
+    with finished.run_table.open(newline="") as file:
+        return [[row[column] for column in columns] for row in csv.DictReader(file)]
+
+
+FULL = """
+def before_experiment(self) -> None:
+    \"\"\"A text that stays.\"\"\"
+    self.base = 100
+
+def before_run(self) -> None:
+    self.extra = 5  # a comment that stays
+
+def start_run(self, context: RunnerContext) -> None:
+    self.size = context.execute_run["size"]
+    (context.run_dir / "id.txt").write_text(context.execute_run["__run_id"])
+
+def interact(self, context: RunnerContext) -> None:
+    print(f"{self.name}: run {context.run_nr}")
+
+def populate_run_data(self, context: RunnerContext):
+    return {"seconds": self.base + self.extra + self.size}
+"""
+
+
+def test_a_config_of_experiment_runner_becomes_one_of_ours(
+    config: Callable[..., Path], converted: Callable[[Path], Path], execute: Callable[..., Executed]
+) -> None:
+    old = config(FULL)
+    new = converted(old)
+    text = new.read_text()
+    assert "EventManager" not in text
+    assert "EventSubscriptionController" not in text
+    assert "class RobotRunnerConfig(ExperimentConfig):" in text
+    assert "def launch_mission(self, context: RobotRunnerContext) -> None:" in text
+    assert "# a comment that stays" in text
+    assert '"""A text that stays."""' in text
+    columns = ["size", "language", "seconds"]
+    assert measures_of(new, columns) == [[row[name] for name in columns] for row in execute(old).table]
+
+
+def test_a_config_of_robot_runner_becomes_one_of_ours(
+    config: Callable[..., Path], converted: Callable[[Path], Path], execute: Callable[..., Executed]
+) -> None:
+    methods = """
+    def launch_mission(self, context: RobotRunnerContext):
+        context.run_variation["energy"] = 1
+        self.task = context.run_variation["task"]
+
+    def populate_run_data(self, context):
+        variation = context.run_variation
+        variation["energy"] = variation["speed"] * 10 + len(self.task)
+        return variation
+    """
+    old = config(methods, head=ROBOT)
+    new = converted(old)
+    columns = ["task", "speed", "energy"]
+    assert measures_of(new, columns) == [[row[name] for name in columns] for row in execute(old).table]
+
+
+def test_callbacks_of_other_names_are_named_after_their_events(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    table = """\
+    def create_run_table_model(self):
+        return RunTableModel([FactorModel("n", [1])])
+
+    def before_experiment(self):
+        raise AssertionError("nobody subscribed this")
+
+    def work(self, context):
+        self.helper()
+
+    def helper(self): ...
+"""
+    new = converted(config(table=table, subscribe="(RunnerEvents.INTERACT, self.work),"))
+    names = {node.name for node in ast.walk(ast.parse(new.read_text())) if isinstance(node, ast.FunctionDef)}
+    assert names == {"create_run_table", "_before_experiment", "launch_mission", "helper"}
+    assert measures_of(new, ["n"]) == [["1"]]
+
+
+def test_several_callbacks_of_one_event_stay_subscribed(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    table = """\
+    def create_run_table_model(self):
+        return RunTableModel([FactorModel("n", [1])], data_columns=["a", "b"])
+
+    def first(self, context): return {"a": 1}
+    def second(self, context): return {"b": 2}
+    def work(self, context): ...
+"""
+    subscribe = "".join(
+        f"(RunnerEvents.{event}, self.{name}),"
+        for event, name in (("POPULATE_RUN_DATA", "first"), ("POPULATE_RUN_DATA", "second"), ("INTERACT", "work"))
+    )
+    new = converted(config(table=table, subscribe=subscribe))
+    assert "(RobotRunnerEvents.LAUNCH_MISSION, self.work)" in new.read_text()
+    assert measures_of(new, ["a", "b"]) == [["1", "2"]]
+
+
+def test_lists_of_callbacks_become_entries(config: Callable[..., Path], converted: Callable[[Path], Path]) -> None:
+    table = """\
+    def create_run_table_model(self):
+        return RunTableModel(treatments=[FactorModel("n", [1])], data_columns=["a", "b"])
+
+    def first(self, context): return {"a": 1}
+    def second(self, context): return {"b": 2}
+    def interact(self, context): ...
+"""
+    subscribe = "(RunnerEvents.POPULATE_RUN_DATA, [self.first, self.second]), (RunnerEvents.INTERACT, [self.interact]),"
+    old = config(table=table, subscribe=subscribe)
+    old.write_text(
+        old.read_text().replace("subscribe_to_multiple_events(", "subscribe_to_multiple_events_multiple_callbacks(", 1)
+    )
+    new = converted(old)
+    assert "(RobotRunnerEvents.LAUNCH_MISSION, self.interact)" in new.read_text()
+    assert measures_of(new, ["a", "b"]) == [["1", "2"]]
+
+
+def test_a_continue_callback_says_that_the_user_was_asked(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    head = ROBOT.replace("OperationType.AUTO", "OperationType.SEMI")
+    methods = "def swap(self):\n    self.swapped = True"
+    new = converted(config(methods, head=head, subscribe="(RobotRunnerEvents.CONTINUE, self.swap),"))
+    assert "def continue_experiment(self):" in new.read_text()
+    assert len(measures_of(new, ["task"])) == 4
+
+
+def test_before_run_with_the_row_gets_the_context(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    new = converted(config("def before_run(self, run_variation):\n    print(run_variation['task'])", head=ROBOT))
+    assert "def before_run(self, context):" in new.read_text()
+    assert len(measures_of(new, ["task"])) == 4
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        'RunTableModel(factors=[FactorModel("a", [1, 2])], num_repetitions=3)',
+        'RunTableModel(factors=[FactorModel("a", [1, 2])], iterations=3, data_columns=["x"])',
+        'RunTableModel([FactorModel("a", [1, 2])], [], ["x"], False)',
+        'RunTableModel([FactorModel("a", [1, 2])], None, 2, ["x"], True)',
+        'RunTableModel([FactorModel("a", [1, 2]), FactorModel("b", [3])], num_of_repetitions=2, randomize_order=True)',
+        'RunTableModel(factors=[FactorModel("a", [1, 2]), FactorModel("b", ["x", "y"])], num_of_repetitions=2)',
+        'RunTableModel([FactorModel("a", ["on", "off"]), FactorModel("b", [1, 2])], exclude_variations=[{"on", 2}])',
+        'RunTableModel([FactorModel("a", ["x", "y"]), FactorModel("b", ["x", "y"])], exclude_variations=[{"x"}])',
+        'RunTableModel([FactorModel("a", [1, 2]), FactorModel("b", [1, 2])], exclude_variations=[{2, 1}, {9}])',
+        'RunTableModel([FactorModel("a", [True, False]), FactorModel("b", [0, 1])], exclude_variations=[{True}])',
+        'RunTableModel(factors=[FactorModel("a", range(3))], shuffle=True)',
+    ],
+)
+def test_every_form_of_a_run_table_plans_the_same_runs(
+    config: Callable[..., Path], converted: Callable[[Path], Path], model: str
+) -> None:
+    table = f"""\
+    def create_run_table_model(self):
+        self.run_table_model = {model}
+        return self.run_table_model
+"""
+    converted(config(table=table))
+
+
+@pytest.mark.parametrize(
+    ("exclusions", "after"),
+    [
+        ("[{a: [1]}, {a: [7]}, {a: [8], b: ['x']}]", "[{a: [1]}]"),
+        ("[{a: [7]}, {a: [1]}]", "[{a: [1]}]"),
+        ("[{a: [7]}]", "[]"),
+        ("[{a: [1, 7]}]", "[{'a': [1]}]"),
+        ("[{a: [9]}, {1}, {a: [2], b: ['z']}, {b: ['y']}]", "[{'a': [1]}, {b: ['y']}]"),
+    ],
+)
+def test_what_an_exclusion_names_that_there_is_not_is_left_out(
+    config: Callable[..., Path], converted: Callable[[Path], Path], exclusions: str, after: str
+) -> None:
+    table = f"""\
+    def create_run_table_model(self):
+        a, b = FactorModel("a", [1, 2, 3]), FactorModel("b", ["x", "y"])
+        return RunTableModel(factors=[a, b], exclude_variations={exclusions})
+"""
+    assert f"exclude_combinations={after})" in converted(config(table=table)).read_text()
+
+
+def test_a_model_without_factors_gets_one(config: Callable[..., Path], converted: Callable[[Path], Path]) -> None:
+    table = "    def create_run_table_model(self): return RunTableModel(repetitions=2)\n"
+    assert (
+        'RunTableModel(factors=[Factor("setup", ["as it is"])], repetitions=2)'
+        in converted(config(table=table)).read_text()
+    )
+
+
+def test_a_parameter_that_is_made_of_the_name_still_is(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    head = RUNNER.replace('ROOT_DIR / "experiments"', 'ROOT_DIR / f"{name}_results" / name')
+    new = converted(config(head=head))
+    assert prepare_own(new).experiment.folder.root == new.parent / "sorting_results" / "sorting" / "sorting"
+
+
+def test_a_name_that_the_class_goes_on_to_change_is_the_experiments(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    late = '    if len(name) > 3:\n        name = name + "_2"\n'
+    new = converted(config(head=RUNNER + late))
+    assert prepare_own(new).experiment.parameters.experiment_name == "sorting_2"
+
+
+def test_a_method_that_only_subscribed_does_nothing(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    path = config("def interact(self, context): ...")
+    path.write_text(
+        path.read_text().replace("def __init__(self):", "def __init__(self): self.listen()\n    def listen(self):")
+    )
+    assert "    def listen(self):\n        pass\n" in converted(path).read_text()
+
+
+def test_a_class_of_theirs_that_only_says_of_what_type_something_is_needs_no_counterpart(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    head = RUNNER.replace(
+        "from pathlib", "from ProgressManager.RunTable.Models.RunProgress import RunProgress\nfrom pathlib"
+    )
+    text = converted(config("def interact(self, context: RunnerContext) -> RunProgress: ...", head=head)).read_text()
+    assert "def launch_mission(self, context: RobotRunnerContext) -> object: ..." in text
+
+
+def test_who_varies_nothing_gets_a_factor_with_one_treatment(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    table = """\
+    def create_run_table_model(self):
+        return Model(factors=[], repetitions=3, data_columns=["x"])
+"""
+    head = RUNNER.replace("import RunTableModel", "import RunTableModel as Model")
+    head = head.replace("from ConfigValidator.Config.Models.FactorModel import FactorModel\n", "")
+    path = config(head=head, table=table)
+    new = converted(path)
+    assert 'RunTableModel(factors=[Factor("setup", ["as it is"])], repetitions=3' in new.read_text()
+    (finding,) = check_conversion(convert(path), new)
+    assert finding.problem == "nothing is varied, so there is a factor 'setup' with one treatment"
+
+
+def test_a_config_for_another_machine_is_converted_on_this_one(
+    config: Callable[..., Path], converted: Callable[[Path], Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    for gone in ("ROS_VERSION", "ROS_DISTRO"):
+        monkeypatch.delenv(gone, raising=False)
+    head = ROBOT.replace("required_ros_version: int = None", "required_ros_version: int = 2").replace(
+        "from pathlib", "from Plugins.Profilers.PowerJoular import PowerJoular\nfrom pathlib"
+    )
+    path = config("def start_measurement(self, context): self.meter = PowerJoular()", head=head)
+    assert prepare(path).experiment is None
+    assert "import PowerJoular" in converted(path).read_text()
+
+
+def test_what_is_imported_and_never_used_is_left_out(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    head = RUNNER.replace(
+        "from pathlib",
+        "from ProgressManager.Output.CSVOutputManager import CSVOutputManager\n"
+        "from Plugins.Profilers.WattsUpPro import WattsUpPro\nfrom pathlib",
+    )
+    text = converted(config(head=head)).read_text()
+    assert "CSVOutputManager" not in text
+    assert "WattsUpPro" not in text
+
+
+@pytest.mark.parametrize("ending", ["get_experiment_run_table", "generate_experiment_run_table"])
+def test_rows_of_a_model_become_the_model(
+    config: Callable[..., Path], converted: Callable[[Path], Path], ending: str
+) -> None:
+    table = f"""\
+    def create_run_table(self):
+        first = FactorModel("a", [1, 2])
+        assert first.factor_name == "a" and list(first.get_treatments()) == [1, 2]
+        model = RunTableModel(factors=[first], exclude_variations=[{{first: [1]}}])
+        model.create_experiment_run_table()
+        return model.{ending}()
+"""
+    assert "FactorModel" not in converted(config(table=table)).read_text()
+
+
+def test_a_path_that_began_in_the_current_folder_still_does(
+    config: Callable[..., Path], converted: Callable[[Path], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    head = ROBOT.replace('Path(__file__).parent / "results"', 'Path("out")')
+    new = converted(config(head=head))
+    assert prepare_own(new).experiment.folder.root == elsewhere / "out" / "patrol"
+
+
+def test_a_config_that_derives_from_the_tools_class_derives_from_ours(
+    write: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    old = write(
+        """
+        from ConfigValidator.Config.RunnerConfig import RunnerConfig as Original
+        from ConfigValidator.Config.Models.RunTableModel import RunTableModel
+        from ConfigValidator.Config.Models.FactorModel import FactorModel
+
+        class RunnerConfig(Original):
+            name = "derived"
+
+            def __init__(self):
+                super().__init__()
+                self.counter = 0
+
+            def create_run_table_model(self):
+                return RunTableModel([FactorModel("n", [1, 2])], data_columns=["double"])
+
+            def populate_run_data(self, context):
+                return {"double": 2 * context.execute_run["n"]}
+        """
+    )
+    new = converted(old)
+    assert "class RobotRunnerConfig(ExperimentConfig):" in new.read_text()
+    assert measures_of(new, ["double"]) == [["2"], ["4"]]
+
+
+def test_a_profiler_that_needs_no_tool_around_it_is_kept(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    head = RUNNER.replace("from pathlib", "from Plugins.Profilers.Ps import Ps as Meter\nfrom pathlib")
+    text = converted(config("def start_measurement(self, context): self.meter = Meter()", head=head)).read_text()
+    assert "from robot_runner.legacy.profilers.command_line import Ps as Meter" in text
+
+
+CARBON = """\
+from Plugins.Profilers import CodecarbonWrapper as carbon
+from Plugins.Profilers.CodecarbonWrapper import DataColumns
+"""
+MEASURING = """
+def start_measurement(self, context): ...
+def stop_measurement(self, context): ...
+def populate_run_data(self, context): ...
+"""
+
+
+@pytest.mark.parametrize(
+    ("decorated", "decorator"),
+    [
+        (
+            "class RunnerConfig",
+            "@carbon.emission_tracker(\n    data_columns=[DataColumns.EMISSIONS],\n    country_iso_code='NLD'\n)\n",
+        ),
+        (
+            "    def stop_measurement(",
+            "    @carbon.start_emission_tracker(country_iso_code='NLD')\n    @carbon.stop_emission_tracker\n",
+        ),
+    ],
+)
+def test_codecarbons_decorators_become_our_profiler(
+    config: Callable[..., Path], converted: Callable[[Path], Path], decorated: str, decorator: str
+) -> None:
+    path = config(MEASURING, head=RUNNER.replace("from pathlib", f"{CARBON}from pathlib"))
+    path.write_text(path.read_text().replace(decorated, decorator + decorated, 1))
+    text = converted(path).read_text()
+    assert "from robot_runner.plugins.profilers import CodeCarbon" in text
+    assert "    plugins = [CodeCarbon(country='NLD')]\n    ROOT_DIR" in text
+    assert "carbon." not in text
+    assert any("Energy (J)" in finding.problem for finding in convert(path).findings)
+
+
+def test_codecarbon_without_a_country_is_refused(config: Callable[..., Path]) -> None:
+    path = config(MEASURING, head=RUNNER.replace("from pathlib", f"{CARBON}from pathlib"))
+    path.write_text(path.read_text().replace("class Runner", "@carbon.emission_tracker(online=True)\nclass Runner", 1))
+    with pytest.raises(ConfigError, match="do not say the country_iso_code"):
+        convert(path)
+
+
+@pytest.mark.parametrize(
+    ("line", "use", "problem"),
+    [
+        (
+            "from Plugins.Profilers.WattsUpPro import WattsUpPro",
+            "def start_run(self, context): self.meter = WattsUpPro()",
+            "WattsUpPro cannot be used outside a config of the earlier tool → List our WattsUpPro",
+        ),
+        (
+            "from ProgressManager.Output.CSVOutputManager import CSVOutputManager",
+            "def after_experiment(self): CSVOutputManager(self.experiment_path).read_run_table()",
+            "CSVOutputManager has no counterpart here",
+        ),
+        ("from ConfigValidator.Config.Models.FactorModel import *", "", "everything of a module is imported"),
+        (
+            "from Plugins.Profilers.OwnMeter import OwnMeter",
+            "def start_run(self, context): self.meter = OwnMeter()",
+            "Plugins.Profilers.OwnMeter is a module of the clone that the config stands in → Put it beside the config",
+        ),
+    ],
+)
+def test_what_has_no_counterpart_is_named_with_its_line(
+    config: Callable[..., Path], write: Callable[..., Path], line: str, use: str, problem: str
+) -> None:
+    write("class OwnMeter: ...\n", "Plugins/Profilers/OwnMeter.py")
+    path = config(use, head=RUNNER.replace("from pathlib", f"{line}\nfrom pathlib"))
+    with pytest.raises(ConfigError) as refused:
+        convert(path)
+    assert f"{path}:7: {problem}" in str(refused.value)
+
+
+def test_a_neighbour_that_is_written_for_the_earlier_tool_has_to_be_mended_first(
+    config: Callable[..., Path], write: Callable[..., Path]
+) -> None:
+    write("from ProgressManager.Output.OutputProcedure import OutputProcedure\n", "neighbour_of_conversion.py")
+    path = config(head=RUNNER.replace("from pathlib", "import neighbour_of_conversion\nfrom pathlib"))
+    with pytest.raises(ConfigError, match=r"neighbour_of_conversion\.py:1: the config imports this module"):
+        convert(path)
+
+
+def test_a_config_that_a_config_derives_from_has_to_be_converted_first(
+    config: Callable[..., Path], write: Callable[..., Path]
+) -> None:
+    config(name="base_of_conversion.py")
+    path = write(
+        """
+        import sys
+        from pathlib import Path
+        sys.path.append(str(Path(__file__).parents[2]))
+        from base_of_conversion import *
+
+        class RunnerConfig(RunnerConfig):
+            name = "derived"
+        """,
+        "studies/one/RunnerConfig.py",
+    )
+    with pytest.raises(ConfigError, match=r"base_of_conversion\.py:1: the config imports this module"):
+        convert(path)
+
+
+def test_our_own_spelling_needs_no_converting(write: Callable[..., Path]) -> None:
+    path = write("from robot_runner import ExperimentConfig\nclass RobotRunnerConfig(ExperimentConfig): ...\n")
+    with pytest.raises(ConfigError, match="it is written in our own spelling already"):
+        convert(path)
+
+
+def test_a_difference_is_found(config: Callable[..., Path]) -> None:
+    path = config()
+    conversion = convert(path)
+    new = path.with_name("changed.py")
+    new.write_text(conversion.text.replace("[10, 20]", "[10, 30]"))
+    problems = [finding.problem for finding in check_conversion(conversion, new)]
+    assert "size=20, language=c is planned 2 times less than before" in problems
+    assert "size=30, language=c is planned 2 times more than before" in problems
+
+
+def test_edits_that_touch_are_all_applied() -> None:
+    text = "f(ä, b)"
+    call = ast.parse(text).body[0].value
+    edits = Edits(text)
+    edits.replace(call.args[1], "c")
+    edits.insert(edits.start_of(call.args[1]), "x=")
+    edits.insert(edits.end_of(call.args[1]), ", d")
+    edits.replace(call.func, "g")
+    assert edits.applied() == "g(ä, x=c, d)"
+    edits.replace(call, "whole")
+    assert edits.applied() == "whole"

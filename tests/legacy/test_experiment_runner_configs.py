@@ -1,0 +1,351 @@
+"""Every form that configs for Experiment Runner had."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.legacy.earlier_configs import RUNNER, planned
+
+from robot_runner.legacy.loading import prepare
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from tests.legacy.earlier_configs import Executed
+
+WITH_EXCLUSIONS = """\
+    def create_run_table_model(self):
+        size = FactorModel("size", [10, 20, 30])
+        language = FactorModel("language", ["c", "py"])
+        self.run_table_model = RunTableModel(
+            factors=[size, language],
+            exclude_combinations=[{size: [10]}, {size: [20, 30], language: ["py"]}],
+            repetitions=2,
+            data_columns=["seconds"],
+        )
+        return self.run_table_model
+"""
+
+
+def test_the_latest_form_gives_its_table(config: Callable[..., Path]) -> None:
+    assert planned(prepare(config(table=WITH_EXCLUSIONS))) == [
+        ("run_0_repetition_0", {"size": 20, "language": "c"}),
+        ("run_1_repetition_0", {"size": 30, "language": "c"}),
+        ("run_0_repetition_1", {"size": 20, "language": "c"}),
+        ("run_1_repetition_1", {"size": 30, "language": "c"}),
+    ]
+
+
+def test_an_experiment_may_vary_nothing(config: Callable[..., Path], execute: Callable[..., Executed]) -> None:
+    table = """\
+    def create_run_table_model(self):
+        return RunTableModel(factors=[], repetitions=2, data_columns=["seconds"])
+"""
+    path = config("def populate_run_data(self, context): return {'seconds': context.run_nr}", table=table)
+    execute(path)
+    assert execute(path).text == ("__run_id,__done,seconds\nrun_0_repetition_0,DONE,1\nrun_0_repetition_1,DONE,2\n")
+
+
+def test_the_form_of_2022_numbers_its_runs_without_repetitions(config: Callable[..., Path]) -> None:
+    table = """\
+    def create_run_table(self):
+        size = FactorModel("size", [10, 20])
+        self.run_table_model = RunTableModel(
+            factors=[size, FactorModel("fast", [True, False])],
+            exclude_variations=[{size: [10]}],
+            data_columns=["seconds"],
+        )
+        return self.run_table_model.generate_experiment_run_table()
+"""
+    assert planned(prepare(config(table=table))) == [
+        ("run_0", {"size": 20, "fast": True}),
+        ("run_1", {"size": 20, "fast": False}),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "last"),
+    [
+        ("repetitions=3", "run_1_repetition_2"),
+        ("num_repetitions=3", "run_1_repetition_2"),
+        ("iterations=3", "run_1_iteration_2"),
+        ("exclude_combinations=[]", "run_1_repetition_0"),
+        ("exclude_variations=None", "run_1"),
+    ],
+)
+def test_ids_are_those_of_the_version_that_had_the_argument(
+    config: Callable[..., Path], arguments: str, last: str
+) -> None:
+    table = f"""\
+    def create_run_table_model(self):
+        self.run_table_model = RunTableModel([FactorModel("size", [1, 2])], {arguments})
+        return self.run_table_model
+"""
+    assert planned(prepare(config(table=table)))[-1][0] == last
+
+
+def test_arguments_may_stand_in_the_order_of_any_version(config: Callable[..., Path]) -> None:
+    late = 'RunTableModel([FactorModel("a", [1, 2])], [], 2, ["x"], False)'
+    early = 'RunTableModel([FactorModel("a", [1, 2])], [], ["x"], False)'
+    for form, count in ((late, 4), (early, 2)):
+        table = f"    def create_run_table_model(self):\n        return {form}\n"
+        preparation = prepare(config(table=table))
+        assert len(planned(preparation)) == count
+        assert preparation.experiment.model.data_columns == ("x",)
+
+
+def test_a_shuffled_order_comes_from_a_recorded_seed(
+    config: Callable[..., Path], execute: Callable[..., Executed]
+) -> None:
+    table = """\
+    def create_run_table_model(self):
+        return RunTableModel([FactorModel("n", list(range(20)))], shuffle=True, data_columns=[])
+"""
+    path = config(table=table)
+    first = execute(path)
+    order = [row["__run_id"] for row in first.table]
+    assert sorted(order) != order
+    assert [run_id for run_id, _ in planned(prepare(path))] == order
+
+
+def test_rows_that_a_config_shuffles_itself_come_in_the_recorded_order(
+    config: Callable[..., Path], execute: Callable[..., Executed]
+) -> None:
+    table = """\
+    def create_run_table(self):
+        import random
+        rows = RunTableModel([FactorModel("n", list(range(20)))]).generate_experiment_run_table()
+        random.shuffle(rows)
+        return rows
+"""
+    path = config(table=table)
+    order = [row["__run_id"] for row in execute(path).table]
+    assert [run_id for run_id, _ in planned(prepare(path))] == order
+
+
+def test_hooks_share_what_is_kept_on_self(config: Callable[..., Path], execute: Callable[..., Executed]) -> None:
+    methods = """
+    def before_experiment(self):
+        self.base = 1000
+
+    def before_run(self):
+        self.prepared = 100
+
+    def start_run(self, context):
+        self.started = 10
+
+    def interact(self, context):
+        self.seen = context.execute_run["size"]
+
+    def populate_run_data(self, context):
+        return {"seconds": self.base + self.prepared + self.started + self.seen}
+    """
+    executed = execute(config(methods))
+    assert [int(row["seconds"]) - int(row["size"]) for row in executed.table] == [1110] * 8
+
+
+def test_hooks_are_called_in_the_order_of_the_tool(
+    config: Callable[..., Path], execute: Callable[..., Executed]
+) -> None:
+    methods = """
+    def start_run(self, context): print("start_run")
+    def start_measurement(self, context): print("start_measurement")
+    def interact(self, context): print("interact")
+    def stop_measurement(self, context): print("stop_measurement")
+    def stop_run(self, context): print("stop_run")
+    def populate_run_data(self, context): print("populate_run_data")
+    """
+    said = execute(config(methods)).log("run_0_repetition_0").split()
+    assert said == [
+        "start_run",
+        "start_measurement",
+        "interact",
+        "stop_measurement",
+        "stop_run",
+        "populate_run_data",
+    ]
+
+
+def test_the_context_has_both_names_of_the_row(config: Callable[..., Path], execute: Callable[..., Executed]) -> None:
+    methods = """
+    def start_run(self, context: RunnerContext):
+        assert context.run_variation is context.execute_run
+        context.run_variation["seconds"] = context.run_nr * 2
+        (context.run_dir / "raw.txt").write_text(context.execute_run["__run_id"])
+    """
+    executed = execute(config(methods))
+    assert [row["seconds"] for row in executed.table] == [str(2 * number) for number in range(1, 9)]
+    assert (executed.folder / "run_3_repetition_1" / "raw.txt").read_text() == "run_3_repetition_1"
+
+
+def test_experiment_path_is_set_before_anything_is_called(
+    config: Callable[..., Path], execute: Callable[..., Executed]
+) -> None:
+    executed = execute(config("def after_experiment(self): (self.experiment_path / 'end.txt').write_text('!')"))
+    assert (executed.folder / "end.txt").exists()
+    assert executed.folder.parts[-2:] == ("experiments", "sorting")
+
+
+def test_the_table_is_up_to_date_when_the_experiment_has_ended(
+    config: Callable[..., Path], execute: Callable[..., Executed]
+) -> None:
+    head = RUNNER.replace(
+        "from pathlib", "from ProgressManager.Output.CSVOutputManager import CSVOutputManager\nfrom pathlib"
+    )
+    methods = """
+    def populate_run_data(self, context): return {"seconds": 7}
+    def after_experiment(self):
+        rows = CSVOutputManager(self.experiment_path).read_run_table()
+        (self.experiment_path / "sum.txt").write_text(str(sum(row["seconds"] for row in rows)))
+    """
+    assert (execute(config(methods, head=head)).folder / "sum.txt").read_text() == "56"
+
+
+def test_a_config_that_derives_from_the_tools_own_class_hears_what_it_overrides(
+    write: Callable[..., Path], execute: Callable[..., Executed]
+) -> None:
+    path = write(
+        """
+        from ConfigValidator.Config.RunnerConfig import RunnerConfig as OriginalRunnerConfig
+        from ConfigValidator.Config.Models.RunTableModel import RunTableModel
+        from ConfigValidator.Config.Models.FactorModel import FactorModel
+
+        class RunnerConfig(OriginalRunnerConfig):
+            name = "derived"
+            time_between_runs_in_ms = 0
+
+            def create_run_table_model(self):
+                self.run_table_model = RunTableModel([FactorModel("n", [1, 2])], data_columns=["square"])
+                return self.run_table_model
+
+            def populate_run_data(self, context):
+                return {"square": context.execute_run["n"] ** 2}
+        """
+    )
+    executed = execute(path)
+    assert executed.folder == path.parent / "experiments" / "derived"
+    assert [row["square"] for row in executed.table] == ["1", "4"]
+
+
+def test_a_config_that_derives_from_another_config_file_replaces_its_callbacks(
+    config: Callable[..., Path], write: Callable[..., Path], execute: Callable[..., Executed]
+) -> None:
+    config("def interact(self, context): print('base')", name="BaseRunnerConfig.py")
+    derived = write(
+        """
+        from BaseRunnerConfig import *
+
+        class RunnerConfig(RunnerConfig):
+            name = "derived"
+
+            def __init__(self):
+                super().__init__()
+                EventSubscriptionController.subscribe_to_single_event(RunnerEvents.INTERACT, self.other)
+
+            def other(self, context):
+                print("derived")
+        """,
+        "derived.py",
+    )
+    executed = execute(derived)
+    assert executed.log("run_0_repetition_0") == "derived\n"
+    assert executed.experiment.local_modules == (derived.parent / "BaseRunnerConfig.py",)
+    assert len(executed.table) == 8
+
+
+def test_neighbours_can_be_imported_also_later(
+    config: Callable[..., Path], write: Callable[..., Path], execute: Callable[..., Executed]
+) -> None:
+    write("def twice(n): return 2 * n", "modules_of_sorting/maths.py")
+    write(
+        "from ProgressManager.Output.OutputProcedure import OutputProcedure as output\n"
+        "def say(text): output.console_log_OK(text)\n",
+        "modules_of_sorting/words.py",
+    )
+    head = RUNNER.replace("from pathlib", "from modules_of_sorting.maths import twice\nfrom pathlib")
+    methods = """
+    def interact(self, context):
+        from modules_of_sorting.words import say
+        from ProgressManager.RunTable.Models.RunProgress import RunProgress
+        say(f"later {RunProgress.TODO.name}")
+
+    def populate_run_data(self, context): return {"seconds": twice(21)}
+    """
+    executed = execute(config(methods, head=head))
+    assert {row["seconds"] for row in executed.table} == {"42"}
+    assert executed.log("run_0_repetition_0") == "later TODO\n"
+
+
+def test_the_modules_of_the_tool_are_gone_afterwards(
+    config: Callable[..., Path], execute: Callable[..., Executed]
+) -> None:
+    execute(config("def before_run(self): import ProgressManager.RunTable.Models.RunProgress"))
+    assert [name for name in sys.modules if name.split(".")[0] in {"EventManager", "ConfigValidator"}] == []
+    with pytest.raises(ModuleNotFoundError):
+        __import__("EventManager.EventSubscriptionController")
+
+
+def test_a_module_of_the_users_own_with_such_a_name_comes_back(
+    config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = type(sys)("EventManager")
+    monkeypatch.setitem(sys.modules, "EventManager", own)
+    assert prepare(config()).experiment is not None
+    assert sys.modules["EventManager"] is own
+
+
+def test_objects_are_treatments_with_their_text(config: Callable[..., Path], execute: Callable[..., Executed]) -> None:
+    table = """\
+    def create_run_table_model(self):
+        class Level:
+            def __init__(self, n): self.n = n
+            def __str__(self): return f"level {self.n}"
+        one, two = Level(1), Level(2)
+        levels = FactorModel("level", [one, two])
+        self.run_table_model = RunTableModel([levels], exclude_combinations=[{levels: [one]}], data_columns=["n"])
+        return self.run_table_model
+
+    def populate_run_data(self, context):
+        return {"n": context.execute_run["level"].n}
+"""
+    executed = execute(config(table=table, subscribe="(RunnerEvents.POPULATE_RUN_DATA, self.populate_run_data),"))
+    assert [(row["level"], row["n"]) for row in executed.table] == [("level 2", "2")]
+
+
+def test_a_treatment_without_a_text_of_its_own_is_shown_by_its_name(
+    config: Callable[..., Path], execute: Callable[..., Executed]
+) -> None:
+    table = """\
+    def create_run_table_model(self):
+        self.run_table_model = RunTableModel([FactorModel("sort", [quick, bubble])], data_columns=["n"])
+        return self.run_table_model
+
+    def populate_run_data(self, context):
+        return {"n": context.execute_run["sort"]([3, 1])[0]}
+
+def quick(numbers): return sorted(numbers)
+def bubble(numbers): return sorted(numbers, reverse=True)
+"""
+    executed = execute(config(table=table, subscribe="(RunnerEvents.POPULATE_RUN_DATA, self.populate_run_data),"))
+    assert [(row["sort"], row["n"]) for row in executed.table] == [("quick", "1"), ("bubble", "3")]
+
+
+def test_a_model_that_is_kept_and_not_returned_is_found(config: Callable[..., Path]) -> None:
+    table = """\
+    def create_run_table_model(self):
+        self.run_table_model = RunTableModel([FactorModel("n", [1, 2])])
+"""
+    assert len(planned(prepare(config(table=table)))) == 2
+
+
+def test_columns_that_are_appended_to_the_model_are_columns(config: Callable[..., Path]) -> None:
+    table = """\
+    def create_run_table_model(self):
+        model = RunTableModel([FactorModel("n", [1, 2])], data_columns=["a"])
+        model.get_data_columns().append("b")
+        return model
+"""
+    assert prepare(config(table=table)).experiment.model.data_columns == ("a", "b")

@@ -1,0 +1,112 @@
+from __future__ import annotations
+
+import csv
+import json
+import math
+
+import pytest
+
+from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.core.events.measure import Origin
+from robot_runner.plugins import Circumstances
+from robot_runner.plugins.profilers import Battery, Ina219
+from robot_runner.plugins.systems import BasicTurtlebot3
+from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, ProfilerContract, make_context, rehearse
+
+
+class TestBatteryOnTheSimulatedRobot(ProfilerContract):
+    def make_plugin(self) -> Battery:
+        return Battery()
+
+
+class TestBatteryOfAScriptedRobot(ProfilerContract):
+    def make_plugin(self) -> Battery:
+        return Battery(rate_hz=10.0)
+
+    def make_links(self, clock: FakeClock) -> FakeLinks:
+        robot = FakeRobotLink(clock)
+        clock.every(0.1, lambda: robot.deliver("battery_state", {"voltage": 12.0, "current": -0.7, "percentage": 0.5}))
+        return FakeLinks(robot=robot)
+
+
+@pytest.fixture
+def measure(tmp_path):
+    def execute(say, *, seconds=10.0, is_simulated=False):
+        clock = FakeClock(50.0)
+        robot = FakeRobotLink(clock, is_simulated=is_simulated)
+        clock.every(0.1, lambda: say(clock.now()) and robot.deliver("battery_state", say(clock.now())))
+        plugin = Battery(rate_hz=10.0)
+        context = make_context(tmp_path, plugin, links=FakeLinks(robot=robot), clock=clock)
+        rehearse(context, plugin, mission=lambda: clock.sleep(seconds))
+        return context
+
+    return execute
+
+
+def test_voltage_charge_and_energy_are_those_of_the_measured_window(measure):
+    def say(time):
+        return {"voltage": 12.0 - 0.1 * (time - 50.0), "current": -0.5, "percentage": 0.9 - 0.01 * (time - 50.0)}
+
+    context = measure(say)
+    assert context.measures["MeanVoltage"] == pytest.approx(11.5, abs=0.01)
+    assert context.measures["MinVoltage"] == pytest.approx(11.0)
+    assert context.measures["ChargeUsed"] == pytest.approx(10.0, abs=0.15)
+    assert context.measures["Energy"] == pytest.approx(11.5 * 0.5 * 10.0, rel=0.01)
+
+
+@pytest.mark.parametrize("current", [math.nan, 0.0], ids=["as ROS has it", "as OpenCR has it"])
+def test_a_battery_that_does_not_measure_its_current_yields_no_energy(measure, current):
+    context = measure(lambda _: {"voltage": 12.0, "current": current, "percentage": math.nan})
+    assert context.measures["MeanVoltage"] == pytest.approx(12.0)
+    assert context.measures["Energy"] is None
+    assert context.measures["ChargeUsed"] is None
+    facts = json.loads((context.raw_data_folder / "quality.json").read_text())
+    assert facts["measures_current"] is False
+
+
+def test_a_robot_that_falls_silent_yields_no_value_and_a_warning(measure):
+    context = measure(lambda time: {"voltage": 12.0} if time < 55.0 else None)
+    assert set(context.measures.values()) == {None}
+    assert any("the largest gap" in finding.problem for finding in context.broker.findings)
+
+
+@pytest.mark.parametrize(("is_simulated", "origin"), [(True, Origin.SIMULATED), (False, Origin.MEASURED)])
+def test_values_say_where_they_come_from(measure, is_simulated, origin):
+    context = measure(lambda _: {"voltage": 12.0}, is_simulated=is_simulated)
+    assert {published.origin for published in context.broker.measures.values()} == {origin}
+
+
+def test_what_was_heard_is_kept(measure):
+    context = measure(lambda _: {"voltage": 12.0, "current": -0.5, "percentage": math.nan})
+    with (context.raw_data_folder / "samples.csv").open(newline="") as file:
+        row = next(csv.DictReader(file))
+    assert row == {"time_s": "50.100000", "voltage_V": "12.0000", "current_A": "0.5000", "charge_percent": ""}
+
+
+def test_a_robot_that_cannot_be_heard_fails_the_run(tmp_path):
+    clock = FakeClock()
+    robot = FakeRobotLink(clock)
+    robot.fault = LinkError("there is no topic 'battery_state'", where="robot", fix="Start the robot.")
+    plugin = Battery()
+    context = make_context(tmp_path, plugin, links=FakeLinks(robot=robot), clock=clock)
+    with pytest.raises(LinkError, match="no topic"):
+        rehearse(context, plugin)
+
+
+def test_the_simulated_battery_agrees_with_the_simulated_meter(tmp_path):
+    system, battery, meter = BasicTurtlebot3(task="Video", task_factor=None), Battery(), Ina219()
+    context = make_context(tmp_path, system, battery, meter)
+    measures = rehearse(context, system, battery, meter)
+    context.resources.close()
+    assert measures["Battery.Energy"] == pytest.approx(measures["Ina219.Energy"], rel=0.02)
+    assert context.broker.measures["Battery.Energy"].origin is Origin.SIMULATED
+
+
+def test_without_a_robot_the_check_says_how_to_name_one():
+    (finding,) = Battery().check(Circumstances())
+    assert "--set robot=simulated" in finding.fix
+
+
+def test_a_rate_that_cannot_be_is_refused():
+    with pytest.raises(PluginError, match="rate_hz is 0"):
+        Battery(rate_hz=0.0)

@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_runner.core.errors import PluginError
+from robot_runner.meters.command_output import Aggregate, CommandColumn, TimeColumn, TimeKind, parse_csv, row_times
+from robot_runner.plugins import Measure, Window
+
+MEASURE = Measure("Value", "W", "A value.")
+
+
+WINDOW = Window(0.0, 2.0)
+
+
+def value(aggregate: Aggregate, times, values, window=WINDOW, *, reach=0.0, factor=1.0):
+    column = CommandColumn("x", MEASURE, aggregate, factor)
+    return column.value(times, [{"x": each} for each in values], window, reach=reach)
+
+
+@pytest.mark.parametrize(
+    ("aggregate", "expected"),
+    [
+        (Aggregate.MEAN, 4.0),  # 3 W for the first second and 5 W for the second
+        (Aggregate.INTEGRAL, 8.0),
+        (Aggregate.SUM, 8.0),
+        (Aggregate.MINIMUM, 3.0),
+        (Aggregate.MAXIMUM, 9.0),
+        (Aggregate.LAST, 5.0),
+    ],
+)
+def test_each_row_tells_of_the_time_since_the_row_before(aggregate, expected):
+    assert value(aggregate, [0.0, 1.0, 2.0, 3.0], ["9", "3", "5", "100"]) == pytest.approx(expected)
+
+
+def test_a_row_that_straddles_an_edge_counts_by_its_share():
+    assert value(Aggregate.SUM, [-0.5, 0.5, 2.5], [0, 10, 20]) == pytest.approx(5.0 + 15.0)
+
+
+def test_a_counter_is_read_at_the_edges_of_the_window():
+    assert value(Aggregate.INCREASE, [-1.0, 1.0, 3.0], [10, 20, 40]) == pytest.approx(15.0)
+    assert value(Aggregate.RATE, [-1.0, 1.0, 3.0], [10, 20, 40]) == pytest.approx(7.5)
+
+
+def test_a_counter_that_fell_tells_nothing():
+    assert value(Aggregate.INCREASE, [0.0, 1.0, 2.0], [10, 20, 5]) is None
+
+
+def test_cells_that_hold_no_number_are_missing():
+    assert value(Aggregate.MEAN, [0.0, 1.0, 2.0], ["", "n/a", "4"]) is None
+    assert value(Aggregate.LAST, [0.0, 1.0, 2.0], ["nan", "7", None]) == 7.0
+
+
+def test_a_factor_brings_the_value_into_the_unit_of_the_measure():
+    assert value(Aggregate.LAST, [1.0], ["2500"], factor=1e-3) == 2.5
+
+
+@pytest.mark.parametrize("aggregate", Aggregate)
+def test_no_rows_yield_no_value(aggregate):
+    assert value(aggregate, [], []) is None
+
+
+@given(
+    steps=st.lists(st.floats(0.01, 10.0), min_size=2, max_size=30),
+    watts=st.floats(0.1, 1000.0),
+    share=st.floats(0.1, 0.9),
+)
+def test_the_integral_of_a_steady_power_is_power_times_time(steps, watts, share):
+    times = [0.0]
+    for step in steps:
+        times.append(times[-1] + step)
+    window = Window(0.0, times[-1] * share)
+    assert value(Aggregate.INTEGRAL, times, [watts] * len(times), window) == pytest.approx(watts * window.duration)
+
+
+def test_csv_knows_its_heading_and_passes_over_the_rest():
+    records = ["# powered by x", "", "a,b", "1,2", "torn", 'x,"y,z"', "a,b"]
+    rows = parse_csv(records)
+    assert rows == [None, None, None, {"a": "1", "b": "2"}, None, {"a": "x", "b": "y,z"}, None]
+
+
+def test_without_a_column_a_row_was_taken_when_it_arrived():
+    assert row_times([{}, {}], [5.0, 6.0], None, utc_offset=0.0) == [5.0, 6.0]
+
+
+def test_utc_stamps_are_brought_to_the_runs_clock():
+    rows = [{"t": 1_000_500}, {"t": 1_001_000}, {"t": 1_000_900}]
+    column = TimeColumn("t", TimeKind.UTC, unit=0.001)
+    assert row_times(rows, [0.0] * 3, column, utc_offset=-1000.0) == pytest.approx([0.5, 1.0, 1.0])
+
+
+def test_spans_are_laid_on_the_runs_clock_by_the_quickest_row():
+    rows = [{"span": 1.0}, {"span": 1.0}, {"span": 1.0}]
+    received = [101.3, 102.1, 103.4]
+    times = row_times(rows, received, TimeColumn("span", TimeKind.SPAN), utc_offset=0.0)
+    assert times == pytest.approx([101.1, 102.1, 103.1])
+
+
+def test_a_time_column_that_is_not_there_is_told():
+    with pytest.raises(PluginError, match="no time in column 'when'"):
+        row_times([{"t": 1}], [0.0], TimeColumn("when"), utc_offset=0.0)

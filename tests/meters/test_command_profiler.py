@@ -1,0 +1,247 @@
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from robot_runner.core.errors import PluginError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.measure import Origin
+from robot_runner.meters.meter_process import MeterProcess
+from robot_runner.plugins import Circumstances, Measure
+from robot_runner.plugins.profilers import Aggregate, CommandColumn, CommandProfiler, TimeColumn
+from robot_runner.testing import ProfilerContract, make_context, rehearse
+
+#: Rows come each 20 ms; gaps of five times this are let pass, for a machine that is busy with other tests.
+PATIENT = 0.3
+METER = Path(__file__).with_name("meter_program.py")
+COLUMNS = (
+    CommandColumn("watts", Measure("Energy", "J", "Energy."), Aggregate.INTEGRAL),
+    CommandColumn("percent", Measure("CPU", "%", "Utilisation.")),
+    CommandColumn("energy_mJ", Measure("Counted", "J", "Energy by the counter."), Aggregate.INCREASE, factor=1e-3),
+)
+
+
+def profiler(*options: str, **settings) -> CommandProfiler:
+    command = [sys.executable, str(METER), *options]
+    return CommandProfiler(**{"command": command, "columns": COLUMNS, "period_s": PATIENT, **settings})
+
+
+class TestCommandProfilerOnARealProgram(ProfilerContract):
+    robot = None
+    is_repeatable = False
+    measuring_seconds = 0.1
+
+    def make_plugin(self) -> CommandProfiler:
+        return profiler()
+
+    def make_context(self, folder, plugin, *, run_seed=1):
+        return make_context(folder, plugin, robot=None, clock=SystemClock(), run_seed=run_seed)
+
+
+@pytest.fixture
+def measure(tmp_path):
+    def execute(*options, seconds=0.3, **settings):
+        plugin = profiler(*options, **settings)
+        context = make_context(tmp_path, plugin, robot=None, clock=SystemClock())
+        rehearse(context, plugin, mission=lambda: time.sleep(seconds))
+        return context
+
+    return execute
+
+
+def problems(context) -> list[str]:
+    return [finding.problem for finding in context.broker.findings]
+
+
+def duration(context) -> float:
+    window = json.loads((context.raw_data_folder / "quality.json").read_text())["window"]
+    return window["end"] - window["start"]
+
+
+@pytest.mark.parametrize("time_column", [None, TimeColumn("time_ms", unit=0.001)], ids=["arrival", "column"])
+def test_columns_become_measures(measure, time_column):
+    context = measure(time=time_column)
+    seconds = duration(context)
+    assert seconds >= 0.3
+    assert context.measures["Energy"] == pytest.approx(5.0 * seconds)
+    assert context.measures["CPU"] == pytest.approx(20.0)
+    if time_column is not None:  # the time of arrival is as true as the machine has time
+        assert context.measures["Counted"] == pytest.approx(5.0 * seconds, rel=1e-3)
+    assert not [problem for problem in problems(context) if "program" in problem or "column" in problem]
+
+
+def test_the_output_may_be_a_file(measure):
+    context = measure("--output", "{output}", output="meter.csv")
+    assert context.measures["CPU"] == pytest.approx(20.0)
+    assert (context.raw_data_folder / "meter.csv").read_text().startswith("time_ms,watts")
+
+
+def test_what_the_program_says_in_between_is_no_row(measure):
+    context = measure("--mutters")
+    assert context.measures["CPU"] == pytest.approx(20.0)
+
+
+def test_raw_output_and_samples_are_kept(measure):
+    context = measure()
+    with (context.raw_data_folder / "samples.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["time_s", "watts", "percent", "energy_mJ"]
+    assert {row["watts"] for row in rows} == {"5.000000"}
+    assert (context.raw_data_folder / "stdout.txt").read_text().count("\n") == len(rows) + 1
+    assert (context.raw_data_folder / "stderr.txt").read_text() == "bye\n"
+    facts = json.loads((context.raw_data_folder / "quality.json").read_text())
+    assert facts["program"] == {"exit_code": 0, "was_asked": True, "was_killed": False, "complaint": "bye"}
+
+
+def test_a_program_that_ends_at_once_fails_the_run_with_what_it_said(measure):
+    with pytest.raises(PluginError, match="exit code 3: no sensor was found"):
+        measure("--fails")
+
+
+def test_a_program_that_is_not_there_fails_the_run(measure):
+    with pytest.raises(PluginError, match="'no-such-meter' cannot be started"):
+        measure(command=["no-such-meter"])
+
+
+def test_a_program_that_dies_half_way_costs_its_values_and_not_the_run(measure):
+    context = measure("--dies-after", "5", seconds=1.0, period_s=0.05)
+    assert set(context.measures.values()) == {None}
+    assert "the program ended by itself, with exit code 4: the sensor was lost" in problems(context)
+
+
+def test_a_program_that_says_nothing_costs_its_values_and_not_the_run(measure):
+    context = measure("--silent", startup_s=0.05)
+    assert set(context.measures.values()) == {None}
+    assert any("no sample arrived" in problem for problem in problems(context))
+
+
+def test_a_program_that_is_deaf_is_killed(measure):
+    begun = time.monotonic()
+    context = measure("--deaf", grace_s=0.1)
+    assert time.monotonic() - begun < 20.0
+    assert "the program did not end on SIGINT and had to be killed" in problems(context)
+    assert context.measures["CPU"] == pytest.approx(20.0)
+
+
+def test_what_the_program_has_started_ends_with_it(measure, tmp_path):
+    note = tmp_path / "child"
+    measure("--leaves-child", str(note))
+    deadline = time.monotonic() + 5.0
+    while _is_alive(int(note.read_text())) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert not _is_alive(int(note.read_text()))
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text()
+    except FileNotFoundError:
+        return False
+    return state.rpartition(")")[2].split()[0] != "Z"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks the kernel of Linux")
+def test_a_program_ends_when_the_run_is_killed(tmp_path):
+    script = (
+        "import sys, time; from pathlib import Path; from robot_runner.core.events.context import SystemClock\n"
+        "from robot_runner.meters.meter_process import MeterProcess\n"
+        f"MeterProcess([sys.executable, {str(METER)!r}], output=None, clock=SystemClock(),\n"
+        f"             folder=Path({str(tmp_path)!r}))\n"
+        "time.sleep(60)"
+    )
+    run = subprocess.Popen([sys.executable, "-c", script])
+    deadline = time.monotonic() + 20.0
+    output = tmp_path / "stdout.txt"
+    while (not output.exists() or output.read_text().count("\n") < 2) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    meter = int(output.read_text().splitlines()[1].split(",")[-1])
+    assert _is_alive(meter)
+    run.kill()
+    run.wait(10)
+    while _is_alive(meter) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert not _is_alive(meter)
+
+
+def test_a_program_of_another_user_is_ended_through_sudo(tmp_path, monkeypatch):
+    log = tmp_path / "sudo.log"
+    sudo = tmp_path / "sudo"
+    sudo.write_text(
+        f"#!{sys.executable}\nimport os, signal, sys\n"
+        f"print(*sys.argv[1:], file=open({str(log)!r}, 'a'))\n"
+        "os.kill(int(sys.argv[-1]), getattr(signal, 'SIG' + sys.argv[3][1:]))\n"
+    )
+    sudo.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    (folder := tmp_path / "raw").mkdir()
+    meter = MeterProcess([sys.executable, str(METER)], output=None, folder=folder, clock=SystemClock())
+    assert meter.wait(lambda: len(meter.records) > 1, seconds=10.0)
+    kill = os.kill
+
+    def forbid(pid, number):
+        if number:
+            raise PermissionError
+        kill(pid, number)
+
+    monkeypatch.setattr(os, "kill", forbid)
+    ending = meter.stop(signal.SIGINT, grace=5.0)
+    assert (ending.exit_code, ending.was_killed) == (0, False)
+    assert "-n kill -INT -- " in log.read_text()
+
+
+def test_a_column_that_is_not_there_is_told_with_those_that_are(measure):
+    column = CommandColumn("milliwatts", Measure("Power", "W", "Power."))
+    context = measure(columns=[column])
+    assert context.measures["Power"] is None
+    assert "its output has no column 'milliwatts'; it has 'time_ms', 'watts'" in problems(context)[0]
+
+
+def test_a_parse_function_that_raises_costs_its_values_and_not_the_run(measure):
+    def broken(_):
+        raise ZeroDivisionError("of all things")
+
+    context = measure(parse=broken, startup_s=0.1)
+    assert set(context.measures.values()) == {None}
+    assert problems(context) == ["its output cannot be read: ZeroDivisionError: of all things"]
+
+
+def test_values_carry_the_origin_that_was_given(measure):
+    context = measure(origin=Origin.ESTIMATED)
+    assert {published.origin for published in context.broker.measures.values()} == {Origin.ESTIMATED}
+
+
+def test_a_run_that_was_never_measured_publishes_no_values(tmp_path):
+    plugin = profiler()
+    context = make_context(tmp_path, plugin, robot=None)
+    plugin.populate_run_data(context)
+    assert set(context.measures.values()) == {None}
+
+
+def test_the_check_names_the_program_that_is_missing_and_how_to_get_it():
+    (finding,) = profiler(command=["no-such-meter"], install="Buy one.").check(Circumstances())
+    assert finding.is_error
+    assert "'no-such-meter'" in finding.problem
+    assert finding.fix == "Buy one."
+
+
+@pytest.mark.parametrize(
+    ("settings", "problem"),
+    [
+        ({"command": []}, "command is empty"),
+        ({"columns": []}, "columns yield the measures"),
+        ({"columns": [COLUMNS[0], COLUMNS[0]]}, "columns yield the measures"),
+        ({"period_s": 0.0}, "period_s is 0.0"),
+        ({"grace_s": -1.0}, "grace_s is -1.0"),
+    ],
+)
+def test_what_cannot_be_is_refused(settings, problem):
+    with pytest.raises(PluginError, match=problem):
+        profiler(**settings)

@@ -1,0 +1,164 @@
+from __future__ import annotations
+
+import csv
+
+import pytest
+from tests.meters.fake_sysfs import write
+
+from robot_runner.core.errors import PluginError
+from robot_runner.plugins import Circumstances
+from robot_runner.plugins.profilers import LinuxThermal
+from robot_runner.testing import FakeClock, ProfilerContract, make_context, rehearse
+
+
+class FakeBoard:
+    """The thermal zones, frequencies and throttling of a computer with two cores, in a sysfs of a test."""
+
+    def __init__(self, root) -> None:
+        self.root = root
+        self.zone("thermal_zone0", "acpitz", 30.0)
+        self.zone("thermal_zone1", "cpu-thermal", 45.0)
+        for cpu in (0, 1):
+            self.frequency(cpu, 1_500_000)
+
+    def zone(self, folder, kind, celsius):
+        write(self.root / "class" / "thermal" / folder / "type", kind)
+        write(self.root / "class" / "thermal" / folder / "temp", round(celsius * 1000))
+
+    def frequency(self, cpu, kilohertz):
+        write(self.root / f"devices/system/cpu/cpu{cpu}/cpufreq/scaling_cur_freq", kilohertz)
+
+    def throttled(self, count):
+        for cpu in (0, 1):
+            write(self.root / f"devices/system/cpu/cpu{cpu}/thermal_throttle/core_throttle_count", count)
+
+    def cooler(self, place, kind, state):
+        write(self.root / f"class/thermal/cooling_device{place}/type", kind)
+        write(self.root / f"class/thermal/cooling_device{place}/cur_state", state)
+
+    def firmware(self, flags):
+        write(self.root / "devices/platform/soc/soc:firmware/get_throttled", f"{flags:x}")
+
+
+class TestLinuxThermalOnAFakeSysfs(ProfilerContract):
+    robot = None
+
+    @pytest.fixture(autouse=True)
+    def _board(self, tmp_path_factory):
+        self.board = FakeBoard(tmp_path_factory.mktemp("sys"))
+        self.board.throttled(0)
+
+    def make_plugin(self) -> LinuxThermal:
+        return LinuxThermal(root=self.board.root)
+
+
+@pytest.fixture
+def clock():
+    return FakeClock()
+
+
+@pytest.fixture
+def board(tmp_path):
+    return FakeBoard(tmp_path / "sys")
+
+
+@pytest.fixture
+def measure(tmp_path, clock, board):
+    def execute(*, seconds=10.0, **settings):
+        plugin = LinuxThermal(root=board.root, **settings)
+        context = make_context(tmp_path, plugin, robot=None, clock=clock)
+        rehearse(context, plugin, mission=lambda: clock.sleep(seconds))
+        return context
+
+    return execute
+
+
+def problems(context) -> list[str]:
+    return [finding.problem for finding in context.broker.findings]
+
+
+def test_the_hottest_zone_and_the_mean_frequency_are_told(measure, board, clock):
+    board.frequency(1, 1_000_000)
+    clock.at(5.25, lambda: board.zone("thermal_zone1", "cpu-thermal", 65.0))
+    context = measure()
+    assert context.measures["MaxTemperature"] == pytest.approx(65.0)
+    assert context.measures["MeanTemperature"] == pytest.approx(55.0, abs=1.1)
+    assert context.measures["MeanFrequency"] == pytest.approx(1.25e9)
+
+
+def test_zones_can_be_chosen(measure):
+    assert measure(zones=["acpitz"]).measures["MaxTemperature"] == pytest.approx(30.0)
+
+
+def test_a_count_of_throttling_that_grows_is_warned_of(measure, board, clock):
+    board.throttled(100)
+    clock.at(5.25, lambda: board.throttled(103))
+    context = measure()
+    assert context.measures["Throttled"] == pytest.approx(100 / 21)
+    assert "the processor was held back in 1 of 21 samples, at up to 45 °C" in problems(context)
+
+
+@pytest.mark.parametrize(
+    ("kind", "is_processor"),
+    [("Processor", True), ("cpufreq-cpu0", True), ("thermal-cpufreq-0", True), ("pwm-fan", False)],
+)
+def test_a_cooling_device_of_the_processor_tells_of_throttling_and_a_fan_does_not(measure, board, kind, is_processor):
+    board.cooler(0, kind, 2)
+    context = measure()
+    assert context.measures["Throttled"] == (100.0 if is_processor else None)
+    assert any("held back" in problem for problem in problems(context)) == is_processor
+
+
+@pytest.mark.parametrize(
+    ("flags", "throttled", "said"),
+    [
+        (0x0, 0.0, ""),
+        (0x70000, 0.0, ""),  # it has happened since the start of the board, and does not happen now
+        (0x4, 100.0, "held back"),
+        (0x8, 100.0, "held back"),
+        (0x1, 0.0, "supply voltage"),
+    ],
+)
+def test_the_firmware_of_a_raspberry_pi_is_understood(measure, board, flags, throttled, said):
+    board.firmware(flags)
+    context = measure()
+    assert context.measures["Throttled"] == throttled
+    assert bool(problems(context)) == bool(said)
+    assert all(said in problem for problem in problems(context))
+
+
+def test_what_a_machine_does_not_tell_is_missing_and_told_by_the_check(measure, board):
+    for cpu in (0, 1):
+        (board.root / f"devices/system/cpu/cpu{cpu}/cpufreq/scaling_cur_freq").unlink()
+    context = measure()
+    assert context.measures["MeanFrequency"] is None
+    assert context.measures["Throttled"] is None
+    assert context.measures["MaxTemperature"] is not None
+    findings = list(LinuxThermal(root=board.root).check(Circumstances()))
+    assert [finding.is_error for finding in findings] == [False, False]
+    assert "MeanFrequency" in findings[0].problem
+
+
+def test_a_sensor_that_falls_asleep_leaves_its_cell_empty(measure, board, clock):
+    clock.at(5.25, lambda: write(board.root / "class/thermal/thermal_zone1/temp", ""))
+    context = measure(zones=["cpu-thermal"])
+    assert context.measures["MaxTemperature"] == pytest.approx(45.0)
+    with (context.raw_data_folder / "samples.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert (rows[0]["temperature_degC"], rows[-1]["temperature_degC"]) == ("45.000", "")
+
+
+def test_a_machine_that_tells_nothing_is_refused(tmp_path):
+    plugin = LinuxThermal(root=tmp_path)
+    (finding,) = plugin.check(Circumstances())
+    assert finding.is_error
+    with pytest.raises(PluginError, match="neither of temperature nor of frequency"):
+        rehearse(make_context(tmp_path, plugin, robot=None), plugin)
+
+
+def test_zones_that_are_not_there_are_answered_with_those_that_are(tmp_path):
+    board = FakeBoard(tmp_path)
+    for cpu in (0, 1):
+        (board.root / f"devices/system/cpu/cpu{cpu}/cpufreq/scaling_cur_freq").unlink()
+    (finding,) = LinuxThermal(zones=["gpu"], root=tmp_path).check(Circumstances())
+    assert finding.fix == "Choose zones among: 'acpitz', 'cpu-thermal'."

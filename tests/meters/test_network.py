@@ -1,0 +1,200 @@
+from __future__ import annotations
+
+import csv
+import shutil
+import socket
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.meters.fake_sysfs import write
+
+from robot_runner.core.errors import PluginError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.meters.network import counted
+from robot_runner.plugins import Circumstances
+from robot_runner.plugins.profilers import Network
+from robot_runner.testing import FakeClock, ProfilerContract, make_context, rehearse
+
+COUNTERS = ("rx_bytes", "tx_bytes", "rx_packets", "tx_packets", "rx_dropped", "tx_dropped")
+
+
+class FakeInterface:
+    """A network interface in a sysfs of a test."""
+
+    def __init__(self, root, name, *, has_device=True) -> None:
+        self.folder = root / name
+        self.counts = dict.fromkeys(COUNTERS, 0)
+        if has_device:
+            (self.folder / "device").mkdir(parents=True)
+        self.show()
+
+    def show(self, **counts):
+        self.counts.update(counts)
+        for name, count in self.counts.items():
+            write(self.folder / "statistics" / name, count)
+
+
+class TestNetworkOnAFakeSysfs(ProfilerContract):
+    robot = None
+
+    @pytest.fixture(autouse=True)
+    def _interfaces(self, tmp_path_factory):
+        self.root = tmp_path_factory.mktemp("net")
+        FakeInterface(self.root, "wlan0")
+
+    def make_plugin(self) -> Network:
+        return Network(root=self.root)
+
+
+@pytest.fixture
+def clock():
+    return FakeClock()
+
+
+@pytest.fixture
+def measure(tmp_path, clock):
+    def execute(root, **settings):
+        plugin = Network(root=root, **settings)
+        context = make_context(tmp_path, plugin, robot=None, clock=clock)
+        rehearse(context, plugin, mission=lambda: clock.sleep(10.0))
+        return context
+
+    return execute
+
+
+def test_interfaces_with_a_device_are_added_up_and_the_loopback_is_left_out(measure, clock, tmp_path):
+    wlan, wired = FakeInterface(tmp_path / "net", "wlan0"), FakeInterface(tmp_path / "net", "eth0")
+    loopback = FakeInterface(tmp_path / "net", "lo", has_device=False)
+    clock.at(5.0, lambda: wlan.show(rx_bytes=1000, rx_packets=3, rx_dropped=1))
+    clock.at(6.0, lambda: wired.show(rx_bytes=500, tx_bytes=70, tx_packets=2))
+    clock.at(7.0, lambda: loopback.show(rx_bytes=999))
+    context = measure(tmp_path / "net")
+    assert dict(context.measures) == {
+        "Received": 1500,
+        "Sent": 70,
+        "PacketsReceived": 3,
+        "PacketsSent": 2,
+        "PacketsDropped": 1,
+    }
+    assert context.broker.findings == ()
+
+
+def test_what_was_counted_before_the_measurement_does_not_count(measure, clock, tmp_path):
+    wlan = FakeInterface(tmp_path / "net", "wlan0")
+    wlan.show(rx_bytes=10**12)
+    clock.at(5.0, lambda: wlan.show(rx_bytes=10**12 + 5))
+    assert measure(tmp_path / "net").measures["Received"] == 5
+
+
+def test_a_counter_of_32_bits_goes_round(measure, clock, tmp_path):
+    wlan = FakeInterface(tmp_path / "net", "wlan0")
+    wlan.show(rx_bytes=2**32 - 100)
+    clock.at(5.25, lambda: wlan.show(rx_bytes=50))
+    assert measure(tmp_path / "net").measures["Received"] == 150
+
+
+def test_an_interface_that_was_set_up_anew_counts_from_0(measure, clock, tmp_path):
+    wlan = FakeInterface(tmp_path / "net", "wlan0")
+    wlan.show(rx_bytes=10_000)
+    clock.at(5.25, lambda: wlan.show(rx_bytes=40))
+    assert measure(tmp_path / "net").measures["Received"] == 40
+
+
+@given(steps=st.lists(st.integers(0, 2**30), max_size=40), start=st.integers(0, 2**32 - 1))
+def test_a_counter_of_32_bits_is_followed_exactly_however_often_it_goes_round(steps, start):
+    counts = [start]
+    for step in steps:
+        counts.append((counts[-1] + step) % 2**32)
+    assert counted(counts) == sum(steps)
+
+
+def test_raw_counters_are_kept(measure, tmp_path):
+    FakeInterface(tmp_path / "net", "wlan0")
+    context = measure(tmp_path / "net")
+    with (context.raw_data_folder / "samples.csv").open(newline="") as file:
+        heading = next(csv.reader(file))
+    assert heading == ["time_s", *(f"wlan0_{counter}" for counter in COUNTERS)]
+
+
+def test_an_interface_that_is_not_there_is_told_with_the_nearest(tmp_path):
+    FakeInterface(tmp_path, "wlan0")
+    plugin = Network(interfaces=["wlan1"], root=tmp_path)
+    (finding,) = plugin.check(Circumstances())
+    assert (finding.problem, finding.fix) == ("there is no interface 'wlan1'", "Did you mean 'wlan0'?")
+    with pytest.raises(PluginError, match="'wlan1'"):
+        rehearse(make_context(tmp_path, plugin, robot=None), plugin)
+
+
+def test_a_machine_whose_interfaces_have_no_device_is_told_how_to_name_them(tmp_path):
+    FakeInterface(tmp_path, "lo", has_device=False)
+    (finding,) = Network(root=tmp_path).check(Circumstances())
+    assert "'lo'" in finding.fix
+
+
+def test_a_capture_without_tshark_is_refused_with_how_to_get_it(tmp_path, monkeypatch):
+    FakeInterface(tmp_path, "wlan0")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    (finding,) = Network(capture=True, root=tmp_path).check(Circumstances())
+    assert "'tshark'" in finding.problem
+    assert "apt install tshark" in finding.fix
+
+
+@pytest.mark.parametrize("settings", [{"interfaces": []}, {"interfaces": "wlan0"}, {"rate_hz": -1.0}])
+def test_what_cannot_be_is_refused(settings):
+    with pytest.raises(PluginError):
+        Network(**settings)
+
+
+def _send(count: int, size: int) -> None:
+    """Send so many datagrams over the loopback."""
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(5.0)
+        with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as sender:
+            for _ in range(count):
+                sender.sendto(bytes(size), receiver.getsockname())
+                receiver.recv(size)
+
+
+needs_loopback = pytest.mark.skipif(not Path("/sys/class/net/lo").exists(), reason="needs Linux with a loopback")
+
+
+@needs_loopback
+def test_real_datagrams_are_counted_by_the_kernel(tmp_path):
+    plugin = Network(interfaces=["lo"], rate_hz=50.0)
+    context = make_context(tmp_path, plugin, robot=None, clock=SystemClock())
+    rehearse(context, plugin, mission=lambda: _send(100, 1000))
+    # Each is counted with its headers, 28 bytes, and others may use the loopback too.
+    assert context.measures["PacketsSent"] >= 100
+    assert context.measures["Sent"] >= 102_800
+    assert context.measures["Received"] == context.measures["Sent"]
+
+
+def _may_capture() -> bool:
+    if sys.platform != "linux" or shutil.which("tshark") is None:
+        return False
+    listing = subprocess.run(["tshark", "-D"], capture_output=True, timeout=30, check=False)
+    return listing.returncode == 0 and b"lo" in listing.stdout
+
+
+@needs_loopback
+@pytest.mark.skipif(not _may_capture(), reason="needs tshark, and the right to capture")
+def test_real_packets_are_captured_with_tshark(tmp_path):
+    plugin = Network(interfaces=["lo"], capture=True, capture_filter="udp", rate_hz=50.0)
+    assert [finding for finding in plugin.check(Circumstances()) if finding.is_error] == []
+    context = make_context(tmp_path, plugin, robot=None, clock=SystemClock())
+
+    def mission():
+        _send(20, 500)
+        SystemClock().sleep(0.5)  # tshark writes what it has seen a few times a second
+
+    rehearse(context, plugin, mission=mission)
+    assert not [finding for finding in context.broker.findings if "tshark" in finding.problem]
+    capture = str(context.raw_data_folder / "capture.pcapng")
+    listing = subprocess.run(["tshark", "-r", capture], capture_output=True, text=True, timeout=30, check=True)
+    assert listing.stdout.count("UDP") >= 20

@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import csv
+import json
+
+import pytest
+from tests.meters.fake_nvidia_driver import DRIVER_NOT_LOADED, FakeGpu, FakeNvidiaDriver, install
+
+from robot_runner.core.errors import PluginError
+from robot_runner.plugins import Circumstances
+from robot_runner.plugins.profilers import Nvml
+from robot_runner.testing import FakeClock, ProfilerContract, make_context, rehearse
+
+pytest.importorskip("pynvml", reason="nvidia-ml-py is not installed")
+
+
+class TestNvmlOnAFakeDriver(ProfilerContract):
+    robot = None
+
+    @pytest.fixture(autouse=True)
+    def _driver(self, monkeypatch):
+        install(FakeNvidiaDriver(FakeClock(), [FakeGpu(), FakeGpu()]), monkeypatch)
+
+    def make_plugin(self) -> Nvml:
+        return Nvml()
+
+
+@pytest.fixture
+def clock():
+    return FakeClock(10.0)
+
+
+@pytest.fixture
+def measure(tmp_path, clock, monkeypatch):
+    def execute(*gpus, seconds=20.0, **settings):
+        driver = install(FakeNvidiaDriver(clock, list(gpus)), monkeypatch)
+        plugin = Nvml(**settings)
+        context = make_context(tmp_path, plugin, robot=None, clock=clock)
+        rehearse(context, plugin, mission=lambda: clock.sleep(seconds))
+        assert driver.open_count == 0
+        return context
+
+    return execute
+
+
+def problems(context) -> list[str]:
+    return [finding.problem for finding in context.broker.findings]
+
+
+def test_all_gpus_are_added_up(measure):
+    context = measure(FakeGpu(50.0, utilisation=40), FakeGpu(30.0, utilisation=80, memory_used=6 << 30))
+    assert context.measures["Energy"] == pytest.approx(1600.0)
+    assert context.measures["MeanPower"] == pytest.approx(80.0)
+    assert context.measures["GPU"] == pytest.approx(60.0)
+    assert context.measures["GPUMemory"] == pytest.approx(50.0)
+    assert problems(context) == []
+
+
+def test_gpus_can_be_chosen(measure):
+    context = measure(FakeGpu(50.0), FakeGpu(30.0), gpus=[1])
+    assert context.measures["MeanPower"] == pytest.approx(30.0)
+
+
+def test_without_a_counter_energy_is_the_integral_of_power(measure):
+    context = measure(FakeGpu(lambda time: time, has_counter=False))
+    assert context.measures["Energy"] == pytest.approx((30.0**2 - 10.0**2) / 2)
+    with (context.raw_data_folder / "samples.csv").open(newline="") as file:
+        row = next(csv.DictReader(file))
+    assert (row["gpu0_power_W"], row["gpu0_energy_J"]) == ("10.000", "")
+
+
+def test_a_gpu_that_is_lost_half_way_costs_the_values_and_not_the_run(measure, clock):
+    gpu = FakeGpu()
+    clock.at(15.0, lambda: setattr(gpu, "is_lost", True))
+    context = measure(gpu)
+    assert set(context.measures.values()) == {None}
+    assert any("GPU is lost" in problem for problem in problems(context))
+
+
+def test_the_names_of_the_gpus_are_kept(measure):
+    context = measure(FakeGpu())
+    assert json.loads((context.raw_data_folder / "quality.json").read_text())["gpus"] == ["NVIDIA Fake"]
+
+
+def test_a_machine_without_the_driver_is_refused(monkeypatch, clock):
+    install(FakeNvidiaDriver(clock, [], init_error=DRIVER_NOT_LOADED), monkeypatch)
+    (finding,) = Nvml().check(Circumstances())
+    assert finding.is_error
+    assert "driver does not answer: Driver Not Loaded" in finding.problem
+    assert "nvidia-smi" in finding.fix
+
+
+def test_a_gpu_that_is_not_there_is_told(monkeypatch, clock):
+    install(FakeNvidiaDriver(clock, [FakeGpu()]), monkeypatch)
+    (finding,) = Nvml(gpus=[1]).check(Circumstances())
+    assert finding.problem == "there is no GPU 1; there are 1, counted from 0"
+    assert list(Nvml().check(Circumstances())) == []
+
+
+def test_a_machine_without_the_library_is_told_which_extra_brings_it(monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    (finding,) = Nvml().check(Circumstances())
+    assert "robot-runner[nvml]" in finding.fix
+
+
+@pytest.mark.parametrize("settings", [{"gpus": []}, {"gpus": [-1]}, {"rate_hz": 0.0}])
+def test_what_cannot_be_is_refused(settings):
+    with pytest.raises(PluginError):
+        Nvml(**settings)

@@ -1,0 +1,173 @@
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import subprocess
+import time
+
+import pytest
+from tests.meters.fake_sysfs import write
+
+from robot_runner.core.errors import PluginError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.meters.perf_stat import parse_perf
+from robot_runner.plugins import Circumstances
+from robot_runner.plugins.profilers import PerfStat
+from robot_runner.testing import ProfilerContract, make_context, rehearse
+
+# What perf 6.1 wrote for `perf stat -x ';' -I 200 -a -e task-clock,context-switches,cycles`, in a virtual machine that
+# has no hardware counters; the row of cache-misses was added by hand after the format that `man perf-stat` gives.
+RECORDED = """\
+# started on Sat Nov 21 03:01:29 2026
+
+     0.200243912;400.71;msec;task-clock;400705362;100.00;2.004;CPUs utilized
+     0.200243912;628;;context-switches;400704330;100.00;1.567;K/sec
+     0.200243912;<not supported>;;cycles;0;100.00;;
+     0.200243912;33000;;cache-misses;200250000;50.00;;
+"""
+
+
+def _may_count() -> bool:
+    if shutil.which("perf") is None:
+        return False
+    words = ["perf", "stat", "-a", "-e", "task-clock", "--", "true"]
+    return subprocess.run(words, capture_output=True, timeout=30, check=False).returncode == 0
+
+
+needs_perf = pytest.mark.skipif(not _may_count(), reason="needs perf, and the right to count on all processors")
+
+
+@needs_perf
+class TestPerfStatOnThisMachine(ProfilerContract):
+    robot = None
+    is_repeatable = False
+    measuring_seconds = 0.1
+
+    def make_plugin(self) -> PerfStat:
+        return PerfStat(events=["task-clock", "context-switches"], interval_ms=100)
+
+    def make_context(self, folder, plugin, *, run_seed=1):
+        return make_context(folder, plugin, robot=None, clock=SystemClock(), run_seed=run_seed)
+
+
+@pytest.fixture
+def measure(tmp_path):
+    def execute(mission, **settings):
+        plugin = PerfStat(interval_ms=100, **settings)
+        plugin.period_s = 0.3  # lets gaps pass, for a machine that is busy with other tests
+        context = make_context(tmp_path, plugin, robot=None, clock=SystemClock())
+        rehearse(context, plugin, mission=mission)
+        return context
+
+    return execute
+
+
+def _busy(seconds: float) -> None:
+    """Use so much CPU time, however long that takes."""
+    end = time.process_time() + seconds
+    while time.process_time() < end:
+        pass
+
+
+@needs_perf
+def test_the_clocks_of_all_processors_tick_all_the_time(measure):
+    context = measure(lambda: time.sleep(0.5), events=["task-clock"])
+    window = json.loads((context.raw_data_folder / "quality.json").read_text())["window"]
+    processors = os.cpu_count()
+    assert context.measures["TaskClock"] == pytest.approx((window["end"] - window["start"]) * processors, rel=0.1)
+
+
+@needs_perf
+def test_the_clock_of_one_process_ticks_while_it_works(measure):
+    begun = time.process_time()
+    context = measure(lambda: _busy(0.5), events=["task-clock"], pid=os.getpid())
+    assert 0.4 < context.measures["TaskClock"] < time.process_time() - begun + 0.1
+
+
+@needs_perf
+def test_what_is_counted_is_kept(measure):
+    context = measure(lambda: time.sleep(0.2), events=["task-clock", "page-faults"])
+    with (context.raw_data_folder / "samples.csv").open(newline="") as file:
+        assert next(csv.reader(file)) == ["time_s", "task-clock", "page-faults"]
+    assert context.measures["PageFaults"] >= 0
+
+
+@needs_perf
+def test_an_event_that_does_not_exist_is_refused_with_what_perf_says():
+    (finding,) = PerfStat(events=["no-such-event"]).check(Circumstances())
+    assert finding.is_error
+    assert "no-such-event" in finding.problem
+
+
+def stand_in(folder, recorded=RECORDED) -> str:
+    """Return a program that writes what was recorded, over and over, until it is interrupted."""
+    heading, rows = recorded.split("\n\n")
+    path = folder / "perf"
+    path.write_text(
+        "#!/bin/sh\n"
+        'while [ "$1" != --output ] && [ $# -gt 1 ]; do shift; done\n'
+        f"[ $# -gt 1 ] || {{ cat >&2 <<'END'\n{rows}END\nexit 0; }}\n"
+        "trap 'exit 0' INT\n"
+        f"echo '{heading}' >\"$2\"\n"
+        "n=0; while :; do n=$((n+1)); sleep 0.05\n"
+        f'sed "s/ 0.200243912/ $((n*200+1000)).0e-3/" >>"$2" <<\'END\'\n{rows}END\ndone\n',
+        encoding="ascii",
+    )
+    path.chmod(0o755)
+    return str(path)
+
+
+def test_an_event_that_cannot_be_counted_is_named_and_one_that_was_scaled_too(tmp_path):
+    events = ["task-clock", "cycles", "cache-misses"]
+    plugin = PerfStat(events=events, interval_ms=100, program=stand_in(tmp_path))
+    plugin.period_s = 0.3
+    context = make_context(tmp_path, plugin, robot=None, clock=SystemClock())
+    rehearse(context, plugin, mission=lambda: time.sleep(0.4))
+    problems = [finding.problem for finding in context.broker.findings]
+    assert context.measures["Cycles"] is None
+    assert context.measures["TaskClock"] is not None
+    assert "this machine cannot count 'cycles'" in problems
+    assert "'cache-misses' was counted in 50 % of the time only, and scaled up by perf" in problems
+
+
+def test_recorded_rows_are_read():
+    rows = [row for row in parse_perf(RECORDED.splitlines()) if row]
+    assert [row.get("task-clock") for row in rows] == ["400.71", None, None, None]
+    assert rows[2] == {"span": "0.200243912", "cycles": None, "cycles counted": None}
+
+
+def test_measures_are_named_after_events():
+    plugin = PerfStat(events=["L1-dcache-loads", "power/energy-pkg/", "instructions:u", "cpu-clock"])
+    assert [(measure.name, measure.unit) for measure in plugin.measures] == [
+        ("L1DcacheLoads", "1"),
+        ("EnergyPkg", "J"),
+        ("InstructionsU", "1"),
+        ("CpuClock", "s"),
+    ]
+
+
+def test_a_machine_without_perf_is_told_how_to_get_it():
+    (finding,) = PerfStat(program="no-such-perf").check(Circumstances())
+    assert "apt install linux-perf" in finding.fix
+
+
+def test_a_kernel_that_lets_only_root_count_is_told_with_the_command_that_mends_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    paranoia = write(tmp_path / "perf_event_paranoid", 2)
+    (finding,) = PerfStat(program="sh", paranoia=paranoia).check(Circumstances())
+    assert finding.problem == "kernel.perf_event_paranoid is 2: only root may count on all processors"
+    assert "sysctl kernel.perf_event_paranoid=0" in finding.fix
+
+
+def test_what_the_machine_cannot_count_is_a_warning_of_the_check(tmp_path):
+    plugin = PerfStat(events=["task-clock", "cycles"], program=stand_in(tmp_path))
+    findings = [finding for finding in plugin.check(Circumstances()) if "cycles" in finding.problem]
+    assert [finding.is_error for finding in findings] == [False]
+
+
+@pytest.mark.parametrize("settings", [{"events": "cycles"}, {"interval_ms": 0}, {"events": []}])
+def test_what_cannot_be_is_refused(settings):
+    with pytest.raises(PluginError):
+        PerfStat(**settings)

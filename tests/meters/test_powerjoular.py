@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+import json
+import sys
+
+import pytest
+from tests.meters.fake_sysfs import FakePowercap, write
+
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.measure import Origin
+from robot_runner.meters.command_meters import parse_powerjoular
+from robot_runner.plugins import Circumstances
+from robot_runner.plugins.profilers import PowerJoular
+from robot_runner.testing import ProfilerContract, make_context, rehearse
+
+# What PowerJoular (built from its source of September 2025) wrote in a virtual machine, with `-m FILE -s watts`.
+RECORDED = """\
+Date,CPU Utilization,Total Power,CPU Power,GPU Power
+2026-11-21 02:20:09,1.00000000000000,12.50000000000000,12.50000000000000,0.00000000000000
+2026-11-21 02:20:10,0.50000000000000,7.50000000000000,7.50000000000000,0.00000000000000
+"""
+# And what it wrote there without, where it found no energy counter.
+RECORDED_WITHOUT_COUNTER = """\
+Date,CPU Utilization,Total Power,CPU Power,GPU Power
+2026-11-21 02:20:16,1.00000000000000,0.00000000000000,0.00000000000000,0.00000000000000
+"""
+
+STAND_IN = """\
+#!{python}
+# Stands in for PowerJoular: writes the recorded rows, a hundred times as fast, until it is interrupted.
+import sys, time
+output = sys.argv[sys.argv.index("-f") + 1]
+heading, *rows = {recorded!r}.splitlines()
+try:
+    for number in range(1_000_000):
+        time.sleep(0.01)
+        with open(output, "a", encoding="ascii") as file:
+            file.write((heading + "\\n" if number == 0 else "") + rows[number % len(rows)] + "\\n")
+except KeyboardInterrupt:
+    print("\\n--------------------------\\nTotal energy: 50.00 Joules, including:")
+"""
+
+
+def stand_in(folder, recorded=RECORDED) -> str:
+    path = folder / "powerjoular"
+    path.write_text(STAND_IN.format(python=sys.executable, recorded=recorded), encoding="ascii")
+    path.chmod(0o755)
+    return str(path)
+
+
+class TestPowerJoularOnAStandIn(ProfilerContract):
+    robot = None
+    is_repeatable = False
+    measuring_seconds = 0.05
+
+    @pytest.fixture(autouse=True)
+    def _machine(self, tmp_path_factory):
+        self.folder = tmp_path_factory.mktemp("machine")
+        self.program = stand_in(self.folder)
+        FakePowercap(self.folder / "powercap")
+
+    def make_plugin(self) -> PowerJoular:
+        plugin = PowerJoular(program=self.program, powercap=self.folder / "powercap")
+        plugin.period_s = 0.3
+        return plugin
+
+    def make_context(self, folder, plugin, *, run_seed=1):
+        return make_context(folder, plugin, robot=None, clock=SystemClock(), run_seed=run_seed)
+
+
+@pytest.fixture
+def measure(tmp_path):
+    def execute(recorded):
+        plugin = PowerJoular(program=stand_in(tmp_path, recorded))
+        plugin.period_s = 0.3
+        context = make_context(tmp_path, plugin, robot=None, clock=SystemClock())
+        rehearse(context, plugin, mission=lambda: SystemClock().sleep(0.4))
+        return context
+
+    return execute
+
+
+def test_power_and_utilisation_are_means_over_the_window(measure):
+    context = measure(RECORDED)
+    power = context.measures["MeanPower"]
+    window = json.loads((context.raw_data_folder / "quality.json").read_text())["window"]
+    assert 7.5 < power < 12.5
+    assert context.measures["CPU"] == pytest.approx(50.0 + 10.0 * (power - 7.5))  # both rows weigh alike in both
+    assert context.measures["Energy"] == pytest.approx(power * (window["end"] - window["start"]))
+
+
+def test_zero_watts_are_no_power_but_a_counter_that_was_not_found(measure):
+    context = measure(RECORDED_WITHOUT_COUNTER)
+    assert context.measures["Energy"] is None
+    assert context.measures["MeanPower"] is None
+    assert context.measures["CPU"] == pytest.approx(100.0)
+    assert any("said 0 W" in finding.problem for finding in context.broker.findings)
+
+
+def test_recorded_rows_are_read():
+    rows = parse_powerjoular(RECORDED.splitlines())
+    assert rows[0] is None
+    assert rows[2]["Total Power"] == "7.50000000000000"
+
+
+def test_on_a_raspberry_pi_its_values_are_estimates(tmp_path):
+    board = write(tmp_path / "model", "Raspberry Pi 4 Model B Rev 1.2")
+    assert PowerJoular(board=board).origin is Origin.ESTIMATED
+    assert PowerJoular(board=tmp_path / "none").origin is Origin.MEASURED
+
+
+def test_what_it_needs_is_told(tmp_path):
+    program, counters = PowerJoular(program="no-such-program", powercap=tmp_path).check(Circumstances())
+    assert "https://github.com/joular/powerjoular" in program.fix
+    assert "no energy counter" in counters.problem
+
+
+def test_power_of_a_virtual_machine_needs_no_counter(tmp_path):
+    plugin = PowerJoular(program=sys.executable, arguments=["-m", "power.txt"], powercap=tmp_path)
+    assert list(plugin.check(Circumstances())) == []

@@ -1,0 +1,187 @@
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.meters.fake_sysfs import FakePowercap, write
+
+from robot_runner.core.errors import PluginError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.measure import Origin
+from robot_runner.meters.rapl import find_domains, unwrapped
+from robot_runner.plugins import Circumstances
+from robot_runner.plugins.profilers import Rapl
+from robot_runner.testing import FakeClock, ProfilerContract, make_context, rehearse
+
+
+class TestRaplOnAFakeSysfs(ProfilerContract):
+    robot = None
+
+    @pytest.fixture(autouse=True)
+    def _powercap(self, tmp_path_factory):
+        self.powercap = FakePowercap(tmp_path_factory.mktemp("powercap"))
+
+    def make_plugin(self) -> Rapl:
+        return Rapl(domains=["dram"], root=self.powercap.root)
+
+
+@pytest.fixture
+def clock():
+    return FakeClock(10.0)
+
+
+@pytest.fixture
+def measure(tmp_path, clock):
+    def execute(powercap, *, seconds=60.0, watts=8.0, **settings):
+        plugin = Rapl(root=powercap.root, **settings)
+        clock.every(0.05, lambda: powercap.draw(package=watts * 0.05, core=0.1, dram=0.05))
+        context = make_context(tmp_path, plugin, robot=None, clock=clock)
+        rehearse(context, plugin, mission=lambda: clock.sleep(seconds))
+        return context
+
+    return execute
+
+
+def problems(context) -> list[str]:
+    return [finding.problem for finding in context.broker.findings]
+
+
+def test_energy_is_what_the_packages_have_counted(measure, tmp_path):
+    context = measure(FakePowercap(tmp_path / "powercap"))
+    assert context.measures["Energy"] == pytest.approx(480.0, rel=1e-3)
+    assert context.measures["MeanPower"] == pytest.approx(8.0, rel=1e-3)
+    assert problems(context) == []
+    assert context.broker.measures["Energy"].origin is Origin.MEASURED
+
+
+def test_domains_within_the_package_have_measures_of_their_own(measure, tmp_path):
+    context = measure(FakePowercap(tmp_path / "powercap"), domains=["core", "dram"])
+    assert context.measures["CoreEnergy"] == pytest.approx(120.0, rel=1e-3)
+    assert context.measures["DramEnergy"] == pytest.approx(60.0, rel=1e-3)
+    assert context.measures["Energy"] == pytest.approx(480.0, rel=1e-3)
+
+
+def test_a_counter_that_begins_anew_several_times_is_followed(measure, tmp_path):
+    powercap = FakePowercap(tmp_path / "powercap", package=99_000_000, wraps_at=100_000_000)
+    assert measure(powercap).measures["Energy"] == pytest.approx(480.0, rel=1e-3)
+
+
+@given(counts=st.lists(st.integers(0, 999), min_size=1, max_size=50))
+def test_an_unwrapped_counter_never_falls_and_agrees_with_the_true_one(counts):
+    totals = unwrapped(counts, wraps_at=1000)
+    assert all(later >= sooner for sooner, later in itertools.pairwise(totals))
+    assert [(counts[0] + total) % 1000 for total in totals] == counts
+
+
+def test_a_counter_that_vanishes_half_way_costs_its_values_and_not_the_run(measure, tmp_path, clock):
+    powercap = FakePowercap(tmp_path / "powercap")
+    counter = powercap.root / "intel-rapl:0" / "energy_uj"
+
+    def vanish():
+        powercap.draw = lambda **_: None
+        counter.unlink()
+
+    clock.at(40.0, vanish)
+    context = measure(powercap)
+    assert set(context.measures.values()) == {None}
+    assert any("readings failed, the first with: FileNotFoundError" in problem for problem in problems(context))
+
+
+def test_raw_counters_are_kept_as_they_were_read(measure, tmp_path):
+    context = measure(FakePowercap(tmp_path / "powercap", package=123), domains=["dram"], seconds=1.0)
+    with (context.raw_data_folder / "samples.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["time_s", "package-0_uJ", "package-0/dram_uJ"]
+    assert rows[0]["package-0_uJ"] == "123"
+    facts = json.loads((context.raw_data_folder / "quality.json").read_text())
+    assert facts["domains"][0] == {"label": "package-0", "wraps_at_uJ": 262_143_328_850}
+    assert facts["clock"] == "run"
+
+
+def test_two_sockets_are_added_up(measure, tmp_path):
+    powercap = FakePowercap(tmp_path / "powercap")
+    for file, content in {"name": "package-1", "energy_uj": 7, "max_energy_range_uj": 1000}.items():
+        write(powercap.root / "intel-rapl:1" / file, content)
+    assert [domain.label for domain in find_domains(powercap.root)] == [
+        "package-0",
+        "package-0/core",
+        "package-0/dram",
+        "package-1",
+    ]
+    assert measure(powercap).measures["Energy"] == pytest.approx(480.0, rel=1e-3)
+
+
+def test_on_a_simulated_robot_power_is_that_of_real_time(tmp_path):
+    pytest.importorskip("mujoco")
+    powercap = FakePowercap(tmp_path / "powercap")
+    plugin = Rapl(root=powercap.root, rate_hz=4.0)
+    context = make_context(tmp_path, plugin, robot="simulated")
+
+    def mission():
+        context.clock.sleep(60.0)  # takes a moment of real time
+        powercap.draw(package=6.0)
+        SystemClock().sleep(0.3)
+
+    rehearse(context, plugin, mission=mission)
+    context.resources.close()
+    facts = json.loads((context.raw_data_folder / "quality.json").read_text())
+    seconds = facts["window"]["end"] - facts["window"]["start"]
+    assert 0.3 < seconds < 60.0
+    assert context.measures["Energy"] == pytest.approx(6.0, rel=0.1)
+    assert context.measures["MeanPower"] == pytest.approx(context.measures["Energy"] / seconds)
+    assert facts["clock"] == "machine"
+
+
+def test_the_check_warns_that_this_machine_is_not_the_simulated_robot(tmp_path):
+    powercap = FakePowercap(tmp_path)
+    (finding,) = Rapl(root=powercap.root).check(Circumstances(robot="simulated"))
+    assert not finding.is_error
+    assert "the machine that simulates it" in finding.problem
+
+
+def test_a_machine_without_counters_is_refused_with_what_it_takes(tmp_path):
+    (finding,) = Rapl(root=tmp_path).check(Circumstances())
+    assert finding.is_error
+    assert "no energy counter" in finding.problem
+    assert "modprobe intel_rapl_msr" in finding.fix
+
+
+def test_counters_that_may_not_be_read_are_told_with_the_command_that_mends_it(tmp_path):
+    powercap = FakePowercap(tmp_path)
+    counter = powercap.root / "intel-rapl:0" / "energy_uj"
+    counter.unlink()
+    counter.mkdir()  # cannot be read by anybody, not even by root, who executes the tests in a container
+    (finding,) = Rapl(root=powercap.root).check(Circumstances())
+    assert "energy_uj cannot be read" in finding.problem
+    assert "sudo chmod a+r" in finding.fix
+
+
+def test_a_domain_that_the_machine_lacks_is_told_with_those_that_it_has(tmp_path):
+    (finding,) = Rapl(domains=["psys"], root=FakePowercap(tmp_path).root).check(Circumstances())
+    assert "'psys'" in finding.problem
+    assert "'dram'" in finding.fix
+
+
+def test_a_machine_without_counters_fails_the_run(tmp_path):
+    plugin = Rapl(root=tmp_path / "nothing")
+    with pytest.raises(PluginError, match="no energy counter"):
+        rehearse(make_context(tmp_path, plugin, robot=None), plugin)
+
+
+def test_a_domain_that_cannot_be_is_refused_with_the_nearest():
+    with pytest.raises(PluginError, match="'dramm'") as refusal:
+        Rapl(domains=["dramm"])
+    assert refusal.value.fix == "Did you mean 'dram'?"
+
+
+@pytest.mark.skipif(sys.platform != "linux" or list(Rapl().check(Circumstances())) != [], reason="needs a real RAPL")
+def test_the_counters_of_this_machine_count(tmp_path):
+    plugin = Rapl()
+    context = make_context(tmp_path, plugin, robot=None, clock=SystemClock())
+    rehearse(context, plugin, mission=lambda: SystemClock().sleep(0.5))
+    assert 0.1 < context.measures["MeanPower"] < 2000.0

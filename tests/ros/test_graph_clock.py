@@ -1,0 +1,65 @@
+"""A run on a graph with a time of its own lives by that time."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import Clock
+from robot_runner.ros import graph_clock
+from robot_runner.ros.graph_clock import GraphClock
+from robot_runner.testing import FakeClock, FakeRobotLink
+
+
+@pytest.fixture
+def link():
+    return FakeRobotLink(FakeClock())
+
+
+def tell(link, seconds):
+    whole = int(seconds)
+    link.deliver("/clock", {"clock": {"sec": whole, "nanosec": round((seconds - whole) * 1e9)}})
+
+
+def test_it_shows_what_was_told_last_and_never_goes_back(link):
+    clock = GraphClock(link)
+    assert isinstance(clock, Clock)
+    tell(link, 12.5)
+    clock.start()
+    assert clock.now() == 12.5
+    tell(link, 3.0)
+    assert clock.now() == 12.5
+    clock.close()
+    tell(link, 20.0)
+    assert clock.now() == 12.5
+
+
+def test_a_sleep_lasts_until_the_graph_s_time_has_come(link):
+    clock = GraphClock(link)
+    tell(link, 100.0)
+    woken = []
+    sleeping = threading.Thread(target=lambda: (clock.sleep(2.0), woken.append(clock.now())))
+    sleeping.start()
+    for tenth in range(1, 25):
+        tell(link, 100.0 + tenth / 10)
+    sleeping.join(5.0)
+    assert woken
+    assert woken[0] >= 102.0
+    clock.sleep(-1.0)
+
+
+def test_a_clock_that_nobody_tells_is_an_error(link, monkeypatch):
+    monkeypatch.setattr(graph_clock, "_PATIENCE", 0.05)
+    with pytest.raises(LinkError, match="nothing came on it") as caught:
+        GraphClock(link).start()
+    assert "/use_sim_time" in caught.value.fix
+
+
+def test_a_clock_that_stands_still_ends_a_sleep(link, monkeypatch):
+    monkeypatch.setattr(graph_clock, "_PATIENCE", 0.05)
+    clock = GraphClock(link)
+    tell(link, 7.0)
+    with pytest.raises(LinkError, match=r"stood still at 7\.000 s"):
+        clock.sleep(1.0)

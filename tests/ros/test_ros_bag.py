@@ -1,0 +1,193 @@
+"""Topics recorded into bags, which rosbags reads."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+from tests.core.links.ssh_server import SshServer
+
+from robot_runner.core.errors import PluginError
+from robot_runner.core.events.measure import Origin
+from robot_runner.core.links.robot import Encoding
+from robot_runner.ros.bag_file import messages_in, new_bag
+from robot_runner.ros.ros_bag import BagProgram, RosBag
+from robot_runner.ros.shapes import completed
+from robot_runner.ros.type_catalogue import TypeCatalogue
+from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, ProfilerContract, make_context, rehearse
+
+STAND_IN = Path(__file__).with_name("bag_program.py")
+
+
+class TestRosBagOfTheSimulatedRobot(ProfilerContract):
+    def make_plugin(self):
+        return RosBag(["odom", "battery_state"])
+
+
+def _robot(clock, *, is_simulated=False):
+    robot = FakeRobotLink(clock, is_simulated=is_simulated)
+    robot.known_topics |= {"odom": "nav_msgs/Odometry", "voice": "std_msgs/String"}
+    clock.every(0.1, lambda: robot.deliver("odom", {"child_frame_id": "base"}))
+    clock.every(0.5, lambda: robot.deliver("voice", {"data": f"it is {clock.now():.1f}"}))
+    return robot
+
+
+@pytest.fixture
+def record(tmp_path):
+    def execute(plugin, **how):
+        clock = FakeClock(50.0)
+        context = make_context(tmp_path, plugin, links=FakeLinks(robot=_robot(clock, **how)), clock=clock)
+        rehearse(context, plugin, mission=lambda: clock.sleep(2.0))
+        return context
+
+    return execute
+
+
+@pytest.fixture
+def programs(tmp_path, monkeypatch):
+    """Put stand-ins for ROS' own recorders before everything else on the path, and return their folder."""
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    for name in ("ros2", "rosbag"):
+        script = folder / name
+        words = [sys.executable, str(STAND_IN), name]
+        script.write_text(f'#!/bin/sh\nexec {shlex.join(words)} "$@"\n')
+        script.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{folder}{os.pathsep}{os.environ['PATH']}")
+    return folder
+
+
+def _read(path):
+    """Return topic, stamp and message of everything in a bag, with the definitions that it brings along."""
+    with AnyReader([path], default_typestore=get_typestore(Stores.EMPTY)) as reader:
+        return [
+            (connection.topic, stamp, reader.deserialize(data, connection.msgtype))
+            for connection, stamp, data in reader.messages()
+        ]
+
+
+def test_what_is_heard_in_the_measured_window_is_in_the_bag(record):
+    context = record(RosBag(["odom", "voice"], by="link"))
+    messages = _read(context.raw_data_folder / "bag.mcap")
+    assert {topic for topic, _, _ in messages} == {"/odom", "/voice"}
+    assert context.measures["BagMessages"] == len(messages) == 24
+    assert context.measures["BagSize"] == (context.raw_data_folder / "bag.mcap").stat().st_size
+    assert [message.child_frame_id for topic, _, message in messages if topic == "/odom"] == ["base"] * 20
+    stamps = [stamp for _, stamp, _ in messages]
+    assert 50_000_000_000 <= min(stamps) <= max(stamps) <= 52_000_000_000
+
+
+def test_the_simulated_robot_is_recorded_and_says_so(record, programs):
+    context = record(RosBag(["odom"]), is_simulated=True)
+    assert {each.origin for each in context.broker.measures.values()} == {Origin.SIMULATED}
+    assert messages_in(context.raw_data_folder) == context.measures["BagMessages"]
+    with pytest.raises(PluginError, match="cannot record a simulated robot"):
+        record(RosBag(["odom"], by="program"), is_simulated=True)
+
+
+def test_the_recorder_of_ros_is_used_where_it_is_there(record, programs):
+    context = record(RosBag(["odom", "voice"]))
+    assert context.measures["BagMessages"] == 2
+    assert not context.broker.findings
+
+
+def test_it_is_not_used_where_the_link_is_asked_for(record, programs):
+    assert record(RosBag(["odom"], by="link")).measures["BagMessages"] > 2
+
+
+@pytest.mark.parametrize("encoding", list(Encoding))
+def test_both_recorders_finish_their_bags(tmp_path, programs, encoding):
+    folder = tmp_path / "raw"
+    folder.mkdir()
+    recorder = BagProgram(encoding, ["/odom", "/voice"], folder)
+    assert recorder.close() is None
+    assert messages_in(folder) == 2
+
+
+def test_a_recorder_that_cannot_start_fails_the_run_with_what_it_said(tmp_path, programs):
+    (programs / "ros2").write_text("#!/bin/sh\necho 'no such topic' >&2\nexit 3\n")
+    with pytest.raises(PluginError, match="no such topic"):
+        BagProgram(Encoding.CDR, ["/odom"], tmp_path)
+
+
+@pytest.mark.parametrize("encoding", list(Encoding))
+def test_a_bag_that_was_recorded_on_the_robot_is_fetched(tmp_path, programs, encoding):
+    setup, folder = tmp_path / "setup.bash", tmp_path / "raw"
+    setup.write_text(f"export PATH={programs}:$PATH\n")
+    folder.mkdir()
+    (tmp_path / "sshd").mkdir()
+    server = SshServer(tmp_path / "sshd")
+    try:
+        recorder = BagProgram(encoding, ["/odom"], folder, host="robot", setup=str(setup), ssh_config=server.config)
+        assert recorder.close() is None
+    finally:
+        server.stop()
+    assert messages_in(folder) == 1
+
+
+@pytest.mark.parametrize("encoding", list(Encoding))
+def test_a_bag_has_the_format_of_its_generation(tmp_path, encoding):
+    number = 1 if encoding is Encoding.ROS1 else 2
+    types = TypeCatalogue.of(number)
+    bag = new_bag(tmp_path, encoding)
+    sent = {}
+    for topic, name in (("/odom", "nav_msgs/Odometry"), ("/scan", "sensor_msgs/LaserScan"), ("/go", "std_msgs/Empty")):
+        message = completed(types.shape(name), {}, where=topic)
+        channel = bag.add_topic(topic, name, types.definition(name))
+        bag.write(channel, 10**18 + len(sent), types.serialise(name, message, encoding))
+        sent[topic] = 10**18 + len(sent)
+    bag.close()
+    bag.close()
+    assert bag.path.suffix == {1: ".bag", 2: ".mcap"}[number]
+    assert {topic: stamp for topic, stamp, _ in _read(bag.path)} == sent
+
+
+def test_a_bag_of_ros_1_has_the_sums_of_ros_1(tmp_path):
+    types = TypeCatalogue.of(1)
+    bag = new_bag(tmp_path, Encoding.ROS1)
+    bag.add_topic("/odom", "nav_msgs/Odometry", types.definition("nav_msgs/Odometry"))
+    bag.close()
+    with AnyReader([bag.path]) as reader:
+        assert reader.connections[0].digest == "cd5e73d190d741a2f92e81eda573aca7"
+
+
+def test_a_disk_that_is_full_is_told_of(record, monkeypatch):
+    def fail(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("robot_runner.ros.bag_file.McapBag.write", fail)
+    context = record(RosBag(["odom"], by="link"))
+    assert any("No space left" in each.problem for each in context.broker.findings)
+
+
+def test_a_topic_that_is_not_there_is_warned_of_and_none_at_all_fails_the_run(record):
+    context = record(RosBag(["odom", "scan"], by="link", patience=0.5))
+    assert any("nobody publishes scan" in each.problem for each in context.broker.findings)
+    with pytest.raises(PluginError, match="none of the topics scan is there") as caught:
+        record(RosBag(["scan"], patience=0.5))
+    assert "/odom" in caught.value.fix
+
+
+def test_no_thread_outlives_the_run(record):
+    before = set(threading.enumerate())
+    record(RosBag(["odom"], by="link"))
+    deadline = time.monotonic() + 5.0
+    while set(threading.enumerate()) - before:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [({"topics": []}, "topics is"), ({"topics": "odom"}, "topics is 'odom'"), ({"by": "robot"}, "by is 'robot'")],
+)
+def test_arguments_that_cannot_be_are_refused(arguments, problem):
+    with pytest.raises(PluginError, match=problem):
+        RosBag(**arguments)

@@ -1,0 +1,96 @@
+"""The graph and the processes of its nodes."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+
+import pytest
+from tests.core.links.busy_core import busy_core
+
+from robot_runner.core.errors import PluginError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.measure import Origin
+from robot_runner.plugins import Circumstances
+from robot_runner.ros.ros_graph import RosGraph
+from robot_runner.testing import FakeLinks, FakeRobotLink, ProfilerContract, make_context, rehearse
+
+
+class TestRosGraphOfTheSimulatedRobot(ProfilerContract):
+    def make_plugin(self):
+        return RosGraph()
+
+
+@pytest.fixture
+def measure(tmp_path):
+    def execute(plugin, seconds=1.0):
+        clock = SystemClock()
+        robot = FakeRobotLink(clock)
+        robot.known_topics |= {"odom": "nav_msgs/Odometry", "scan": "sensor_msgs/LaserScan"}
+        context = make_context(tmp_path, plugin, links=FakeLinks(robot=robot), clock=clock)
+        rehearse(context, plugin, mission=lambda: time.sleep(seconds))
+        context.resources.close()
+        return context
+
+    return execute
+
+
+def test_nodes_and_topics_are_counted_and_kept(measure):
+    context = measure(RosGraph(), 0.0)
+    assert context.measures == {"Nodes": 1, "Topics": 2}
+    graph = json.loads((context.raw_data_folder / "graph.json").read_text())
+    assert graph["start"] == graph["stop"]
+    assert graph["stop"]["topics"] == {"/odom": "nav_msgs/Odometry", "/scan": "sensor_msgs/LaserScan"}
+
+
+def test_a_node_is_found_by_the_name_that_it_was_given(measure):
+    command = [sys.executable, "-c", "import time; time.sleep(60)", "--ros-args", "-r", "__node:=fake_robot"]
+    with subprocess.Popen(command) as node:
+        context = measure(RosGraph(["/fake_robot"], rate_hz=20.0))
+        node.terminate()
+    assert context.measures["CPU_fake_robot"] == pytest.approx(0.0, abs=5.0)
+    assert 0.0 < context.measures["Memory_fake_robot"] < 5.0
+    assert {each.origin for each in context.broker.measures.values()} == {Origin.MEASURED}
+    assert (context.raw_data_folder / "samples.csv").exists()
+
+
+def test_a_process_can_be_named_for_a_node(measure):
+    with busy_core() as busy:
+        context = measure(RosGraph({"/fake_robot": f"pid:{busy.pid}"}, rate_hz=20.0))
+    assert context.measures["CPU_fake_robot"] > 10.0
+
+
+def test_a_node_that_is_not_there_yields_no_value_and_a_warning(measure):
+    context = measure(RosGraph(["/camera"], rate_hz=20.0))
+    assert context.measures["CPU_camera"] is None
+    problems = [finding.problem for finding in context.broker.findings]
+    assert "node /camera is not on the graph" in problems
+    assert "no process node:/camera was seen" in problems
+
+
+def test_nodes_of_a_simulated_robot_have_no_processes():
+    (finding,) = RosGraph(["/turtlebot3_node"]).check(Circumstances("simulated"))
+    assert finding.is_error
+    assert finding.fix == "Leave nodes out."
+
+
+def test_without_a_robot_the_check_says_how_to_name_one():
+    (finding,) = RosGraph().check(Circumstances())
+    assert "--set robot=simulated" in finding.fix
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        ({"nodes": "/talker"}, "nodes is '/talker'"),
+        ({"nodes": ["talker"]}, "'talker' is no full name"),
+        ({"nodes": ["/a/b", "/a_b"]}, "share a column"),
+        ({"nodes": {"/a": ""}}, "selects no process"),
+        ({"rate_hz": 0.0}, "rate_hz is 0"),
+    ],
+)
+def test_arguments_that_cannot_be_are_refused(arguments, problem):
+    with pytest.raises(PluginError, match=problem):
+        RosGraph(**arguments)

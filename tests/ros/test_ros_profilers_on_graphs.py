@@ -1,0 +1,100 @@
+"""The profilers of a graph on real ones: DDS on loopback, and a ROS 1 master."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from contextlib import contextmanager
+
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+from tests.ros.dds_domain import LOOPBACK, claim_domain
+from tests.ros.ros1_master import quiet_about_rospy
+
+from robot_runner.core.events.context import SystemClock
+from robot_runner.ros.dds.link import open_dds_link
+from robot_runner.ros.ros1.link import open_ros1_link
+from robot_runner.ros.ros_bag import RosBag
+from robot_runner.ros.ros_graph import RosGraph
+from robot_runner.ros.ros_topics import RosTopics
+from robot_runner.testing import make_context, rehearse
+
+RATE = 50.0
+SECONDS = 2.0
+
+
+@contextmanager
+def _odometry(link):
+    """Have odometry published at 50 Hz by a thread."""
+    is_over = threading.Event()
+
+    def publish():
+        begun, number = time.monotonic(), 0
+        while not is_over.wait(max(0.0, begun + number / RATE - time.monotonic())):
+            now = time.time_ns()
+            stamp = {"sec": now // 10**9, "nanosec": now % 10**9}
+            link.publish("odom", "nav_msgs/Odometry", {"header": {"stamp": stamp, "frame_id": "odom"}})
+            number += 1
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        thread.join(10.0)
+        link.close()
+
+
+def _measured(tmp_path, robot, speaker, *plugins):
+    context = make_context(tmp_path, *plugins, robot=robot, clock=SystemClock())
+    with _odometry(speaker):
+        try:
+            return rehearse(context, *plugins, mission=lambda: time.sleep(SECONDS)), context
+        finally:
+            context.resources.close()
+
+
+def _check(measures, folder):
+    assert measures["OdomRate"] == pytest.approx(RATE, rel=0.15)
+    assert measures["OdomBandwidth"] == pytest.approx(RATE * 720, rel=0.2)
+    assert 0.0 < measures["OdomAge"] < 0.1
+    assert measures["BagMessages"] == pytest.approx(RATE * SECONDS, rel=0.15)
+    assert measures["Nodes"] >= 1
+    (bag,) = [path for path in (folder / "RosBag").iterdir() if path.suffix in {".bag", ".mcap"}]
+    with AnyReader([bag], default_typestore=get_typestore(Stores.EMPTY)) as reader:
+        (connection,) = reader.connections
+        assert connection.topic == "/odom"
+        stamps = [
+            (stamp, reader.deserialize(data, connection.msgtype).header.stamp) for _, stamp, data in reader.messages()
+        ]
+    assert len(stamps) == measures["BagMessages"]
+    for received, stamp in stamps:
+        assert 0 <= received - stamp.sec * 10**9 - stamp.nanosec < 10**9
+
+
+def test_topics_bag_and_graph_over_dds(tmp_path, monkeypatch):
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    options = {"domain": str(claim_domain()), "distro": "jazzy"}
+    robot = "dds:" + ",".join(f"{name}={value}" for name, value in options.items())
+    speaker = open_dds_link(options, SystemClock())
+    plugins = RosTopics({"odom": RATE}), RosBag(["odom"], by="link"), RosGraph()
+    measures, context = _measured(tmp_path, robot, speaker, *plugins)
+    _check(measures, context.run_path)
+    graph = json.loads((context.run_path / "RosGraph" / "graph.json").read_text())
+    assert graph["stop"]["topics"] == {"/odom": "nav_msgs/Odometry"}
+
+
+@quiet_about_rospy
+def test_topics_bag_and_graph_over_ros_1(tmp_path, master_uri):
+    speaker = open_ros1_link({"master": master_uri}, SystemClock(), "")
+    speaker.publish("odom", "nav_msgs/Odometry", {})
+    (node,) = (name for name in speaker.nodes() if name != "/rosout")
+    plugins = RosTopics({"odom": RATE}, losses=True), RosBag(["odom"], by="link"), RosGraph([node], rate_hz=20.0)
+    measures, context = _measured(tmp_path, f"ros1:master={master_uri}", speaker, *plugins)
+    _check(measures, context.run_path)
+    assert measures["OdomDropped"] == 0
+    label = node.strip("/").replace("/", "_")
+    assert measures[f"CPU_{label}"] > 0.0  # the process of this test, found by the number that the node tells

@@ -1,0 +1,160 @@
+"""Topics measured as they are heard."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import pytest
+
+from robot_runner.core.errors import PluginError
+from robot_runner.core.events.measure import Origin
+from robot_runner.core.links.robot import Encoding
+from robot_runner.ros.ros_topics import RosTopics
+from robot_runner.ros.topic_statistics import HeaderReader, missed
+from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, ProfilerContract, make_context, rehearse
+
+
+class TestRosTopicsOnTheSimulatedRobot(ProfilerContract):
+    def make_plugin(self):
+        return RosTopics({"odom": None, "battery_state": None})
+
+
+class TestRosTopicsOfAScriptedRobot(ProfilerContract):
+    def make_plugin(self):
+        return RosTopics({"odom": 20.0})
+
+    def make_links(self, clock):
+        return FakeLinks(robot=_odometry(clock, lambda _: True))
+
+
+def _odometry(clock, is_sent, *, age=0.02, is_simulated=False):
+    """Return a robot that sends odometry at 20 Hz, `age` s old when it arrives."""
+    robot = FakeRobotLink(clock, is_simulated=is_simulated)
+    robot.known_topics["odom"] = "nav_msgs/Odometry"
+
+    def send():
+        stamp = round((clock.now() - age) * 1e9)
+        if is_sent(clock.now()):
+            robot.deliver("odom", {"header": {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}}})
+
+    clock.every(0.05, send)
+    return robot
+
+
+@pytest.fixture
+def measure(tmp_path):
+    def execute(plugin, is_sent=lambda _: True, *, seconds=10.0, **how):
+        clock = FakeClock(50.0)
+        robot = _odometry(clock, is_sent, **how)
+        context = make_context(tmp_path, plugin, links=FakeLinks(robot=robot), clock=clock)
+        rehearse(context, plugin, mission=lambda: clock.sleep(seconds))
+        return context
+
+    return execute
+
+
+def test_rate_bandwidth_age_and_jitter_are_those_of_the_measured_window(measure):
+    context = measure(RosTopics({"odom": 20.0}))
+    values = context.measures
+    assert values["OdomRate"] == pytest.approx(20.0, rel=0.01)
+    assert values["OdomBandwidth"] == pytest.approx(20.0 * 704, rel=0.05)
+    assert values["OdomAge"] == pytest.approx(0.02)
+    assert values["OdomMaxAge"] == pytest.approx(0.02)
+    assert values["OdomJitter"] == pytest.approx(0.0, abs=1e-6)
+    assert not context.broker.findings
+
+
+def test_what_is_lost_is_not_known_in_ros_2(measure):
+    assert measure(RosTopics(["odom"], losses=True)).measures["OdomDropped"] is None
+
+
+def test_a_topic_that_falls_silent_is_warned_of(measure):
+    context = measure(RosTopics({"odom": 20.0}), lambda now: now < 55.0)
+    assert context.measures["OdomRate"] == pytest.approx(10.0, rel=0.02)
+    assert any("topic odom" in each.problem and "largest gap" in each.problem for each in context.broker.findings)
+
+
+def test_a_topic_that_nobody_publishes_yields_no_value_and_a_warning(measure):
+    context = measure(RosTopics({"scan": 5.0}, patience=1.0))
+    assert set(context.measures.values()) == {None}
+    assert any("nobody publishes it within 1 s" in each.problem for each in context.broker.findings)
+
+
+def test_stamps_of_the_future_yield_no_age_and_a_warning_about_clocks(measure):
+    context = measure(RosTopics({"odom": 20.0}), age=-0.5)
+    assert context.measures["OdomAge"] is None
+    assert context.measures["OdomRate"] == pytest.approx(20.0, rel=0.01)
+    (finding,) = context.broker.findings
+    assert "0.500 s after it arrived" in finding.problem
+    assert "chrony" in finding.fix
+
+
+@pytest.mark.parametrize(("is_simulated", "origin"), [(True, Origin.SIMULATED), (False, Origin.MEASURED)])
+def test_values_say_where_they_come_from(measure, is_simulated, origin):
+    context = measure(RosTopics(), is_simulated=is_simulated)
+    assert {published.origin for published in context.broker.measures.values()} == {origin}
+
+
+def test_each_message_and_the_quality_are_kept(measure):
+    context = measure(RosTopics({"odom": 20.0}), seconds=1.0)
+    with (context.raw_data_folder / "Odom.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) in {20, 21}
+    assert float(rows[0]["age_s"]) == pytest.approx(0.02, abs=1e-5)
+    facts = json.loads((context.raw_data_folder / "quality.json").read_text())
+    assert facts["topics"]["odom"]["got"] == len(rows)
+
+
+def test_the_topics_of_the_simulated_robot_have_the_rates_of_the_real_one(tmp_path):
+    plugin = RosTopics({"odom": 30.0, "battery_state": None})
+    context = make_context(tmp_path, plugin)
+    measures = rehearse(context, plugin, mission=lambda: context.clock.sleep(5.0))
+    context.resources.close()
+    assert measures["OdomRate"] == pytest.approx(30.0, rel=0.05)
+    assert measures["OdomAge"] == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("sequence", "lost"),
+    [
+        ([1, 2, 3], 0),
+        ([1, 2, 5], 2),
+        ([2**32 - 2, 2**32 - 1, 1], 1),
+        ([10, 11, 0, 1, 2], 0),
+        ([0, 0, 0], None),
+        ([7], None),
+        ([], None),
+        ([5, 900, 6, 901, 7, 902], None),
+    ],
+)
+def test_losses_are_the_gaps_of_a_publisher_s_numbers(sequence, lost):
+    assert missed(sequence) == lost
+
+
+def test_the_header_of_ros_1_has_a_number_and_that_of_ros_2_none():
+    ros1 = HeaderReader("# odometry\nHeader header\n", Encoding.ROS1)
+    assert ros1.read(bytes([7, 0, 0, 0, 2, 0, 0, 0, 5, 0, 0, 0])) == (2_000_000_005, 7)
+    ros2 = HeaderReader("uint8 X=1\nstd_msgs/Header header\n", Encoding.CDR)
+    assert ros2.read(bytes([0, 1, 0, 0, 2, 0, 0, 0, 5, 0, 0, 0])) == (2_000_000_005, None)
+    assert ros2.read(bytes([0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 5])) == (2_000_000_005, None)
+
+
+def test_a_message_without_header_or_stamp_has_no_age():
+    assert HeaderReader("string data\n", Encoding.CDR).read(bytes(40)) == (None, None)
+    assert HeaderReader("std_msgs/Header header\n", Encoding.CDR).read(bytes([0, 1, 0, 0, *bytes(12)])) == (None, None)
+
+
+@pytest.mark.parametrize(
+    ("topics", "problem"),
+    [
+        ({}, "topics is"),
+        ("odom", "topics is 'odom'"),
+        ({"odom": 0.0}, "the rate of 'odom' is 0.0"),
+        (["odom", "/odom"], "two topics would have the columns of 'Odom'"),
+        (["od om"], "'od om' cannot be the name of a topic"),
+    ],
+)
+def test_topics_that_cannot_be_are_refused(topics, problem):
+    with pytest.raises(PluginError, match=problem):
+        RosTopics(topics)

@@ -1,0 +1,176 @@
+"""Types of messages and services: their shapes, definitions, digests and bytes."""
+
+from __future__ import annotations
+
+import pytest
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.robot import Encoding
+from robot_runner.ros.shapes import UNBOUNDED, completed
+from robot_runner.ros.type_catalogue import TypeCatalogue
+
+
+@pytest.fixture(params=[(1, Encoding.ROS1), (2, Encoding.CDR)], ids=["ros1", "ros2"])
+def generation(request):
+    return request.param
+
+
+def _written(folder, name, text):
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    return path
+
+
+def test_the_header_of_ros_1_counts_its_messages_and_that_of_ros_2_does_not():
+    assert TypeCatalogue.of(1).shape("std_msgs/Header").names == ("seq", "stamp", "frame_id")
+    assert TypeCatalogue.of(2).shape("std_msgs/Header").names == ("stamp", "frame_id")
+
+
+def test_an_array_has_its_length_and_a_sequence_none():
+    shape = TypeCatalogue.of(2).shape("sensor_msgs/Imu")
+    counts = {field.name: field.count for field in shape.fields}
+    assert counts["orientation_covariance"] == 9
+    assert TypeCatalogue.of(2).shape("sensor_msgs/LaserScan").fields[-1].count == UNBOUNDED
+
+
+def test_an_orientation_that_is_left_out_is_none_at_all_in_ros_2_only():
+    for number, w in ((1, 0.0), (2, 1.0)):
+        shape = TypeCatalogue.of(number).shape("geometry_msgs/Pose")
+        assert completed(shape, {}, where="goal")["orientation"]["w"] == w
+
+
+# The sums that rosmsg prints on ROS 1 Noetic, and the hashes in rosidl's generated JSON files of ROS 2.
+@pytest.mark.parametrize(
+    ("number", "name", "digest"),
+    [
+        (1, "std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1"),
+        (1, "nav_msgs/Odometry", "cd5e73d190d741a2f92e81eda573aca7"),
+        (1, "geometry_msgs/Twist", "9f195f881246fdfa2798d1d3eebca84a"),
+        (2, "std_msgs/String", "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"),
+    ],
+)
+def test_digests_are_those_of_ros(number, name, digest):
+    assert TypeCatalogue.of(number).digest(name) == digest
+
+
+def test_a_definition_is_followed_by_those_that_it_is_made_of():
+    text = TypeCatalogue.of(1).definition("nav_msgs/Odometry")
+    assert text.startswith("std_msgs/Header header\nstring child_frame_id\n")
+    assert "=" * 80 + "\nMSG: geometry_msgs/Quaternion\n" in text
+
+
+def test_a_message_is_what_its_bytes_were_made_of(generation):
+    number, encoding = generation
+    catalogue = TypeCatalogue.of(number)
+    image = {
+        "header": {"stamp": {"sec": 12, "nanosec": 345}, "frame_id": "caméra"},
+        "height": 1,
+        "data": b"\x00\xff",
+        "encoding": "mono8",
+    }
+    markers = {"markers": [{"ns": "a", "points": [{"x": 1.0}, {"y": -2.5}], "colors": []}, {"ns": "b"}]}
+    for name, message in (
+        ("sensor_msgs/Image", image),
+        ("visualization_msgs/MarkerArray", markers),
+        ("sensor_msgs/JointState", {"name": ["left", "right"], "position": [0.5, -0.5]}),
+        ("std_msgs/Empty", {}),
+        ("diagnostic_msgs/DiagnosticStatus", {"values": [{"key": "a", "value": "b"}]}),
+    ):
+        whole = completed(catalogue.shape(name), message, where="a topic")
+        data = catalogue.serialise(name, whole, encoding)
+        assert catalogue.deserialise(name, data, encoding) == whole
+
+
+def test_the_bytes_of_ros_1_are_packed_and_those_of_ros_2_aligned():
+    message = {"data": "hi"}
+    assert TypeCatalogue.of(1).serialise("std_msgs/String", message, Encoding.ROS1) == b"\x02\0\0\0hi"
+    assert TypeCatalogue.of(2).serialise("std_msgs/String", message, Encoding.CDR) == b"\0\1\0\0\x03\0\0\0hi\0"
+
+
+def test_a_byte_has_a_sign_in_ros_1_and_none_in_ros_2():
+    ros1, ros2 = TypeCatalogue.of(1), TypeCatalogue.of(2)
+    assert ros1.deserialise("std_msgs/Byte", b"\xff", Encoding.ROS1) == {"data": -1}
+    assert ros2.deserialise("std_msgs/Byte", b"\0\1\0\0\xff", Encoding.CDR) == {"data": 255}
+    numbers = {"layout": {"dim": [], "data_offset": 0}, "data": [-1, 1]}
+    data = ros1.serialise("std_msgs/ByteMultiArray", numbers, Encoding.ROS1)
+    assert data[-2:] == b"\xff\x01"
+    assert ros1.deserialise("std_msgs/ByteMultiArray", data, Encoding.ROS1) == numbers
+
+
+def test_standard_services_are_known(generation):
+    number, encoding = generation
+    catalogue = TypeCatalogue.of(number)
+    assert catalogue.request("std_srvs/Trigger").names == ()
+    assert catalogue.response("std_srvs/SetBool").names == ("success", "message")
+    data = catalogue.serialise("std_srvs/SetBool_Request", {"data": True}, encoding)
+    assert catalogue.deserialise("std_srvs/SetBool_Request", data, encoding) == {"data": True}
+
+
+def test_an_unknown_type_is_refused_with_the_nearest_one():
+    catalogue = TypeCatalogue.of(2)
+    with pytest.raises(LinkError, match="Did you mean 'nav_msgs/Odometry'"):
+        catalogue.shape("nav_msgs/Odometri")
+    with pytest.raises(LinkError, match="Did you mean 'std_srvs/Trigger'"):
+        catalogue.request("std_srvs/Triger")
+    with pytest.raises(LinkError, match=r"types="):
+        catalogue.definition("my_robot/Battery")
+
+
+def test_bytes_that_are_cut_off_are_refused(generation):
+    number, encoding = generation
+    catalogue = TypeCatalogue.of(number)
+    whole = completed(catalogue.shape("nav_msgs/Odometry"), {}, where="odom")
+    data = catalogue.serialise("nav_msgs/Odometry", whole, encoding)
+    with pytest.raises(LinkError, match="50 bytes are no message of this type"):
+        catalogue.deserialise("nav_msgs/Odometry", data[:50], encoding)
+
+
+def test_an_incomplete_message_is_refused():
+    with pytest.raises(LinkError, match="as its definition says"):
+        TypeCatalogue.of(2).serialise("geometry_msgs/Point", {"x": 1.0}, Encoding.CDR)
+
+
+def test_types_come_from_the_user_s_files(tmp_path):
+    _written(tmp_path, "my_robot/msg/Wheel.msg", "float32 speed 0.5  # rad/s\nuint8 FRONT=1\nuint8 place\n")
+    _written(tmp_path, "my_robot/msg/Wheels.msg", "std_msgs/Header header\nWheel[2] pair\nWheel[<=3] more\n")
+    _written(tmp_path, "my_robot/srv/Turn.srv", "Wheel wheel\n---\nbool done\n")
+    catalogue = TypeCatalogue.of(2, extra=(tmp_path,))
+    whole = completed(catalogue.shape("my_robot/Wheels"), {"pair": [{"place": 1}, {}]}, where="wheels")
+    data = catalogue.serialise("my_robot/Wheels", whole, Encoding.CDR)
+    assert catalogue.deserialise("my_robot/Wheels", data, Encoding.CDR)["pair"][0]["place"] == 1
+    assert catalogue.request("my_robot/Turn").fields[0].kind.type_name == "my_robot/Wheel"
+    assert "MSG: my_robot/Wheel" in catalogue.definition("my_robot/Wheels")
+
+
+def test_a_file_is_enough_and_its_folder_names_the_package(tmp_path):
+    file = _written(tmp_path, "my_robot/Wheel.msg", "float32 speed\n")
+    assert TypeCatalogue.of(1, extra=(file,)).shape("my_robot/Wheel").names == ("speed",)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "problem"),
+    [
+        ("my_robot/msg/Wheel.msg", "float32 speed[\n", "cannot be read"),
+        ("my_robot/msg/Wheel.msg", "Axle axle\n", "'my_robot/msg/Axle', which is not known"),
+        ("my_robot/srv/Turn.srv", "bool now\n", "no line '---'"),
+        ("geometry_msgs/msg/Twist.msg", "float64 x\n", "defined otherwise"),
+    ],
+)
+def test_a_definition_that_cannot_be_used_is_named_by_its_file(tmp_path, name, text, problem):
+    file = _written(tmp_path, name, text)
+    with pytest.raises(LinkError) as caught:
+        TypeCatalogue.of(2, extra=(tmp_path,))
+    assert problem in caught.value.problem
+    assert caught.value.where == str(file)
+
+
+def test_a_folder_without_definitions_is_refused(tmp_path):
+    for path in (tmp_path, tmp_path / "nowhere"):
+        with pytest.raises(LinkError, match=r"there is no"):
+            TypeCatalogue.of(2, extra=(path,))
+
+
+def test_an_unknown_distribution_is_refused():
+    with pytest.raises(LinkError, match="Did you mean 'jazzy'"):
+        TypeCatalogue.of(2, "jazy")

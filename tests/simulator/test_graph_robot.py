@@ -1,0 +1,249 @@
+"""The embedded robot on a graph is told what to do, says what it senses, and stops when its run falls silent."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.robot import Qos
+from robot_runner.simulator import graph_simulation
+from robot_runner.simulator.graph_simulation import GraphRobot, SimulatedPlace, check_pace, on_graph
+from robot_runner.simulator.simulated_turtlebot3 import Simulation
+
+
+class _End:
+    def __init__(self, ends, key):
+        self.ends, self.key = ends, key
+
+    def close(self):
+        self.ends.pop(self.key, None)
+
+
+class GraphOfOne:
+    """A link to a graph on which there is only the robot; the test hears and says what others would."""
+
+    def __init__(self, taken=()):
+        self.said, self.heard_by, self.offers, self.taken = [], {}, {}, taken
+
+    def publish(self, topic, message_type, message, *, qos=Qos.DEFAULT):
+        self.said.append((topic, message_type, message, qos))
+
+    def subscribe(self, topic, message_type, callback, *, qos=None):
+        self.heard_by[topic] = callback
+        return _End(self.heard_by, topic)
+
+    def offer(self, service, service_type, answer):
+        if service in self.taken:
+            raise LinkError("somebody offers it already", where=service, fix="Choose another namespace.")
+        self.offers[service] = answer
+        return _End(self.offers, service)
+
+    def definition(self, message_type):
+        return f"# {message_type}"
+
+    def messages(self, topic):
+        return [message for name, _, message, _ in self.said if name == topic]
+
+    @property
+    def speed(self):
+        return self.messages("odom")[-1]["twist"]["twist"]["linear"]["x"]
+
+
+class TimeByHand:
+    """The time of this machine, as its robot has it, which passes only where somebody waits."""
+
+    def __init__(self):
+        self.now = 50.0
+
+    def monotonic(self):
+        return self.now
+
+    def time_ns(self):
+        return int(self.now * 1e9)
+
+    def sleep(self, seconds):
+        self.now += seconds
+
+
+@pytest.fixture
+def by_hand(monkeypatch):
+    made = TimeByHand()
+    monkeypatch.setattr(graph_simulation, "time", made)
+    return made
+
+
+@pytest.fixture
+def simulation():
+    made = Simulation(seed=1)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def link():
+    return GraphOfOne()
+
+
+@pytest.fixture
+def make(link, simulation):
+    made = []
+
+    def make_robot(**options):
+        made.append(GraphRobot(link, simulation, **{"real_time_factor": 100.0, **options}))
+        return made[-1]
+
+    yield make_robot
+    for each in made:
+        each.close()
+
+
+def seconds(stamp):
+    return stamp["sec"] + stamp["nanosec"] / 1e9
+
+
+def test_it_says_what_a_turtlebot3_says_at_its_rates(link, make):
+    make().live(seconds=1.0)
+    counts = {
+        topic: len(link.messages(topic)) for topic in ("odom", "imu", "scan", "battery_state", "joint_states", "tf")
+    }
+    assert counts == {"odom": 30, "imu": 200, "scan": 5, "battery_state": 30, "joint_states": 30, "tf": 30}
+    kinds = {topic: (kind, qos) for topic, kind, _, qos in link.said}
+    assert kinds["scan"] == ("sensor_msgs/LaserScan", Qos.SENSOR_DATA)
+    assert kinds["odom"] == ("nav_msgs/Odometry", Qos.DEFAULT)
+    assert kinds["robot_runner/simulation"] == ("std_msgs/String", Qos.TRANSIENT_LOCAL)
+
+
+def test_it_drives_as_it_is_told_and_its_transform_follows(link, make):
+    robot = make()
+    link.heard_by["cmd_vel"]({"linear": {"x": 0.2}, "angular": {"z": 0.0}})
+    robot.live(seconds=2.0)
+    assert link.speed == pytest.approx(0.2, abs=0.01)
+    transform, odometry = link.messages("tf")[-1]["transforms"][0], link.messages("odom")[-1]
+    assert transform["transform"]["translation"] == odometry["pose"]["pose"]["position"]
+    assert transform["transform"]["translation"]["x"] > 0.3
+    assert (transform["header"]["frame_id"], transform["child_frame_id"]) == ("odom", "base_footprint")
+
+
+def test_its_tasks_are_services(link, make, simulation):
+    make()
+    assert link.offers["task/video/start"]({}) == {"success": True, "message": "video started"}
+    assert link.offers["task/network/start"]({}) == {"success": False, "message": "video is running already"}
+    assert link.offers["task/stop"]({})["success"]
+    assert simulation.turtlebot3().running_task is None
+
+
+@pytest.mark.usefixtures("by_hand")
+def test_it_stands_still_when_its_run_falls_silent_and_moves_on_when_it_is_heard_again(link, make):
+    robot = make(real_time_factor=1.0)
+    link.heard_by["robot_runner/heartbeat"]({"data": 1})
+    link.heard_by["cmd_vel"]({"linear": {"x": 0.2}, "angular": {"z": 0.0}})
+    robot.live(seconds=0.35)
+    assert link.speed > 0.15
+    robot.live(seconds=0.6)
+    assert link.speed < 0.01
+    link.heard_by["cmd_vel"]({"linear": {"x": 0.2}, "angular": {"z": 0.0}})
+    robot.live(seconds=0.2)
+    assert link.speed < 0.01  # a command that was under way does not move it
+    link.heard_by["robot_runner/heartbeat"]({"data": 2})
+    link.heard_by["cmd_vel"]({"linear": {"x": 0.2}, "angular": {"z": 0.0}})
+    robot.live(seconds=0.3)
+    assert link.speed > 0.1
+
+
+@pytest.mark.usefixtures("by_hand")
+def test_a_person_may_drive_a_robot_that_was_released(link, make):
+    robot = make(real_time_factor=1.0)
+    link.heard_by["robot_runner/heartbeat"]({"data": 1})
+    robot.live(seconds=0.5)
+    assert link.offers["robot_runner/watchdog/release"]({})["success"]
+    link.heard_by["cmd_vel"]({"linear": {"x": 0.2}, "angular": {"z": 0.0}})
+    robot.live(seconds=0.5)
+    assert link.speed > 0.15
+
+
+def test_stamps_are_of_this_machine_where_no_clock_is_published(link, make):
+    make().live(seconds=0.5)
+    stamp = seconds(link.messages("imu")[-1]["header"]["stamp"])
+    assert abs(stamp - time.time()) < 5.0
+    assert link.messages("/clock") == []
+
+
+def test_where_a_clock_is_published_all_stamps_are_of_it(link, make):
+    make(is_clock=True).live(seconds=0.5)
+    times = [seconds(message["clock"]) for message in link.messages("/clock")]
+    assert times == pytest.approx([0.01 * (tick + 1) for tick in range(50)])
+    assert seconds(link.messages("odom")[-1]["header"]["stamp"]) == pytest.approx(0.5, abs=0.04)
+
+
+def test_it_keeps_the_pace_that_was_asked_for(make, by_hand):
+    robot = make(real_time_factor=4.0)
+    robot.live(seconds=2.0)
+    assert by_hand.now == pytest.approx(50.5)
+    assert robot.lags == 0
+
+
+def test_a_pace_that_cannot_be_kept_is_counted_and_not_made_up_for(link, make, monkeypatch, by_hand):
+    robot = make(real_time_factor=1.0)
+    publish = link.publish
+
+    def slowly(topic, *rest, **options):
+        if topic == "scan":
+            by_hand.sleep(0.4)
+        publish(topic, *rest, **options)
+
+    monkeypatch.setattr(link, "publish", slowly)
+    robot.live(seconds=0.45)
+    assert robot.lags == 2
+    assert by_hand.now > 50.0 + 2 * 0.4
+
+
+def test_it_ends_when_it_is_told_so(make):
+    is_over = threading.Event()
+    threading.Timer(0.1, is_over.set).start()
+    make(real_time_factor=1.0).live(is_over=is_over.is_set)
+
+
+def test_a_robot_that_is_closed_hears_and_offers_nothing(link, make):
+    robot = make()
+    robot.close()
+    robot.close()
+    assert link.heard_by == link.offers == {}
+
+
+def test_two_robots_of_one_name_are_refused_and_nothing_is_left_behind(simulation):
+    link = GraphOfOne(taken=("robot_runner/watchdog/release",))
+    with pytest.raises(LinkError, match="somebody offers it already"):
+        GraphRobot(link, simulation)
+    assert link.heard_by == link.offers == {}
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, float("inf"), float("nan")])
+def test_a_pace_that_no_clock_can_keep_is_refused(factor):
+    with pytest.raises(LinkError, match="which no clock can keep"):
+        check_pace(SimulatedPlace(link="dds", real_time_factor=factor, is_clock=True))
+
+
+def test_another_pace_than_that_of_the_graph_must_be_told_to_the_graph():
+    with pytest.raises(LinkError, match="--use-sim-time"):
+        check_pace(SimulatedPlace(link="dds", real_time_factor=2.0))
+    check_pace(SimulatedPlace(link="dds", real_time_factor=2.0, is_clock=True))
+
+
+@pytest.mark.parametrize("link", ["simulated", "gazebo"])
+def test_a_link_that_is_no_graph_is_refused(link):
+    with pytest.raises(LinkError, match=f"no robot can be put on '{link}'"), on_graph(SimulatedPlace(link=link)):
+        pass
+
+
+def test_it_lives_without_its_transform_where_tf2_is_not_installed(link, make, monkeypatch, caplog):
+    def unknown(message_type):
+        raise LinkError(f"there is no type {message_type!r}", where="the graph", fix="Install it.")
+
+    monkeypatch.setattr(link, "definition", unknown)
+    make().live(seconds=0.2)
+    assert link.messages("odom")
+    assert not link.messages("tf")
+    assert "tf2_msgs/TFMessage" in caplog.text
