@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.sampling.periodic import PeriodicSampler
-from robot_runner.plugins import periodic
+from robot_runner.core.sampling import periodic
 from robot_runner.simulator.simulated_clock import SimulatedClock
 from robot_runner.testing import FakeClock
 
