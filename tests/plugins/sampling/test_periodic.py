@@ -5,7 +5,7 @@ import time
 from itertools import count, pairwise
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.errors import PluginError
@@ -29,7 +29,6 @@ def test_on_a_clock_that_is_slept_on_readings_come_on_the_way(clock):
     assert sampling.quality().warnings() == ()
 
 
-@settings(deadline=None)
 @given(rate=st.floats(0.3, 300.0), seconds=st.floats(0.0, 20.0))
 def test_a_simulated_clock_is_sampled_without_drift(rate, seconds):
     clock = SimulatedClock()
