@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import socket
 import threading
 import time
@@ -14,6 +15,7 @@ from robot_runner.errors import LinkError
 from robot_runner.events.clock import SystemClock
 from robot_runner.links.robot import Encoding
 from robot_runner.links.robot_name import RobotName
+from robot_runner.links.rosbridge import rosapi
 from robot_runner.links.rosbridge.opening import findings, open_rosbridge_link
 from robot_runner.links.type_catalogue import TypeCatalogue
 from robot_runner.testing import RosbridgeServer
@@ -101,6 +103,49 @@ def test_a_type_that_the_robot_has_not_installed_is_refused(server, tmp_path):
         with pytest.raises(LinkError, match="does not take the publisher of type my_robot/Lamp") as caught:
             link.publish("lamp", "my_robot/Lamp", {"on": True})
         assert "'my_robot'" in caught.value.fix
+
+
+@pytest.mark.parametrize(
+    ("question", "not_yet", "ask"),
+    [
+        ("topic_type", {"type": ""}, lambda link: link.publish("chatter", STRING, {"data": "a"})),
+        ("topics", {"topics": [], "types": []}, lambda link: link.subscribe("chatter", STRING, print)),
+        ("service_type", {"type": ""}, lambda link: link.offer("lamp", TRIGGER, lambda _: {})),
+    ],
+    ids=["publisher", "subscription", "service"],
+)
+def test_a_rosbridge_that_confirms_late_is_waited_for_until_it_does(server, monkeypatch, question, not_yet, ask):
+    monkeypatch.setattr(rosapi, "_CONFIRMATION", 60.0)
+    answer, looks = server._rosapi.answer, itertools.count(1)
+
+    def lagging(service, request):
+        if service == f"/rosapi/{question}" and next(looks) <= 5:
+            return not_yet
+        return answer(service, request)
+
+    monkeypatch.setattr(server._rosapi, "answer", lagging)
+    with closing(linked(server)) as link:
+        begun = time.monotonic()
+        ask(link)
+        assert next(looks) > 6
+        assert time.monotonic() - begun < 30.0
+
+
+def test_an_answer_that_comes_after_its_deadline_is_not_taken_for_the_next_one(server):
+    asked, released = [], threading.Event()
+
+    def answer(_):
+        asked.append(released.wait(60.0))
+        return {"success": True, "message": f"answer {len(asked)}"}
+
+    server.offer("/lamp", TRIGGER, answer)
+    with closing(linked(server)) as link:
+        try:
+            with pytest.raises(LinkError, match="does not answer within"):
+                link.call("lamp", TRIGGER, timeout=0.1)
+        finally:
+            released.set()
+        assert link.call("lamp", TRIGGER, timeout=60.0)["message"] == "answer 2"
 
 
 def test_a_status_message_is_the_error():
