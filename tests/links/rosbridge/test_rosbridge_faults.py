@@ -35,7 +35,7 @@ def server():
 
 
 def until(claim):
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + 60.0
     while not claim():
         assert time.monotonic() < deadline
         time.sleep(0.01)
@@ -84,8 +84,8 @@ def test_a_wait_ends_when_the_connection_is_lost(server):
         threading.Timer(0.2, server.drop_connections).start()
         begun = time.monotonic()
         with pytest.raises(LinkError, match="connection is lost"):
-            link.wait_for("odom", "nav_msgs/Odometry", timeout=20.0)
-        assert time.monotonic() - begun < 5.0
+            link.wait_for("odom", "nav_msgs/Odometry", timeout=60.0)
+        assert time.monotonic() - begun < 30.0
         with pytest.raises(LinkError, match="connection is lost"):
             link.publish("cmd_vel", "geometry_msgs/Twist", {})
 
@@ -93,7 +93,7 @@ def test_a_wait_ends_when_the_connection_is_lost(server):
 def test_a_call_ends_when_the_connection_is_lost(server):
     server.offer("/last", TRIGGER, lambda _: server.drop_connections() or {})
     with closing(linked(server)) as link, pytest.raises(LinkError, match="connection is lost"):
-        link.call("last", TRIGGER, timeout=20.0)
+        link.call("last", TRIGGER, timeout=60.0)
 
 
 def test_a_type_that_the_robot_has_not_installed_is_refused(server, tmp_path):

@@ -62,7 +62,7 @@ def node(name, environment, *arguments, python=SYSTEM_PYTHON):
     finally:
         process.terminate()
         try:
-            process.wait(10)
+            process.wait(60)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
@@ -178,8 +178,8 @@ def test_the_topic_of_a_camera_is_recorded_without_opencv(bob, robot):
 
 
 def falls_silent(messages, seconds):
-    """Whether none comes for so long, before 5 s have passed."""
-    deadline = time.monotonic() + 5
+    """Whether none comes for so long, before 60 s have passed."""
+    deadline = time.monotonic() + 60
     while time.monotonic() < deadline:
         count = len(messages)
         time.sleep(seconds)
@@ -225,7 +225,7 @@ def test_a_node_that_is_ended_ends_its_task(master_uri, tmp_path, alice):
         workers = children(process.pid)
         assert workers
         process.send_signal(signal.SIGINT)
-        process.wait(10)
+        process.wait(60)
     until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers))
     carol.close()
 
