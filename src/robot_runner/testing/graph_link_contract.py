@@ -46,7 +46,7 @@ class GraphLinkContract(RobotLinkContract):
     """
 
     publishes: ClassVar[bool] = False
-    discovery: ClassVar[float] = 10.0
+    discovery: ClassVar[float] = 60.0
     keeps_last: ClassVar[bool] = True
 
     def heard_on(

@@ -88,7 +88,7 @@ class RobotLinkContract:
             closing.callback(link.close)
             yield link
 
-    def until(self, claim: Callable[[], object], otherwise: str, *, timeout: float = 10.0) -> None:
+    def until(self, claim: Callable[[], object], otherwise: str, *, timeout: float = 60.0) -> None:
         """Let time go by until the claim holds; fail the test if it does not within `timeout` s."""
         passed = 0.0
         deadline = time.monotonic() + timeout
