@@ -41,7 +41,12 @@ def test_it_is_ready_and_ends_cleanly(number, monkeypatch):
         (["turtlebot3"], "--link is missing", "robot-runner simulate --help"),
         (["turtlebot3", "--link", "gazebo"], "no robot can be put on 'gazebo'", "'ros1'"),
         (["turtlebot3", "--link", "dds", "--real-time-factor", "2"], "told the time", "--use-sim-time"),
-        (["turtlebot3", "--link", "dds", "--namespace", "3x"], "'3x' cannot be the name of a namespace", "digit"),
+        pytest.param(
+            ["turtlebot3", "--link", "dds", "--namespace", "3x"],
+            "'3x' cannot be the name of a namespace",
+            "digit",
+            id="a namespace over DDS",
+        ),
         (["turtlebot3", "--link", "dds:domain=900"], "the domain id is '900'", "0 to 232"),
         (["turtlebot3", "--link", "ros1:master=http://127.0.0.1:9"], "there is no ROS master at", "roscore"),
     ],
