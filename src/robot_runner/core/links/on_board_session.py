@@ -210,8 +210,9 @@ class OnBoardSession:
         offered = fields[1].split() if len(fields) > 1 and fields[0] == _VERSION else []
         form = wanted or next((form for form in FORMS if form in offered), None)
         if form is None or form not in offered:
+            lack = f"cannot be sampled by {wanted}" if wanted else "has neither Linux's /proc nor a usable ps"
             raise LinkError(
-                f"it cannot be sampled by {wanted}" if wanted else "it has neither Linux's /proc nor a usable ps",
+                f"the computer {lack}",
                 where=self.where,
                 fix=f"Choose among what it can: {', '.join(offered)}." if offered else "Install python3 there.",
             )
@@ -253,8 +254,12 @@ class OnBoardSession:
             if words[0] == kind:
                 return words[1:], at
             if words[0] == "error":
-                raise LinkError(f"it cannot do it: {' '.join(words[1:])}", where=self.where, fix="Look at it by hand.")
-        raise LinkError(f"it did not answer within {patience:g} s", where=self.where, fix="Look at the network.")
+                raise LinkError(
+                    f"the computer cannot do it: {' '.join(words[1:])}", where=self.where, fix="Look at it by hand."
+                )
+        raise LinkError(
+            f"the computer did not answer within {patience:g} s", where=self.where, fix="Look at the network."
+        )
 
     def _listen(self) -> None:
         for line in self._lines():
