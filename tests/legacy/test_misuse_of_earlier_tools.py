@@ -172,7 +172,8 @@ def test_a_missing_package_is_named_with_its_line(config: Callable[..., Path]) -
     path = config(head=ROBOT.replace("from pathlib", "import rospy_that_is_not_there\nfrom pathlib"))
     assert only_problem(path) == (
         f"{path}:7: the config raised ModuleNotFoundError while it was loaded: "
-        "No module named 'rospy_that_is_not_there' → Install the package that brings 'rospy_that_is_not_there', or mend the name."
+        "No module named 'rospy_that_is_not_there' → "
+        "Install the package that brings 'rospy_that_is_not_there', or mend the name."
     )
 
 
