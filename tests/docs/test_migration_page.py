@@ -9,7 +9,7 @@ import pytest
 
 from robot_runner.cli.main import main
 from robot_runner.legacy.profilers.profiler_catalogue import PLUGINS
-from robot_runner.legacy.stand_ins.catalogue import MODULES
+from robot_runner.legacy.stand_ins.modules import MODULES
 from robot_runner.legacy.stand_ins.events import RobotRunnerEvents, RunnerEvents
 
 PAGE = (Path(__file__).parents[2] / "docs" / "migration.md").read_text(encoding="utf-8")

@@ -14,9 +14,8 @@ from robot_runner.legacy.experiment import check_callback
 from robot_runner.legacy.profilers.profiler_catalogue import EarlierPlugin, plugin_of
 from robot_runner.legacy.recognition import Dialect, Recognised, is_earlier_import
 from robot_runner.legacy.run_ids import Clone, clone_around
-from robot_runner.legacy.stand_ins.base_configs import CONTEXT_ATTRIBUTES
-from robot_runner.legacy.stand_ins.catalogue import MODULES, PACKAGES, names_in
-from robot_runner.legacy.stand_ins.events import RobotRunnerEvents, RunnerEvents, own_event
+from robot_runner.legacy.stand_ins.events import CONTEXT_ATTRIBUTES, RobotRunnerEvents, RunnerEvents, own_event
+from robot_runner.legacy.stand_ins.modules import MODULES, PACKAGES, names_in
 from robot_runner.legacy.syntax import ImportedName, bound_names, classes_of, imports_of, used_names
 
 if TYPE_CHECKING:

@@ -38,7 +38,7 @@ from robot_runner.legacy.experiment import EarlierExperiment
 from robot_runner.legacy.profilers.self_measure import COLUMN, SelfMeasure
 from robot_runner.legacy.run_tables import EarlierDesign, design_of
 from robot_runner.legacy.session import Session, active_session
-from robot_runner.legacy.stand_ins.finder import StandIns
+from robot_runner.legacy.stand_ins.modules import StandIns
 from robot_runner.ros.ros_environment import AUTO
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding
 from robot_runner.core.storage.manifest import describe_host
-from robot_runner.legacy.stand_ins.catalogue import MODULES, PACKAGES
+from robot_runner.legacy.stand_ins.modules import MODULES, PACKAGES
 from robot_runner.replication.distributions import installed_distributions
 from robot_runner.replication.environment import imported_names
 from robot_runner.ros.ros_environment import describe_ros

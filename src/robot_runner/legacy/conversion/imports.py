@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from robot_runner.core.errors import Finding
 from robot_runner.legacy.profilers.profiler_catalogue import plugin_of
 from robot_runner.legacy.recognition import is_earlier_import
-from robot_runner.legacy.stand_ins.catalogue import MODULES
+from robot_runner.legacy.stand_ins.modules import MODULES
 from robot_runner.legacy.syntax import names_of_types, used_names, walk_bodies
 
 if TYPE_CHECKING:

@@ -52,7 +52,7 @@ _SAMPLERS = {
 
 
 def _choices(name: str, prefix: str, values: Mapping[str, str]) -> Any:
-    return StrEnum(name, {f"{prefix}{key}": value for key, value in values.items()})  # type: ignore[misc] # from data
+    return StrEnum(name, {f"{prefix}{key}": value for key, value in values.items()})
 
 
 PMFormatTypes = _choices("PMFormatTypes", "PM_FMT_", {"TEXT": "text", "PLIST": "plist"})

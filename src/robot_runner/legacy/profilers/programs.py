@@ -47,7 +47,8 @@ class Program(ChildProgram):
         # Files, not pipes: what the program itself starts may outlive it and would hold a pipe open.
         self._printed = TemporaryFile()  # noqa: SIM115 - closed when the program has ended
         words = shlex.split(command) if isinstance(command, str) else list(command)
-        super().__init__(words, output=self._printed, errors=TemporaryFile(), has_own_group=False)
+        errors = TemporaryFile()  # noqa: SIM115 - closed when the program has ended
+        super().__init__(words, output=self._printed, errors=errors, has_own_group=False)
         if self.process.stdin is not None:
             self.process.stdin.close()
         self.wait(lambda: not self.is_running, seconds=_STARTING_S)
