@@ -77,7 +77,7 @@ def _unknown_imports(recognised: Recognised) -> Iterator[Finding]:
         if not is_earlier_import(each.module) or each.is_guarded or _is_in_clone(each, clone):
             continue
         where = f"{recognised.path}:{each.line}"
-        plugin = plugin_of(f"{each.module}.{each.name}") or plugin_of(each.module)
+        plugin = plugin_of(f"{each.module}.{each.name}")
         if plugin is not None and not plugin.names:
             yield Finding.error(where, f"{plugin.name} has nothing that stands in for it", plugin.note)
         elif each.module not in MODULES and each.module not in PACKAGES:
@@ -265,7 +265,7 @@ def _used_plugins(files: Iterable[Path]) -> Iterator[tuple[str, EarlierPlugin]]:
             continue
         used = used_names(tree)
         for each in imports_of(tree):
-            plugin = plugin_of(f"{each.module}.{each.name}") or plugin_of(each.module)
+            plugin = plugin_of(f"{each.module}.{each.name}")
             if plugin is not None and plugin.names and not each.is_guarded and each.bound_as in used:
                 yield f"{file}:{each.line}", plugin
 
