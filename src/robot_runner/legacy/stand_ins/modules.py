@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import did_you_mean
 from robot_runner.legacy.profilers.profiler_catalogue import PLUGIN_MODULES
-from robot_runner.legacy.recognition import is_earlier_import
+from robot_runner.legacy.recognition import EARLIER_PACKAGES, is_earlier_import
 from robot_runner.legacy.run_ids import clone_around
 
 if TYPE_CHECKING:
@@ -165,6 +165,7 @@ class StandIns(MetaPathFinder, Loader):
     def __init__(self, config: Path) -> None:
         self._clone = clone_around(config)
         self._modules: dict[str, ModuleType] = {}
+        self._asked: set[str] = set()
         self._depth = 0
 
     @contextmanager
@@ -177,7 +178,7 @@ class StandIns(MetaPathFinder, Loader):
             finally:
                 self._depth -= 1
             return
-        others = self._taken_away()
+        others = _foreign_modules()
         sys.modules.update(self._modules)
         sys.meta_path.insert(0, self)
         self._depth = 1
@@ -186,7 +187,8 @@ class StandIns(MetaPathFinder, Loader):
         finally:
             self._depth = 0
             sys.meta_path.remove(self)
-            self._modules = self._taken_away()
+            # Every event of a run passes here: only what was imported through this finder is looked at.
+            self._modules = {name: sys.modules.pop(name) for name in self._asked if name in sys.modules}
             sys.modules.update(others)
 
     def find_spec(
@@ -198,14 +200,17 @@ class StandIns(MetaPathFinder, Loader):
             ModuleNotFoundError: neither tool ever had such a module.
         """
         del target
+        if fullname == _LOWER_CASE_ROOT:
+            own = PathFinder.find_spec(fullname)
+            if own is not None:
+                return own
+        elif fullname not in PACKAGES and not is_earlier_import(fullname):
+            return None
+        self._asked.add(fullname)
         if fullname in MODULES:
             return ModuleSpec(fullname, self)
-        if fullname == _LOWER_CASE_ROOT:
-            return PathFinder.find_spec(fullname) or self._package(fullname)
         if fullname in PACKAGES:
             return self._package(fullname)
-        if not is_earlier_import(fullname):
-            return None
         spec = PathFinder.find_spec(fullname, path or [])
         if spec is None:
             hint = did_you_mean(fullname, MODULES) if fullname.count(".") else ""
@@ -251,9 +256,9 @@ class StandIns(MetaPathFinder, Loader):
         spec.submodule_search_locations = [str(folder) for folder in folders if folder.is_dir()]
         return spec
 
-    def _taken_away(self) -> dict[str, ModuleType]:
-        names = [name for name, module in sys.modules.items() if is_earlier_import(name) or self._is_own(module)]
-        return {name: sys.modules.pop(name) for name in names}
 
-    def _is_own(self, module: ModuleType | None) -> bool:
-        return getattr(getattr(module, "__spec__", None), "loader", None) is self
+def _foreign_modules() -> dict[str, ModuleType]:
+    """Take away and return what has a name of the earlier tools' modules and is not ours."""
+    if not any(name in sys.modules for name in EARLIER_PACKAGES):
+        return {}
+    return {name: sys.modules.pop(name) for name in list(sys.modules) if is_earlier_import(name)}
