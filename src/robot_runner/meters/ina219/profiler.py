@@ -281,5 +281,5 @@ class Ina219(Profiler):
             if other is self:
                 return
             if isinstance(other, Ina219) and self.way.clashes_with(other.way):
-                problem = f"the plugin would share one line with plugin {other.name}, and each would get some of the samples"
+                problem = f"plugin {other.name} has the same serial line, and each would get some of the samples"
                 yield Finding.error(self._where, problem, "Give each a port of its own, or leave one of them out.")
