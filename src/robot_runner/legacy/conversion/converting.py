@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.source import CONFIG_CLASS
 from robot_runner.core.errors import ConfigError, Finding
 from robot_runner.legacy.conversion.callbacks import (
@@ -28,7 +29,6 @@ from robot_runner.legacy.conversion.names import (
     convert_parameters,
     convert_run_tables,
 )
-from robot_runner.legacy.loading import prepare
 from robot_runner.legacy.recognition import Recognised, is_earlier_import, recognise
 from robot_runner.legacy.session import active_session
 from robot_runner.legacy.syntax import Edits, attributes_of, classes_of, imports_of, nodes
