@@ -15,10 +15,16 @@ from hypothesis import strategies as st
 from matplotlib.colors import to_rgb
 
 from robot_runner.analysis.figures.courses import PhaseSpan, course_of_run, mean_course
-from robot_runner.analysis.figures.differences import Estimate, draw_agreement, draw_differences
-from robot_runner.analysis.figures.distribution import Group, draw_distribution, draw_quantiles
-from robot_runner.analysis.figures.effects import AttemptSpan, Mean, draw_interaction, draw_run_order, draw_timeline
-from robot_runner.analysis.figures.missions import Way, draw_mean_courses, draw_single_courses, draw_trajectories
+from robot_runner.analysis.figures.distribution import Group, draw_distribution, draw_quantiles, draw_run_order
+from robot_runner.analysis.figures.effects import Estimate, Mean, draw_agreement, draw_differences, draw_interaction
+from robot_runner.analysis.figures.missions import (
+    AttemptSpan,
+    Way,
+    draw_mean_courses,
+    draw_single_courses,
+    draw_timeline,
+    draw_trajectories,
+)
 from robot_runner.analysis.figures.style import COLUMN, PAGE, FigureFormat, figure_bytes, file_name, looks, verbatim
 
 ROOT = Path(__file__).parents[3]

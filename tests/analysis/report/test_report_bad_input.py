@@ -9,7 +9,7 @@ import re
 import pytest
 
 from robot_runner.analysis.figures.style import FigureFormat
-from robot_runner.analysis.report.markdown import csv_of, latex_of
+from robot_runner.analysis.report.rendering import csv_of, latex_of
 from robot_runner.analysis.report.writing import ReportFormat, write_report
 
 HOSTILE = [

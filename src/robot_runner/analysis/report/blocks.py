@@ -1,10 +1,11 @@
-"""What a report is made of, whatever it is written as: sections of paragraphs, tables, figures, remarks."""
+"""A report as plain data, whatever it is rendered as: sections of paragraphs, tables, figures, remarks."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from itertools import compress
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -33,6 +34,9 @@ __all__ = [
     "Table",
     "Tone",
 ]
+
+
+Kind = TypeVar("Kind")
 
 
 class Place(Enum):
@@ -161,23 +165,27 @@ class Table:
     rows: tuple[tuple[Cell, ...], ...]
     note: str = ""
 
-    def without(self, place: Place) -> Table:
-        """Return the table without the columns that are only for this place."""
-        kept = [number for number, column in enumerate(self.columns) if column.place is not place]
-        if len(kept) == len(self.columns):
-            return self
-        rows = tuple(tuple(row[number] for number in kept) for row in self.rows)
-        return replace(self, columns=tuple(self.columns[number] for number in kept), rows=rows)
+    @property
+    def for_readers(self) -> Table:
+        """The table as people read it, without columns that are only for the CSV file."""
+        return self._only([column.place is not Place.FILE for column in self.columns])
+
+    @property
+    def for_programs(self) -> Table:
+        """The table as programs read it, without columns that are only for people."""
+        return self._only([column.place is not Place.PAGE for column in self.columns])
 
     def without_blank(self, *names: str) -> Table:
         """Return the table without those of these columns in which all cells are blank, or hold nothing but 0."""
-        kept = [
-            number
-            for number, column in enumerate(self.columns)
-            if column.name not in names or any(row[number].value not in {None, "", 0} for row in self.rows)
-        ]
-        rows = tuple(tuple(row[number] for number in kept) for row in self.rows)
-        return replace(self, columns=tuple(self.columns[number] for number in kept), rows=rows)
+        cells = zip(*self.rows, strict=True) if self.rows else ((),) * len(self.columns)
+        is_blank = [all(cell.value in {None, "", 0} for cell in column) for column in cells]
+        return self._only(
+            [column.name not in names or not blank for column, blank in zip(self.columns, is_blank, strict=True)]
+        )
+
+    def _only(self, kept: Sequence[bool]) -> Table:
+        rows = tuple(tuple(compress(row, kept)) for row in self.rows)
+        return replace(self, columns=tuple(compress(self.columns, kept)), rows=rows)
 
 
 @dataclass(frozen=True, slots=True)
@@ -302,7 +310,6 @@ class Document:
     badges: tuple[Badge, ...]
     sections: tuple[Section, ...]
     made: str = ""
-    summary: Mapping[str, Any] = field(default_factory=dict)
 
     def blocks(self) -> Iterator[Block]:
         """Yield all blocks, those inside of others after them."""
@@ -312,17 +319,20 @@ class Document:
     @property
     def tables(self) -> tuple[Table, ...]:
         """All tables, in order."""
-        return tuple(block for block in self.blocks() if isinstance(block, Table))
+        return self._all(Table)
 
     @property
     def figures(self) -> tuple[FigureBlock, ...]:
         """All figures, in order."""
-        return tuple(block for block in self.blocks() if isinstance(block, FigureBlock))
+        return self._all(FigureBlock)
 
     @property
     def charts(self) -> tuple[Chart, ...]:
         """All charts, in order."""
-        return tuple(block for block in self.blocks() if isinstance(block, Chart))
+        return self._all(Chart)
+
+    def _all(self, kind: type[Kind]) -> tuple[Kind, ...]:
+        return tuple(block for block in self.blocks() if isinstance(block, kind))
 
 
 def _flat(blocks: Sequence[Block]) -> Iterator[Block]:

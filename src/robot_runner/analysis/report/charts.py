@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from robot_runner.analysis.figures.style import Look, looks
+from robot_runner.analysis.figures.style import looks_by
 from robot_runner.analysis.report.blocks import Chart
 from robot_runner.analysis.wording import counted
 from robot_runner.core.design.columns import RUN_ID
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from robot_runner.analysis.figures.courses import Course, PhaseSpan
+    from robot_runner.analysis.figures.style import Look
     from robot_runner.analysis.report.material import Material
 
 __all__ = ["course_chart", "points_chart"]
@@ -53,7 +54,7 @@ def course_chart(
     first = min((float(course.time[0]) for course in means if len(course.time)), default=0.0)
     count = round((last - first) / width) + 1 if width else 0
     share = max(1, -(-sum(map(len, runs.values())) // _MOST_RUNS))
-    by_name = dict(zip(order, looks(len(order)), strict=True))
+    by_name = looks_by(order)
     data = {
         "label": label,
         "unit": unit,
@@ -98,7 +99,7 @@ def points_chart(material: Material) -> Chart | None:
         "runs": list(map(str, ordered[RUN_ID])),
         "groups": [
             {"name": name, "colour": look.colour, "marker": look.marker}
-            for name, look in zip(material.order, looks(len(material.order)), strict=True)
+            for name, look in looks_by(material.order).items()
         ],
         "group": [material.order.index(material.labels[run_id]) for run_id in ordered[RUN_ID]],
         "measures": [

@@ -1,4 +1,4 @@
-"""What a report is written from: the results, their statistics, and what both together say of each run."""
+"""What a report is made from: results, statistics, and what is derived of both."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.report.blocks import Badge, Tone
+from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -22,11 +23,19 @@ if TYPE_CHECKING:
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.outcome import ExperimentStatistics
 
-__all__ = ["ALL_RUNS", "JOINT", "Material", "RunQuality", "origin_badges", "origin_in_words", "read_qualities"]
+__all__ = [
+    "ALL_RUNS",
+    "JOINT",
+    "Material",
+    "RunQuality",
+    "correction_in_words",
+    "origin_badges",
+    "origin_in_words",
+    "read_qualities",
+]
 
 
-# What plugins noted about their raw samples: `runs/<run id>/<plugin>/quality.json`.
-
+#: What a plugin notes about its raw samples: `runs/<run id>/<plugin>/quality.json`.
 _FILE = "quality.json"
 
 
@@ -172,6 +181,11 @@ class Material:
         return frozenset(measure.name for measure in measures[:_MOST_DRAWN])
 
     @cached_property
+    def last_attempts(self) -> pd.DataFrame:
+        """The last attempt of each run that was attempted."""
+        return self.results.attempts.drop_duplicates("run_id", keep="last")
+
+    @cached_property
     def qualities(self) -> tuple[RunQuality, ...]:
         """What plugins noted about their raw samples."""
         return read_qualities(ExperimentFolder(self.results.folder), list(self.runs[RUN_ID]))
@@ -195,6 +209,11 @@ class Material:
                 return default
             found = found[key]
         return default if found is None else found
+
+
+def correction_in_words(correction: Correction) -> str:
+    """Return who a correction is named after."""
+    return {Correction.HOLM: "Holm", Correction.BENJAMINI_HOCHBERG: "Benjamini and Hochberg"}[correction]
 
 
 def origin_in_words(origin: str | None) -> str:

@@ -13,8 +13,7 @@ from robot_runner.analysis.figures.missions import Way, draw_mean_courses, draw_
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Tone
 from robot_runner.analysis.report.charts import course_chart
 from robot_runner.analysis.report.material import origin_badges, origin_in_words
-from robot_runner.analysis.report.numbers import listed
-from robot_runner.analysis.wording import counted
+from robot_runner.analysis.wording import counted, listed
 from robot_runner.core.design.columns import RUN_ID
 
 if TYPE_CHECKING:
