@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -105,7 +106,8 @@ DRAWINGS = {
     ),
 }
 
-each_drawing = pytest.mark.parametrize("draw", DRAWINGS.values(), ids=DRAWINGS)
+# Each is drawn once, for all tests that only look at it.
+each_drawing = pytest.mark.parametrize("draw", [cache(draw) for draw in DRAWINGS.values()], ids=DRAWINGS)
 
 
 @each_drawing
@@ -141,9 +143,9 @@ def test_letters_in_a_pdf_are_of_a_truetype_font():
 
 
 def test_crowds_of_points_and_bars_are_kept_as_pixels():
-    spans = [AttemptSpan(f"r_{n}", "Video", n, n + 0.9, (n + 0.1, n + 0.8), is_done=True) for n in range(1000)]
+    spans = [AttemptSpan(f"r_{n}", "Video", n, n + 0.9, (n + 0.1, n + 0.8), is_done=True) for n in range(400)]
     for few, many in (
-        (distribution(), distribution(3, 1000)),
+        (distribution(), distribution(3, 250)),
         (draw_timeline(spans[:20], order=["Video"]), draw_timeline(spans, order=["Video"])),
     ):
         assert b"<image" not in figure_bytes(few, FigureFormat.SVG)

@@ -1,4 +1,4 @@
-"""Write the report of an experiment: what was done, what came of it, how far it can be trusted.
+"""Write the report of an experiment: what was done, the results, how far they can be trusted.
 
 HTML is one file that needs nothing beside it. Tables (CSV, LaTeX) and figures (SVG, PDF, PNG) are written beside it. An
 experiment that is not over, or that failed in part, has a report too. Nothing but the folder is needed.

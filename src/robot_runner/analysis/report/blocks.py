@@ -40,7 +40,7 @@ Kind = TypeVar("Kind")
 
 
 class Place(Enum):
-    """Where a column of a table is shown."""
+    """Where a column of a table is shown: to readers (PAGE), in the CSV file for programs (FILE), or both."""
 
     EVERYWHERE = "everywhere"
     PAGE = "page"
@@ -68,14 +68,7 @@ class Badge:
 
 @dataclass(frozen=True, slots=True)
 class Paragraph:
-    """Text in sentences.
-
-    Attributes:
-        text: plain text.
-        tone: NOTE for small print, GOOD for a conclusion that is made to stand out.
-        lead: the words that it begins with, in bold.
-        badges: labels after the text.
-    """
+    """Text in sentences, after a lead in bold with its badges; NOTE is small print, GOOD a conclusion."""
 
     text: str
     tone: Tone = Tone.PLAIN
@@ -92,13 +85,7 @@ class Facts:
 
 @dataclass(frozen=True, slots=True)
 class Card:
-    """One figure that a reader should see first.
-
-    Attributes:
-        value: as short as can be.
-        label: what it counts.
-        note: what else there is to it.
-    """
+    """One number that a reader should see first, as short as can be, with what it counts."""
 
     value: str
     label: str
@@ -115,13 +102,7 @@ class Cards:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of a table.
-
-    Attributes:
-        name: its heading.
-        is_number: whether its cells are aligned on the right.
-        place: whether it is for readers only, or only for the CSV file that programs read.
-    """
+    """A column of a table; those of numbers are aligned on the right."""
 
     name: str
     is_number: bool = False
@@ -130,13 +111,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A cell of a table.
-
-    Attributes:
-        value: what it holds, for files that are computed with; None where it is missing.
-        text: what a reader sees.
-        tone: how it stands out.
-    """
+    """A cell of a table: its value for programs, None where it is missing, and what a reader sees."""
 
     value: Any
     text: str
@@ -150,12 +125,10 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table, which also becomes a CSV and a LaTeX file.
+    """A table, which also becomes a CSV and a LaTeX file; each row has as many cells as there are columns.
 
     Attributes:
         name: of its files; unique in a document.
-        caption: one sentence.
-        columns, rows: as many cells a row as there are columns.
         note: small print beneath it.
     """
 
@@ -194,9 +167,8 @@ class FigureBlock:
 
     Attributes:
         name: of its files; unique in a document.
-        caption: what is seen, and how it is drawn.
         alternative: what somebody who cannot see it should know.
-        draw: draws it; called once.
+        draw: called once.
         is_wide: whether it takes the whole width of a page.
     """
 
@@ -219,10 +191,8 @@ class Chart:
     """A chart that answers to the reader's pointer; figures beside it say the same on paper.
 
     Attributes:
-        name: unique in a document.
-        kind: `course` or `points`, as `charts.js` knows them.
-        caption: what is seen, and what can be done with it.
-        data: plain data, as `charts.js` expects it.
+        kind: `course` or `points`, as `assets/charts.js` knows them.
+        data: plain data, as `assets/charts.js` expects it.
     """
 
     name: str
@@ -233,13 +203,7 @@ class Chart:
 
 @dataclass(frozen=True, slots=True)
 class Remark:
-    """Something that the reader should know, such as a threat to validity.
-
-    Attributes:
-        title: in a few words.
-        text: in sentences.
-        kind: a word for its kind, as in `Internal validity`.
-    """
+    """Something that the reader should know, of a kind such as `Internal validity`."""
 
     title: str
     text: str
@@ -264,10 +228,9 @@ class Code:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A part of a section, with a heading of its own.
+    """A part of a section, with a heading of its own; links lead to its name, which is unique in a document.
 
     Attributes:
-        name: unique in a document; links lead to it.
         is_folded: whether a page shows it only when it is asked for.
         is_printed: whether paper shows it although it is folded.
     """
@@ -298,9 +261,7 @@ class Document:
 
     Attributes:
         kicker: what kind of document it is.
-        title: what it is about.
         subtitle: the most important circumstances, on one line.
-        badges: labels of the whole.
         made: when and by what it was made.
     """
 

@@ -85,32 +85,23 @@ def read_qualities(folder: ExperimentFolder, run_ids: Iterable[str]) -> tuple[Ru
 
 
 def _quality(run_id: str, plugin: str, facts: Mapping[str, Any]) -> RunQuality:
-    samples = facts.get("samples")
-    counts: Mapping[str, Any] = samples if isinstance(samples, dict) else {}
-    is_simulated = facts.get("is_simulated")
+    samples, is_simulated = facts.get("samples"), facts.get("is_simulated")
+    known = {**(samples if isinstance(samples, dict) else {}), "saturated": facts.get("saturated")}
+    names = ("expected", "got", "lost", "corrupt", "duplicates", "saturated")
+    counts = {name: None if (found := _number(known.get(name))) is None else int(found) for name in names}
     return RunQuality(
         run_id,
         plugin,
-        expected=_whole(counts.get("expected")),
-        got=_whole(counts.get("got")),
-        coverage=_number(counts.get("coverage")),
-        lost=_whole(counts.get("lost")),
-        corrupt=_whole(counts.get("corrupt")),
-        duplicates=_whole(counts.get("duplicates")),
-        largest_gap=_number(counts.get("largest_gap")),
-        saturated=_whole(facts.get("saturated")),
+        coverage=_number(known.get("coverage")),
+        largest_gap=_number(known.get("largest_gap")),
         is_simulated=is_simulated if isinstance(is_simulated, bool) else None,
+        **counts,
     )
 
 
 def _number(value: object) -> float | None:
     is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     return float(value) if is_number else None  # type: ignore[arg-type]  # mypy does not follow the line above
-
-
-def _whole(value: object) -> int | None:
-    number = _number(value)
-    return None if number is None else int(number)
 
 
 #: Stands where there are no factors, or only one combination.
