@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import csv
 from array import array
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.analysis.importing.description_file import description_text
+from robot_runner.analysis.importing.description import description_text
 from robot_runner.analysis.importing.recomputation import unit_of_recipe
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.storage.cells import CellValue, RunStatus, typed_value
@@ -26,18 +27,47 @@ from robot_runner.core.storage.table_columns import (
 from robot_runner.core.storage.table_schema import ColumnDescription, describe_columns, write_schema
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
-    from robot_runner.analysis.importing.adoption import AdoptedRun
     from robot_runner.analysis.importing.foreign_runs import ForeignRun
     from robot_runner.analysis.importing.recomputation import Difference
     from robot_runner.analysis.importing.understanding import Understanding
     from robot_runner.core.storage.layout import ExperimentFolder
 
-__all__ = ["write_records"]
+__all__ = ["AdoptedRun", "write_records"]
 
 _STAMPS = ("start_measurement_at", "stop_measurement_at")
 _OWNER = "import"
+
+
+@dataclass(frozen=True, slots=True)
+class AdoptedRun:
+    """What was found in the raw files of one run.
+
+    Attributes:
+        run_id: the run.
+        started_at: when its first sample was taken, nanoseconds since 1970; None where that is not known.
+        duration: s, from the first sample to the last; None without samples.
+        recomputed: the measures that were computed from samples, in SI.
+        unsorted: the files whose times were not in order.
+        checksums: SHA-256 of each original file.
+    """
+
+    run_id: str
+    started_at: int | None = None
+    duration: float | None = None
+    recomputed: Mapping[str, float | None] = field(default_factory=dict)
+    unsorted: tuple[str, ...] = ()
+    checksums: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def stamps(self) -> dict[str, str | None]:
+        """The time stamps of its measurement, as the run table has them."""
+        if self.started_at is None:
+            return dict.fromkeys(_STAMPS)
+        ends = (self.started_at, self.started_at + round((self.duration or 0.0) * 1e9))
+        moments = (datetime.fromtimestamp(end // 10**6 / 1000, UTC).isoformat(timespec="milliseconds") for end in ends)
+        return {name: text.replace("+00:00", "Z") for name, text in zip(_STAMPS, moments, strict=True)}
 
 
 def write_records(
@@ -57,7 +87,7 @@ def write_records(
     write_manifest(folder.manifest, _manifest(understanding, runs))
     _write_journal(understanding, folder, runs)
     (folder.root / "import").mkdir()
-    description = description_text(understanding)
+    description = description_text(understanding.description)
     write_beside_and_rename(folder.root / "import" / "description.toml", lambda file: file.write(description))
     _write_differences(understanding, folder, differences)
 
@@ -80,7 +110,7 @@ def _rows(understanding: Understanding, runs: Sequence[AdoptedRun]) -> RunTableR
         headings[name]: [run.extras[name] or None for run in understanding.runs] for name in roles.extras
     }
     if has_stamps:
-        texts |= {stamp: [_stamps(run)[stamp] for run in runs] for stamp in _STAMPS}
+        texts |= {stamp: [run.stamps[stamp] for run in runs] for stamp in _STAMPS}
     return RunTableRows(
         layout,
         RunIdColumn([run.run_id for run in understanding.runs], len(runs)),
@@ -110,44 +140,26 @@ def _repetition(understanding: Understanding, *, has: bool) -> Iterator[CodedCol
         yield CodedColumn(REPETITION, values, [*map(str, values)], numbers)
 
 
-def _stamps(run: AdoptedRun) -> dict[str, str | None]:
-    if run.started_at is None:
-        return dict.fromkeys(_STAMPS)
-    end = run.started_at + round((run.duration or 0.0) * 1e9)
-    return dict(zip(_STAMPS, (_stamp(run.started_at), _stamp(end)), strict=True))
-
-
-def _stamp(nanoseconds: int) -> str:
-    moment = datetime.fromtimestamp(nanoseconds // 10**6 / 1000, UTC)
-    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
 def _known(understanding: Understanding) -> dict[str, ColumnDescription]:
-    known = {}
-    for name in understanding.roles.measures:
-        unit = understanding.units.get(name)
-        known[understanding.headings[name]] = _measure(
-            understanding, name, unit.symbol if unit else "", f"As in {understanding.table.path.name}."
-        )
+    table = f"As in {understanding.table.path.name}."
+    described = {name: (unit.symbol if unit else "", table) for name, unit in understanding.units.items()}
     by_file = {each.file: each for each in understanding.samples}
     for recipe in understanding.recipes:
         if recipe.measure in understanding.new_measures:
-            unit_symbol = unit_of_recipe(recipe, by_file[recipe.file])
             text = f"Computed from the raw samples: {recipe.words}."
-            known[understanding.headings[recipe.measure]] = _measure(understanding, recipe.measure, unit_symbol, text)
-    return known
-
-
-def _measure(understanding: Understanding, name: str, unit: str, description: str) -> ColumnDescription:
-    return ColumnDescription(
-        name=understanding.headings[name],
-        role=ColumnRole.MEASURE,
-        title=understanding.headings[name],
-        description=description,
-        unit=unit,
-        owner=_OWNER,
-        origin=understanding.origin,
-    )
+            described[recipe.measure] = (unit_of_recipe(recipe, by_file[recipe.file]), text)
+    return {
+        (heading := understanding.headings[name]): ColumnDescription(
+            name=heading,
+            role=ColumnRole.MEASURE,
+            title=heading,
+            description=text,
+            unit=unit,
+            owner=_OWNER,
+            origin=understanding.origin,
+        )
+        for name, (unit, text) in described.items()
+    }
 
 
 def _manifest(understanding: Understanding, runs: Sequence[AdoptedRun]) -> dict[str, Any]:
@@ -171,16 +183,16 @@ def _manifest(understanding: Understanding, runs: Sequence[AdoptedRun]) -> dict[
             "at": utc_now(),
             "from": understanding.root.resolve().name,
             "table": understanding.table.path.name,
-            "notes": [*understanding.notes, *_sorting_notes(runs)],
+            "notes": [*understanding.notes, *([_unsorted(runs)] if any(run.unsorted for run in runs) else [])],
             "sources": {run.run_id: dict(run.checksums) for run in runs if run.checksums},
         },
         "software": describe_software(),
     }
 
 
-def _sorting_notes(runs: Sequence[AdoptedRun]) -> list[str]:
-    unsorted = [f"{run.run_id}/{name}" for run in runs for name in run.unsorted]
-    return [f"times were not in order, or missing, in {', '.join(unsorted)}"] if unsorted else []
+def _unsorted(runs: Sequence[AdoptedRun]) -> str:
+    files = [f"{run.run_id}/{name}" for run in runs for name in run.unsorted]
+    return f"times were not in order, or missing, in {', '.join(files)}"
 
 
 def _write_journal(understanding: Understanding, folder: ExperimentFolder, runs: Sequence[AdoptedRun]) -> None:
@@ -193,7 +205,7 @@ def _write_journal(understanding: Understanding, folder: ExperimentFolder, runs:
 
 
 def _write_attempt(journal: Journal, understanding: Understanding, run: ForeignRun, adopted: AdoptedRun) -> None:
-    begin, end = (_stamps(adopted)[stamp] or utc_now() for stamp in _STAMPS)
+    begin, end = (adopted.stamps[stamp] or utc_now() for stamp in _STAMPS)
     which: dict[str, Any] = {"run": run.run_id, "attempt": 1}
     journal.append("attempt_started", at=begin, **which)
     if adopted.duration is not None:
@@ -206,7 +218,7 @@ def _write_attempt(journal: Journal, understanding: Understanding, run: ForeignR
         is_last=True,
         status="done" if run.status is RunStatus.DONE else "failed",
         seconds=adopted.duration,
-        stamps={name.removesuffix("_at"): stamp for name, stamp in _stamps(adopted).items() if stamp},
+        stamps={name.removesuffix("_at"): stamp for name, stamp in adopted.stamps.items() if stamp},
         measures=_published(understanding, run, adopted),
         failure=None if run.status is RunStatus.DONE else "as in the table that was imported",
     )
