@@ -3,31 +3,24 @@
 from __future__ import annotations
 
 import csv
-from array import array
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.importing.description import description_text
 from robot_runner.analysis.importing.recomputation import unit_of_recipe
-from robot_runner.core.design.columns import REPETITION
+from robot_runner.core.design.factor import Combination, factor_places
+from robot_runner.core.design.run_table import PlannedRun
 from robot_runner.core.storage.cells import CellValue, RunStatus, typed_value
 from robot_runner.core.storage.journal import Journal, utc_now
 from robot_runner.core.storage.manifest import describe_software, write_manifest
-from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
+from robot_runner.core.storage.run_table_rows import RunRow, RunTableRows, write_run_table
 from robot_runner.core.storage.safe_write import write_beside_and_rename
-from robot_runner.core.storage.table_columns import (
-    CodedColumn,
-    ColumnRole,
-    FactorColumn,
-    RunIdColumn,
-    StatusColumn,
-    TableLayout,
-)
+from robot_runner.core.storage.table_columns import ColumnRole, FactorColumn, TableLayout
 from robot_runner.core.storage.table_schema import ColumnDescription, describe_columns, write_schema
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from robot_runner.analysis.importing.foreign_runs import ForeignRun
     from robot_runner.analysis.importing.recomputation import Difference
@@ -94,50 +87,27 @@ def write_records(
 
 def _rows(understanding: Understanding, runs: Sequence[AdoptedRun]) -> RunTableRows:
     roles, headings = understanding.roles, understanding.headings
-    has_repetition = all(run.repetition is not None for run in understanding.runs)
-    has_stamps = any(run.started_at is not None for run in runs)
-    measures = (*roles.measures, *understanding.new_measures)
+    stamps = _STAMPS if any(run.started_at is not None for run in runs) else ()
     layout = TableLayout(
         tuple(FactorColumn(headings[name]) for name in roles.factors),
-        tuple(headings[name] for name in measures),
-        has_repetition=has_repetition,
-        stamps=_STAMPS if has_stamps else (),
+        tuple(headings[name] for name in (*roles.measures, *understanding.new_measures)),
+        has_repetition=all(run.repetition is not None for run in understanding.runs),
+        stamps=stamps,
         extras=tuple(headings[name] for name in roles.extras),
     )
-    statuses = StatusColumn(0)
-    statuses.extend([run.status.value for run in understanding.runs], {each.value: each for each in RunStatus})
-    texts: dict[str, list[str | None]] = {
-        headings[name]: [run.extras[name] or None for run in understanding.runs] for name in roles.extras
-    }
-    if has_stamps:
-        texts |= {stamp: [run.stamps[stamp] for run in runs] for stamp in _STAMPS}
-    return RunTableRows(
-        layout,
-        RunIdColumn([run.run_id for run in understanding.runs], len(runs)),
-        statuses,
-        [*(_factor(understanding, name) for name in roles.factors), *_repetition(understanding, has=has_repetition)],
-        texts=texts,
-        measures={headings[name]: _values(understanding, runs, name) for name in measures},
-    )
-
-
-def _values(understanding: Understanding, runs: Sequence[AdoptedRun], name: str) -> list[CellValue]:
-    if name in understanding.roles.measures:
-        return [run.measures[name] for run in understanding.runs]
-    return [run.recomputed.get(name) for run in runs]
-
-
-def _factor(understanding: Understanding, name: str) -> CodedColumn:
-    texts = understanding.treatments(name)
-    places = array("I", (texts.index(run.treatments[name]) for run in understanding.runs))
-    return CodedColumn(understanding.headings[name], [typed_value(text, None) for text in texts], texts, places)
-
-
-def _repetition(understanding: Understanding, *, has: bool) -> Iterator[CodedColumn]:
-    if has:
-        numbers = array("I", (run.repetition or 0 for run in understanding.runs))
-        values = range(max(numbers) + 1)
-        yield CodedColumn(REPETITION, values, [*map(str, values)], numbers)
+    places = factor_places(layout.factor_names)
+    rows = []
+    for number, (run, adopted) in enumerate(zip(understanding.runs, runs, strict=True), start=1):
+        treatments = tuple(typed_value(run.treatments[name], None) for name in roles.factors)
+        planned = PlannedRun(run.run_id, number, Combination(places, treatments), run.repetition or 1)
+        of_table = [run.measures[name] for name in roles.measures]
+        computed = [adopted.recomputed.get(name) for name in understanding.new_measures]
+        # Treatments, and the text of columns without a role, stay as they are written.
+        texts = {name: text for name, text in run.extras.items() if text} | dict(run.treatments)
+        kept = {headings[name]: text for name, text in texts.items()}
+        moments = tuple(adopted.stamps[stamp] for stamp in stamps)
+        rows.append(RunRow(planned, run.status, moments, (*of_table, *computed), kept or None))
+    return RunTableRows(layout, rows)
 
 
 def _known(understanding: Understanding) -> dict[str, ColumnDescription]:
