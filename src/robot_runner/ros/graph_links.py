@@ -139,12 +139,12 @@ class _GraphLink:
 
 GRAPH_LINKS: Mapping[str, _GraphLink] = MappingProxyType(
     {
-        "ros1": _GraphLink("ROS 1 with rospy", "robot_runner.ros.ros1.link", "open_ros1_link"),
-        "ros2": _GraphLink("ROS 2 with rclpy", "robot_runner.ros.ros2.link", "open_ros2_link"),
-        "dds": _GraphLink("ROS 2 over DDS, with no ROS installed", "robot_runner.ros.dds.link", "open_dds_link"),
+        "ros1": _GraphLink("ROS 1 with rospy", "robot_runner.ros.ros1_link", "open_ros1_link"),
+        "ros2": _GraphLink("ROS 2 with rclpy", "robot_runner.ros.ros2_link", "open_ros2_link"),
+        "dds": _GraphLink("ROS 2 over DDS, with no ROS installed", "robot_runner.ros.dds_link", "open_dds_link"),
         "rosbridge": _GraphLink(
             "ROS 1 or 2 through a rosbridge, with no ROS installed",
-            "robot_runner.ros.rosbridge.link",
+            "robot_runner.ros.rosbridge_link",
             "open_rosbridge_link",
         ),
     }

@@ -25,7 +25,7 @@ from robot_runner.core.sampling.series import Window
 from robot_runner.meters.polled import machine_clock
 from robot_runner.meters.psutil import host_findings
 from robot_runner.meters.utilisation import Selection, Utilisation
-from robot_runner.ros.ros1.link import master_of
+from robot_runner.ros.ros1_link import master_of
 from robot_runner.ros.topic_statistics import robot_findings
 
 if TYPE_CHECKING:

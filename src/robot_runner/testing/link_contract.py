@@ -23,6 +23,8 @@ _ODOMETRY = "nav_msgs/Odometry"
 _TRIGGER = "std_srvs/Trigger"
 #: How much longer than its deadline something may take, s.
 SLACK = 3.0
+#: How long a message that comes at once is waited for, s: a busy machine takes a few seconds.
+_PATIENCE = 60.0
 
 
 def refusal(attempt: Callable[[], object]) -> LinkError:
@@ -179,6 +181,36 @@ class RobotLinkContract:
             except KeyError:
                 return
             raise AssertionError("the condition's KeyError was lost")
+
+    def test_a_message_that_comes_is_returned_before_the_deadline(self) -> None:
+        """Hold that `wait_for` does not wait out its timeout."""
+        with self.opened() as link:
+            if not self.publishes:
+                return
+            begun = time.monotonic()
+            message = link.wait_for(self.topic, _ODOMETRY, timeout=_PATIENCE)
+            require("pose" in message, f"it returned {message}")
+            require(time.monotonic() - begun < _PATIENCE / 2, "it waited on although the message was there")
+
+    def test_a_fault_of_a_callback_is_raised_at_the_latest_when_the_link_is_closed(self) -> None:
+        """Hold that a run cannot succeed over a callback that raised."""
+        if not self.publishes:
+            return
+        called: list[Message] = []
+
+        def receive(message: Message) -> None:
+            called.append(message)
+            raise ValueError("a fault of the callback")
+
+        link = self.make_link()
+        try:
+            link.subscribe(self.topic, _ODOMETRY, receive)
+            self.until(lambda: called, "nothing was received")
+        except ValueError:  # callbacks are called while time goes by
+            link.close()
+            return
+        error = refusal(link.close)
+        require("a fault of the callback" in error.problem, f"the fault is not named: {error}")
 
     # --- services ---
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
-from robot_runner.ros.rosbridge.frames import from_protocol, to_protocol
+from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
 from robot_runner.ros.shapes import BYTE_KINDS, Field, Shape, UpTo, completed, plain_type
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.links.robot import Encoding
-from robot_runner.ros.rosbridge.frames import FrameReader, send_errors, to_protocol
+from robot_runner.ros.rosbridge_frames import FrameReader, send_errors, to_protocol
 from robot_runner.ros.shapes import completed, plain_type
 from robot_runner.ros.type_catalogue import TypeCatalogue
 from robot_runner.testing.rosbridge_graph import (
@@ -232,7 +232,7 @@ class RosbridgeServer:
 
     Example:
         >>> from robot_runner.core.events.context import SystemClock
-        >>> from robot_runner.ros.rosbridge.link import open_rosbridge_link
+        >>> from robot_runner.ros.rosbridge_link import open_rosbridge_link
         >>> server = RosbridgeServer()
         >>> server.offer("/task/stop", "std_srvs/Trigger", lambda request: {"success": True})
         >>> link = open_rosbridge_link(server.url, SystemClock())
