@@ -142,9 +142,8 @@ class SimulatedTransport:
         """Offer a service to all links of the simulation."""
         if service in self.services():
             raise already_offered(service, "the simulation")
-        offers = self._simulation.offers
-        offers[service] = (service_type, answer)
-        return _Subscription(lambda: offers.pop(service, None))
+        self._simulation.offers[service] = (service_type, answer)
+        return _Subscription(lambda: _withdraw(self._simulation, service))
 
     def topics(self) -> Mapping[str, str]:
         """Return the type of each topic of each robot of the simulation."""
@@ -209,7 +208,7 @@ class _CommandPublisher:
 class _Subscription:
     """A subscription or an offer, which closes itself."""
 
-    def __init__(self, close: Callable[[], object]) -> None:
+    def __init__(self, close: Callable[[], None]) -> None:
         self.close = close
 
     def explain(self) -> str:
@@ -231,6 +230,10 @@ class _Reception:
     def raw(self) -> RawMessage:
         data = _standard_types().serialise(self.message_type, self.content, Encoding.CDR)
         return RawMessage(data, self.received_ns)
+
+
+def _withdraw(simulation: Simulation, service: str) -> None:
+    simulation.offers.pop(service, None)  # none is left where the simulation was closed before
 
 
 def _check_service_type(service: str, given: str, true: str) -> None:
