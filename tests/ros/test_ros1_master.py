@@ -74,7 +74,7 @@ def test_what_answers_as_a_web_server_is_no_master(path):
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
         try:
-            with pytest.raises(LinkError, match="no ROS master") as caught:
+            with pytest.raises(LinkError, match="not a ROS master") as caught:
                 Master(f"http://127.0.0.1:{server.server_port}{path}", timeout=5.0).check()
             assert "11311" in caught.value.fix
         finally:

@@ -62,7 +62,7 @@ def reply_topic(service: str) -> str:
 
 
 def ros_topic(wire_name: str) -> str | None:
-    """Return the ROS topic of a DDS topic, or None if it is none.
+    """Return the ROS topic of a DDS topic, or None if it is another topic.
 
     Example:
         >>> ros_topic("rt/odom"), ros_topic("ros_discovery_info")
@@ -95,7 +95,7 @@ def wire_type_name(message_type: str, kind: str = "msg") -> str:
 
 
 def ros_type(wire_name: str) -> str:
-    """Return the ROS type of a DDS type; one that is none of ROS stays as it is.
+    """Return the ROS type of a DDS type; one that is not of ROS stays as it is.
 
     Example:
         >>> ros_type("geometry_msgs::msg::dds_::Twist_"), ros_type("HelloWorld")

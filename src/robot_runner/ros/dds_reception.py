@@ -56,7 +56,7 @@ _PRIMITIVES: dict[str, Any] = {
     **{f"{sign}int{bits}": getattr(idl, f"{sign}int{bits}") for sign in ("", "u") for bits in (8, 16, 32, 64)},
 }
 
-# They are indexed like generic types, and are none.
+# They are indexed like generic types, but are not typed as such.
 _ARRAY: Any = idl.array
 _SEQUENCE: Any = idl.sequence
 _BOUNDED_STRING: Any = idl.bounded_str

@@ -173,7 +173,7 @@ class Session:
         return self.graph.wait_for(is_so, max(0.0, self._joined + SETTLING - time.monotonic()))
 
     def is_alone(self) -> bool:
-        """Whether nobody else is on the graph of this domain."""
+        """Whether this is the only participant of its domain."""
         return not self.graph.participants - {self.guid}
 
     def loneliness(self) -> str:

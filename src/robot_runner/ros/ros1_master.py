@@ -30,11 +30,11 @@ _URI = "ROS_MASTER_URI"
 
 @dataclass(frozen=True, slots=True)
 class SystemState:
-    """Who publishes, hears and offers what, by full names.
+    """The publishers, subscribers and services of a graph, by full names.
 
     Attributes:
         publishers: the nodes that publish each topic.
-        subscribers: the nodes that hear each topic.
+        subscribers: the nodes that subscribe each topic.
         services: the nodes that offer each service.
     """
 
@@ -120,7 +120,7 @@ class Master:
         self._ask("setParam", name, value)
 
     def topic_types(self) -> dict[str, str]:
-        """Return the type of each topic that it has ever heard of.
+        """Return the type of each topic that was ever registered.
 
         Raises:
             LinkError: the master does not answer.
@@ -128,7 +128,7 @@ class Master:
         return {name: topic_type for name, topic_type in self._ask("getTopicTypes") if topic_type != "*"}
 
     def state(self) -> SystemState:
-        """Return who publishes, hears and offers what.
+        """Return the publishers, subscribers and services.
 
         Raises:
             LinkError: the master does not answer.
@@ -186,7 +186,7 @@ class Master:
 
     def _absent(self, error: OSError) -> LinkError:
         fix = "Start one (roscore), or correct ROS_MASTER_URI."
-        return LinkError(f"there is no ROS master at {self.uri}: {_reason(error)}", where=_URI, fix=fix)
+        return LinkError(f"there is not a ROS master at {self.uri}: {_reason(error)}", where=_URI, fix=fix)
 
     def _silent(self) -> LinkError:
         return LinkError(
@@ -204,7 +204,7 @@ class Master:
 
     def _foreign(self) -> LinkError:
         return LinkError(
-            f"what answers at {self.uri} is no ROS master",
+            f"what answers at {self.uri} is not a ROS master",
             where=_URI,
             fix="Correct ROS_MASTER_URI: a master is at port 11311, if not started elsewhere.",
         )

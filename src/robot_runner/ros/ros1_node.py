@@ -80,7 +80,7 @@ def within(timeout: float, action: Callable[[], T], *, where: str, doing: str) -
     def act() -> None:
         try:
             outcome.append(action())
-        except Exception as fault:  # noqa: BLE001 - it is raised by who waits for it
+        except Exception as fault:  # noqa: BLE001 - it is raised in the thread that waits for it
             faults.append(fault)
 
     thread = threading.Thread(target=act, name=f"{doing} {where}", daemon=True)

@@ -76,7 +76,7 @@ class GraphNode:
         self._services: Any = None
         self._todo: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         try:
-            # No arguments: those of our command line are none of ROS'. No handlers of signals: a run has its own.
+            # No arguments: those of our command line mean nothing to ROS. No handlers of signals: a run has its own.
             self._context.init(args=[], initialize_logging=False, domain_id=domain)
             self.node = self._new_node("robot_runner")
         except Exception as error:  # rclpy raises what its middleware does

@@ -119,7 +119,7 @@ class RosGraph(Profiler):
         return [*findings, *reach]
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Connect, before the robot moves and while nobody measures."""
+        """Connect, before the robot moves and before anything is measured."""
         self._sampler = self._utilisation = None
         self._graphs = {}
         self._is_simulated = is_simulation(connect_robot(context, namespace=self.namespace), self.namespace)
@@ -210,7 +210,7 @@ def _selectors(nodes: Sequence[str] | Mapping[str, str], where: str) -> dict[str
     for node in chosen:
         if not node.startswith("/"):
             fix = f"Give it as the graph lists it: '/{node}'."
-            raise PluginError(f"{node!r} is no full name of a node", where=where, fix=fix)
+            raise PluginError(f"{node!r} is not the full name of a node", where=where, fix=fix)
     try:
         return {node: process_selector(selector) for node, selector in chosen.items()}
     except LinkError as error:

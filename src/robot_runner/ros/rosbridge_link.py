@@ -62,7 +62,7 @@ class RosbridgeAddress:
         """Take an address apart.
 
         Raises:
-            LinkError: it is none, or an option is none of a rosbridge's or cannot have its value.
+            LinkError: it cannot be an address, or there is no such option, or it cannot have this value.
         """
         try:
             parts = urlsplit(text)
@@ -142,7 +142,7 @@ def open_rosbridge_link(url: str, clock: Clock, namespace: str = "") -> RobotLin
         namespace: of the robot.
 
     Raises:
-        LinkError: the address is none, a package is missing, or the rosbridge cannot be reached.
+        LinkError: it cannot be an address, a package is missing, or the rosbridge cannot be reached.
     """
     address = RosbridgeAddress.parse(url)
     missing = missing_of(_PACKAGES)

@@ -238,7 +238,7 @@ class _Subscription:
         self.close = close
 
     def explain(self) -> str:
-        """Say nothing: a rosbridge does not tell who publishes a topic."""
+        """Say nothing: a rosbridge does not tell the publishers of a topic."""
         return ""
 
 

@@ -250,7 +250,7 @@ class RobotTypes:
         return self._catalogue.serialise(message_type, message, self.encoding)
 
     def deserialise(self, message_type: str, data: bytes) -> dict[str, Any]:
-        """Return the message that these bytes are; raises a `LinkError` where they are none."""
+        """Return the message that these bytes are; raises a `LinkError` where they are not of this type."""
         return self._catalogue.deserialise(message_type, data, self.encoding)
 
     def _shape(self, look_up: Callable[[str], Shape], name: str, question: str, kind: str) -> Shape:

@@ -1,4 +1,4 @@
-"""What holds for every link to a graph on which everybody may publish, as tests for its author to inherit."""
+"""What holds for every link to a graph with publishers of any kind, as tests for its author to inherit."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ _PATIENCE = 30.0
 
 
 class GraphLinkContract(RobotLinkContract):
-    """The facts of `RobotLinkContract`, and those about two links of one graph that hear each other.
+    """The facts of `RobotLinkContract`, and those about two links of one graph that reach each other.
 
     Attributes:
         discovery: how long, s, a publisher and a subscriber may take to find each other.
-        keeps_last: whether what is published `TRANSIENT_LOCAL` is there for who comes later.
+        keeps_last: whether what is published `TRANSIENT_LOCAL` is there for later subscribers.
 
     Example:
         >>> from robot_runner.core.events.context import SystemClock
@@ -54,16 +54,16 @@ class GraphLinkContract(RobotLinkContract):
     def received_on(
         self, link: RobotLink, topic: str, message_type: str, publisher: RobotLink, message: Message
     ) -> list[Message]:
-        """Subscribe, and publish until the first message is heard; return the list of what is heard from now on."""
-        heard: list[Message] = []
-        link.subscribe(topic, message_type, heard.append)
+        """Subscribe, and publish until the first message arrives; return the list of what arrives from now on."""
+        received: list[Message] = []
+        link.subscribe(topic, message_type, received.append)
 
-        def said() -> bool:
+        def has_arrived() -> bool:
             publisher.publish(topic, message_type, message, qos=Qos.RELIABLE)
-            return bool(heard)
+            return bool(received)
 
-        self.until(said, f"nothing is heard on {topic}", timeout=self.discovery)
-        return heard
+        self.until(has_arrived, f"nothing is received on {topic}", timeout=self.discovery)
+        return received
 
     def test_a_message_arrives_with_every_field(self) -> None:
         """Hold that texts, numbers, arrays, bytes, times and nested fields arrive as they were sent."""
@@ -76,12 +76,12 @@ class GraphLinkContract(RobotLinkContract):
             "data": b"\x00\xff",
         }
         with self.opened() as robot, self.opened() as link:
-            heard = self.received_on(link, "image", _IMAGE, robot, image)[0]
-            header = heard["header"]
+            received = self.received_on(link, "image", _IMAGE, robot, image)[0]
+            header = received["header"]
             require(header["stamp"] == {"sec": 12, "nanosec": 345}, f"the stamp is {header['stamp']}")
             require(header["frame_id"] == "caméra", f"a text is {header['frame_id']!r}")
-            require(heard["data"] == b"\x00\xff", f"bytes are {heard['data']!r}")
-            require((heard["height"], heard["is_bigendian"]) == (2, 0), f"numbers are {heard}")
+            require(received["data"] == b"\x00\xff", f"bytes are {received['data']!r}")
+            require((received["height"], received["is_bigendian"]) == (2, 0), f"numbers are {received}")
 
     def test_floats_that_are_no_numbers_arrive(self) -> None:
         """Hold that a laser may say that it sees nothing."""
@@ -99,24 +99,24 @@ class GraphLinkContract(RobotLinkContract):
             raw: list[RawMessage] = []
             link.subscribe_raw("chatter", _STRING, raw.append)
             self.received_on(link, "chatter", _STRING, robot, {"data": "hello"})
-            self.until(lambda: raw, "no bytes are heard")
+            self.until(lambda: raw, "no bytes are received")
             catalogue = TypeCatalogue.of(1 if link.encoding is Encoding.ROS1 else 2)
             message = catalogue.deserialise(_STRING, raw[0].data, link.encoding)
             require(message == {"data": "hello"}, f"the bytes say {message}")
             require(abs(raw[0].received_ns - time.time_ns()) < _MINUTE_NS, "the time is not that of this machine")
 
-    def test_all_subscriptions_hear_until_they_are_closed(self) -> None:
+    def test_all_subscriptions_receive_until_they_are_closed(self) -> None:
         """Hold that one subscription's end is not another's."""
         with self.opened() as robot, self.opened() as link:
             first: list[Message] = []
             subscription = link.subscribe("chatter", _STRING, first.append)
-            heard = self.received_on(link, "chatter", _STRING, robot, {"data": "a"})
-            self.until(lambda: first, "the first subscription hears nothing")
+            received = self.received_on(link, "chatter", _STRING, robot, {"data": "a"})
+            self.until(lambda: first, "the first subscription receives nothing")
             subscription.close()
             count = len(first)
             robot.publish("chatter", _STRING, {"data": "b"})
-            self.until(lambda: heard[-1] == {"data": "b"}, "the second subscription hears no more")
-            require(len(first) == count, "a closed subscription hears")
+            self.until(lambda: received[-1] == {"data": "b"}, "the second subscription receives no more")
+            require(len(first) == count, "a closed subscription receives")
 
     def test_a_fault_of_a_callback_does_not_end_the_subscription(self) -> None:
         """Hold that the next message is received all the same, and that closing the link raises the fault."""
@@ -162,15 +162,15 @@ class GraphLinkContract(RobotLinkContract):
             require(found[-1]["data"] in {"b", "c"}, f"it receives {found[-1]}")
 
     def test_many_messages_arrive_in_order_and_without_loss(self) -> None:
-        """Hold that what is published and heard reliably is all there."""
+        """Hold that what is published and subscribed reliably is all there."""
         with self.opened() as robot, self.opened() as link:
-            heard: list[Message] = []
-            link.subscribe("numbers", "std_msgs/Int32", heard.append, qos=Qos.RELIABLE)
+            received: list[Message] = []
+            link.subscribe("numbers", "std_msgs/Int32", received.append, qos=Qos.RELIABLE)
             self.received_on(link, "numbers", "std_msgs/Int32", robot, {"data": -1})
             for number in range(_MANY):
                 robot.publish("numbers", "std_msgs/Int32", {"data": number}, qos=Qos.RELIABLE)
-            self.until(lambda: heard and heard[-1]["data"] == _MANY - 1, "the last message did not arrive")
-            numbers = [message["data"] for message in heard if message["data"] >= 0]
+            self.until(lambda: received and received[-1]["data"] == _MANY - 1, "the last message did not arrive")
+            numbers = [message["data"] for message in received if message["data"] >= 0]
             require(numbers == list(range(_MANY)), f"{_MANY - len(numbers)} of {_MANY} messages are missing")
 
     def test_the_first_message_that_satisfies_a_condition_is_returned(self) -> None:
@@ -197,19 +197,19 @@ class GraphLinkContract(RobotLinkContract):
             require(found["data"] % 7 == 0, f"it returned {found}")
             require(time.monotonic() - begun < _PATIENCE / 2, "it waited on although the message was there")
 
-    def test_a_last_message_is_there_for_who_comes_later(self) -> None:
+    def test_a_last_message_is_there_for_later_subscribers(self) -> None:
         """Hold that `TRANSIENT_LOCAL` is that of ROS: latched."""
         if not self.keeps_last:
             return
         with self.opened() as robot, self.opened() as link:
             robot.publish("map_name", _STRING, {"data": "arena"}, qos=Qos.TRANSIENT_LOCAL)
-            heard: list[Message] = []
-            link.subscribe("map_name", _STRING, heard.append, qos=Qos.TRANSIENT_LOCAL)
-            self.until(lambda: heard, "who came later hears nothing", timeout=self.discovery)
-            require(heard[0] == {"data": "arena"}, f"it says {heard[0]}")
+            received: list[Message] = []
+            link.subscribe("map_name", _STRING, received.append, qos=Qos.TRANSIENT_LOCAL)
+            self.until(lambda: received, "a later subscriber receives nothing", timeout=self.discovery)
+            require(received[0] == {"data": "arena"}, f"it says {received[0]}")
 
     def test_a_topic_with_another_type_is_refused(self) -> None:
-        """Hold that both types are named, to who hears and to who publishes."""
+        """Hold that both types are named, to subscribers and to publishers."""
         with self.opened() as robot, self.opened() as link:
             self.received_on(link, "chatter", _STRING, robot, {"data": "a"})
             for error in (
@@ -255,19 +255,21 @@ class GraphLinkContract(RobotLinkContract):
             self.received_on(link, "/alice/chatter", _STRING, alice, {"data": "a"})
             bob.publish("chatter", _STRING, {"data": "b"})
             self.received_on(link, "/bob/chatter", _STRING, bob, {"data": "b"})
-            require(all(message == {"data": "b"} for message in others), f"bob hears {others}")
+            require(all(message == {"data": "b"} for message in others), f"bob receives {others}")
 
     def test_a_robot_that_was_driven_is_stopped_when_the_link_is_closed(self) -> None:
-        """Hold that the last command that the robot hears is to stand still."""
+        """Hold that the last command that the robot receives is to stand still."""
         for number, message_type in enumerate(_COMMAND_TYPES):
             with self.opened() as robot:
                 link, topic = self.make_link(), f"cmd_vel_{number}"
                 try:
-                    heard = self.received_on(robot, topic, message_type, link, velocity_command(message_type, 0.2, 0.0))
-                    require(_speed(message_type, heard[-1]) > 0, f"it heard {heard[-1]}")
+                    received = self.received_on(
+                        robot, topic, message_type, link, velocity_command(message_type, 0.2, 0.0)
+                    )
+                    require(_speed(message_type, received[-1]) > 0, f"it received {received[-1]}")
                 finally:
                     link.close()
-                self.until(partial(_has_been_stopped, message_type, heard), f"the last command is {heard[-1]}")
+                self.until(partial(_has_been_stopped, message_type, received), f"the last command is {received[-1]}")
 
 
 def _speed(message_type: str, command: Message) -> float:
@@ -275,5 +277,5 @@ def _speed(message_type: str, command: Message) -> float:
     return speed
 
 
-def _has_been_stopped(message_type: str, heard: list[Message]) -> bool:
-    return _speed(message_type, heard[-1]) == 0.0
+def _has_been_stopped(message_type: str, received: list[Message]) -> bool:
+    return _speed(message_type, received[-1]) == 0.0

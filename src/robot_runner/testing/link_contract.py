@@ -40,7 +40,7 @@ def refusal(attempt: Callable[[], object]) -> LinkError:
 class RobotLinkContract:
     """The facts that a link to any robot must keep to; pytest finds them in a subclass whose name begins with `Test`.
 
-    A link to a graph on which everybody may publish also keeps to `GraphLinkContract`.
+    A link to a graph with publishers of any kind also keeps to `GraphLinkContract`.
 
     Attributes:
         topic: a topic that some robot publishes, of type nav_msgs/Odometry.
@@ -137,28 +137,30 @@ class RobotLinkContract:
 
     # --- what the robot publishes ---
 
-    def test_what_the_robot_publishes_is_heard(self) -> None:
+    def test_what_the_robot_publishes_is_received(self) -> None:
         """Hold that messages are mappings with every field, until the subscription is closed."""
         with self.opened() as link:
             if not self.publishes:
                 return
-            heard: list[Message] = []
-            subscription = link.subscribe(self.topic, _ODOMETRY, heard.append)
+            received: list[Message] = []
+            subscription = link.subscribe(self.topic, _ODOMETRY, received.append)
             require(isinstance(subscription, Subscription), f"{subscription!r} cannot be closed")
-            self.until(lambda: len(heard) > 1, "nothing was heard")
-            require({"header", "child_frame_id", "pose", "twist"} <= set(heard[0]), f"fields are missing: {heard[0]}")
-            require(set(heard[0]["header"]["stamp"]) == {"sec", "nanosec"}, "a stamp has other fields")
+            self.until(lambda: len(received) > 1, "nothing was received")
+            require(
+                {"header", "child_frame_id", "pose", "twist"} <= set(received[0]), f"fields are missing: {received[0]}"
+            )
+            require(set(received[0]["header"]["stamp"]) == {"sec", "nanosec"}, "a stamp has other fields")
             subscription.close()
             subscription.close()
 
-    def test_bytes_of_what_the_robot_publishes_are_heard(self) -> None:
+    def test_bytes_of_what_the_robot_publishes_are_received(self) -> None:
         """Hold that raw messages come with their time."""
         with self.opened() as link:
             if not self.publishes:
                 return
             first: list[RawMessage] = []
             subscription = link.subscribe_raw(self.topic, _ODOMETRY, first.append)
-            self.until(lambda: len(first) > 1, "nothing was heard")
+            self.until(lambda: len(first) > 1, "nothing was received")
             subscription.close()
             require(isinstance(first[0].data, bytes) and first[0].data, "there are no bytes")
             require(first[0].received_ns <= first[1].received_ns, "time goes back")

@@ -38,8 +38,6 @@ if TYPE_CHECKING:
 __all__ = ["RosbridgeServer", "ServedClient"]
 
 
-# One connection to the rosbridge server that tests speak to, and the operations of the protocol that it takes.
-
 _logger = logging.getLogger(__name__)
 
 
@@ -78,7 +76,7 @@ class ServedClient:
         with suppress(*send_errors()):
             self._connection.close()
 
-    def hear(self, topic: ServedTopic, message: Message) -> None:
+    def receive(self, topic: ServedTopic, message: Message) -> None:
         """Send a message of a topic, in the compression that was asked for."""
         compression = self._compressions.get(topic.name, "none")
         operation: dict[str, Any] = {"op": "publish", "topic": topic.name}
@@ -228,7 +226,7 @@ class RosbridgeServer:
 
     Attributes:
         graph: topics and services behind it.
-        lock: held by whoever uses the graph.
+        lock: to be held while the graph is used.
 
     Example:
         >>> from robot_runner.core.events.context import SystemClock
@@ -329,15 +327,15 @@ class RosbridgeServer:
         if client in self._clients:
             self._clients.remove(client)
 
-    def hear(self, topic: object, message: Message) -> None:
-        """Take nothing: the nodes behind the server hear no topics."""
+    def receive(self, topic: object, message: Message) -> None:
+        """Take nothing: the nodes behind the server subscribe no topics."""
 
     def now_ns(self) -> int:
         """Return the time on the robot, ns since the epoch."""
         return time.time_ns()
 
     def spelt(self, values: Any) -> Any:
-        """Return values as they can be written in JSON: numbers that are none are null."""
+        """Return values as they can be written in JSON: NaN and infinity are null."""
         if isinstance(values, float):
             return values if math.isfinite(values) else None
         if isinstance(values, dict):
