@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot import RobotName
-from robot_runner.ros.graph_links import open_graph_link
+from robot_runner.ros.graph_links import GRAPH_LINKS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-PATIENCE = 30.0
+PATIENCE = 60.0
 STANDSTILL = 0.01  # m/s
 
 
@@ -33,6 +33,7 @@ def simulated_robot(link: str, *options: str) -> Iterator[str]:
     try:
         assert process.stdout is not None
         lines = list(takewhile(lambda line: line != "ready", map(str.strip, process.stdout)))
+        overdue.cancel()
         assert process.poll() is None, "it ended before it was ready"
         yield next(line.partition(": ")[2] for line in lines if line.startswith("power meter: "))
         process.terminate()
@@ -82,7 +83,8 @@ class Witness:
 @contextmanager
 def witness(link: str, namespace: str) -> Iterator[Witness]:
     looking = Witness()
-    connected = open_graph_link(RobotName.parse(link), SystemClock(), namespace)
+    name = RobotName.parse(link)
+    connected = GRAPH_LINKS[name.link].open(name, SystemClock(), namespace)
     try:
         connected.subscribe("odom", "nav_msgs/Odometry", looking.hear)
         yield looking

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.links.robot import Encoding, Qos, RawMessage
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.watchdog import TWIST, TWIST_STAMPED, velocity_command, velocity_of
-from robot_runner.testing.link_contract import SLACK, RobotLinkContract, refusal
+from robot_runner.testing.link_contract import PATIENCE, RobotLinkContract, punctual_refusal, refusal
 from robot_runner.testing.plugin_contract import require
 
 if TYPE_CHECKING:
@@ -27,8 +27,6 @@ _IMAGE = "sensor_msgs/Image"
 _SCAN = "sensor_msgs/LaserScan"
 _MANY = 200
 _MINUTE_NS = 60_000_000_000
-#: How long a message that comes within tenths of a second is waited for, s: a busy machine takes a few seconds.
-_PATIENCE = 30.0
 
 
 class GraphLinkContract(RobotLinkContract):
@@ -48,7 +46,7 @@ class GraphLinkContract(RobotLinkContract):
     """
 
     publishes: ClassVar[bool] = False
-    discovery: ClassVar[float] = 10.0
+    discovery: ClassVar[float] = 60.0
     keeps_last: ClassVar[bool] = True
 
     def received_on(
@@ -174,7 +172,7 @@ class GraphLinkContract(RobotLinkContract):
             require(numbers == list(range(_MANY)), f"{_MANY - len(numbers)} of {_MANY} messages are missing")
 
     def test_the_first_message_that_satisfies_a_condition_is_returned(self) -> None:
-        """Hold that `wait_for` passes over the others."""
+        """Hold that `wait_for` passes over the others, and returns as soon as it has the message."""
         with self.opened() as robot, self.opened() as link:
             numbers = iter(range(100_000))
             is_over = threading.Event()
@@ -190,12 +188,12 @@ class GraphLinkContract(RobotLinkContract):
             counting.start()
             begun = time.monotonic()
             try:
-                found = link.wait_for("numbers", "std_msgs/Int32", is_seventh, timeout=_PATIENCE)
+                found = link.wait_for("numbers", "std_msgs/Int32", is_seventh, timeout=2 * PATIENCE)
             finally:
                 is_over.set()
                 counting.join()
             require(found["data"] % 7 == 0, f"it returned {found}")
-            require(time.monotonic() - begun < _PATIENCE / 2, "it waited on although the message was there")
+            require(time.monotonic() - begun < PATIENCE, "`wait_for` went on waiting when the message was there")
 
     def test_a_last_message_is_there_for_later_subscribers(self) -> None:
         """Hold that `TRANSIENT_LOCAL` is that of ROS: latched."""
@@ -223,9 +221,9 @@ class GraphLinkContract(RobotLinkContract):
         with self.opened() as robot, self.opened() as link:
             robot.offer("lamp", _TRIGGER, lambda _: {"success": True})
             link.call("lamp", _TRIGGER)
-            begun = time.monotonic()
-            error = refusal(lambda: link.call("lamp", "std_srvs/SetBool", {"data": True}, timeout=2.0))
-            require(time.monotonic() - begun < 2.0 + SLACK, "it waited too long")
+            error = punctual_refusal(
+                lambda: link.call("lamp", "std_srvs/SetBool", {"data": True}, timeout=2.0), timeout=2.0
+            )
             require("lamp" in f"{error.where} {error.problem}", f"the service is not named: {error}")
 
     def test_a_service_that_does_not_answer_is_given_up_at_the_deadline(self) -> None:
@@ -234,15 +232,13 @@ class GraphLinkContract(RobotLinkContract):
 
         def answer(request: Message) -> dict[str, Any]:
             del request
-            released.wait(10.0)
+            released.wait(2 * PATIENCE)
             return {"success": True}
 
         with self.opened() as robot, self.opened() as link:
             robot.offer("slow", _TRIGGER, answer)
-            begun = time.monotonic()
             try:
-                error = refusal(lambda: link.call("slow", _TRIGGER, timeout=0.5))
-                require(time.monotonic() - begun < 0.5 + SLACK, "it waited too long")
+                error = punctual_refusal(lambda: link.call("slow", _TRIGGER, timeout=0.5), timeout=0.5)
                 require("0.5 s" in f"{error.problem}", f"the deadline is not named: {error}")
             finally:
                 released.set()
