@@ -8,7 +8,7 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.columns import REPETITION
+from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
 from robot_runner.core.errors import ExecutionError, Finding, did_you_mean
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome
 from robot_runner.core.storage.cells import RunStatus
@@ -67,9 +67,8 @@ def selected_places(rows: RunTableRows, resumption: Resumption) -> list[int]:
     redo, only = set(resumption.redo), set(resumption.only)
     return [
         place
-        for place in range(len(rows))
-        if (rows.status(place) is not RunStatus.DONE or (redo and rows.run_id(place) in redo))
-        and (not only or rows.run_id(place) in only or rows.run_id(place) in redo)
+        for place, (run_id, status) in enumerate(zip(rows.values(RUN_ID), rows.values(STATUS), strict=True))
+        if (status is not RunStatus.DONE or run_id in redo) and (not only or run_id in only or run_id in redo)
     ]
 
 
