@@ -64,6 +64,7 @@ class RunTableRows:
     Attributes:
         layout: which columns there are.
         warnings: what looked odd when the table was read.
+        has_file: whether the file that it was read from has the same columns, as they would be written.
 
     Example:
         >>> from robot_runner.core.design.factor import Factor
@@ -76,16 +77,25 @@ class RunTableRows:
         (1, 719.0)
     """
 
-    def __init__(self, layout: TableLayout, rows: Iterable[RunRow], warnings: Sequence[Finding] = ()) -> None:
+    def __init__(
+        self,
+        layout: TableLayout,
+        rows: Iterable[RunRow],
+        warnings: Sequence[Finding] = (),
+        *,
+        has_file: bool = False,
+    ) -> None:
         """Put rows together.
 
         Args:
             layout: which columns there are.
             rows: their stamps and measures are those of the layout.
             warnings: what looked odd when the table was read.
+            has_file: whether the file that it was read from has the same columns, as they would be written.
         """
         self.layout = layout
         self.warnings = tuple(warnings)
+        self.has_file = has_file
         self._rows = list(rows)
         self._counts = Counter(row.status for row in self._rows)
         self._places: dict[str, int] | None = None
@@ -298,7 +308,7 @@ def table_text(rows: RunTableRows) -> Iterator[str]:
 
     The columns stand in the order of the layout, see `TableLayout`.
     """
-    yield csv_text([[rows.layout.spelling.heading(name) for name in rows.layout.columns]])
+    yield csv_text([rows.layout.headings])
     cells = rows.cells()
     while piece := list(islice(cells, _ROWS_AT_ONCE)):
         yield csv_text(piece)
