@@ -7,6 +7,7 @@ import difflib
 import re
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field
+from operator import is_
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
@@ -124,7 +125,7 @@ def config_changes(experiment: Experiment) -> list[Finding]:
 
 def table_differences(path: Path, plan: RunTable, rows: RunTableRows) -> Iterator[Finding]:
     """Yield each cell in which the run table on disk differs from the plan, and each run that only one of them has."""
-    if list(map(_key, plan)) == list(map(_key, rows.planned)):  # as nearly always, and many times faster
+    if len(plan) == len(rows) and all(map(is_, plan, rows.planned)):  # as nearly always, and many times faster
         return
     planned = {run.run_id: run for run in plan}
     for found in rows.planned:
@@ -135,11 +136,6 @@ def table_differences(path: Path, plan: RunTable, rows: RunTableRows) -> Iterato
             yield from _different_cells(path, run, found, has_repetition=rows.layout.has_repetition)
     for run_id in planned:
         yield Finding.error(f"{path}, run {run_id}", "the table lacks this run of the plan", _TABLE_FIX)
-
-
-def _key(run: PlannedRun) -> tuple[Any, ...]:
-    # By identity, as rows hold the factors' own treatments, some of which have no equality.
-    return (run.run_id, run.repetition, *map(id, run.combination.treatments))
 
 
 def _different_cells(path: Path, run: PlannedRun, found: PlannedRun, *, has_repetition: bool) -> Iterator[Finding]:
@@ -201,7 +197,7 @@ class RecoveredTable:
         failed: why each failed run failed.
         unfinished: the run whose attempt nobody saw the end of, or None.
         findings: what looked odd in the file.
-        is_on_disk: whether the file holds all this, so that it need not be written.
+        is_on_disk: whether the file holds all this, and has a schema, so that neither need be written.
     """
 
     experiment: Experiment
@@ -294,10 +290,10 @@ def recover_table(
     if not folder.run_table.exists():
         recovered = RecoveredTable(experiment, RunTableRows.of_plan(plan, layout))
     else:
-        rows = read_run_table(folder.run_table, layout)
+        rows = read_run_table(folder.run_table, layout, plan)
         if manifest["design"]["source"] == "config" and not accept_changes:
             _refuse(table_differences(folder.run_table, plan, rows))
-        recovered = RecoveredTable(experiment, rows, findings=rows.warnings, is_on_disk=rows.has_file)
+        recovered = RecoveredTable(experiment, rows, findings=rows.warnings, is_on_disk=rows.has_file and bool(schema))
     for column in schema:
         recovered.origins[column.name].update(column.origin.split(", ") if column.origin else ())
     _replay(recovered, folder.journal, has_origins=bool(schema))

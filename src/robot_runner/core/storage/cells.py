@@ -190,7 +190,8 @@ def treatment_position(factor: Factor, text: str, *, decimal_comma: bool = False
 
 def are_stamps(texts: Sequence[str]) -> bool:
     """Return whether all these texts are time stamps as the journal writes them (UTC, ISO 8601, milliseconds)."""
-    return _STAMPS.fullmatch("".join(f"{text}\n" for text in texts)) is not None
+    lines = "\n".join((*texts, ""))
+    return lines.count("\n") == len(texts) and _STAMPS.fullmatch(lines) is not None
 
 
 def checked_measure(name: str, value: Any) -> CellValue:
