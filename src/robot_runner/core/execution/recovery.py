@@ -247,7 +247,9 @@ class RecoveredTable:
         self.rows.record(
             run_id,
             status=_ENDS[status],
-            stamps={name: stamp for event, stamp in stamps.items() if (name := f"{event}_at") in self.rows.layout.stamps},
+            stamps={
+                name: stamp for event, stamp in stamps.items() if (name := f"{event}_at") in self.rows.layout.stamps
+            },
             measures={name: value for name, value in measures.items() if name in self.rows.layout.measures},
         )
 
@@ -309,28 +311,30 @@ _IS_DONE = b'"status":"done"'  # quotes inside a text are escaped: these stand n
 
 def _replay(recovered: RecoveredTable, journal: Path, *, has_origins: bool) -> None:
     """Take from the journal what the file does not have; measures' origins as well, where no schema tells them."""
-    since_table_written: dict[str, bytes] = {}
-    failed: dict[str, bytes] = {}
+    since_table_written: list[bytes] = []
+    failed: list[bytes] = []
+    attempted: list[str] = []
+    is_open = False
     for line in journal_lines(journal, kinds={"attempt_started", "attempt_finished", "table_written"}):
-        if line.startswith(_TABLE_WRITTEN):
-            since_table_written.clear()
-            continue
-        run_id = _run_of(journal, line)
         if line.startswith(_STARTED):
-            recovered.attempts[run_id] += 1
-            recovered.unfinished = run_id
-            continue
-        recovered.unfinished = None
-        since_table_written[run_id] = line
-        failed.pop(run_id, None)
-        if _IS_DONE not in line:
-            failed[run_id] = line
-        if not has_origins:
-            recovered.take_origins(parsed_record(journal, line))
-    for line in since_table_written.values():
+            attempted.append(_run_of(journal, line))
+            is_open = True
+        elif line.startswith(_TABLE_WRITTEN):
+            since_table_written.clear()
+        else:
+            is_open = False
+            since_table_written.append(line)
+            if _IS_DONE not in line:
+                failed.append(line)
+            if not has_origins:
+                recovered.take_origins(parsed_record(journal, line))
+    recovered.attempts.update(attempted)
+    recovered.unfinished = attempted[-1] if is_open else None
+    last_ends = {_run_of(journal, line): line for line in since_table_written}
+    for line in last_ends.values():
         recovered.take_record(parsed_record(journal, line))
-    recovered.is_on_disk &= not since_table_written and not recovered.rows.count(RunStatus.RUNNING)
-    _settle(recovered, {run_id: parsed_record(journal, line)["failure"] or "" for run_id, line in failed.items()})
+    recovered.is_on_disk &= not last_ends and not recovered.rows.count(RunStatus.RUNNING)
+    _settle(recovered, {_run_of(journal, line): parsed_record(journal, line)["failure"] or "" for line in failed})
 
 
 def _run_of(journal: Path, line: bytes) -> str:

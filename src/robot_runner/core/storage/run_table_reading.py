@@ -249,12 +249,16 @@ class _Reading:
             self._kept(headings, cells, count),
         )
 
-    def _repetitions_of(self, found: Mapping[str, Sequence[Any]], treatments: Sequence[tuple[Any, ...]]) -> Sequence[int]:
+    def _repetitions_of(
+        self, found: Mapping[str, Sequence[Any]], treatments: Sequence[tuple[Any, ...]]
+    ) -> Sequence[int]:
         if not self._layout.has_repetition:  # a column of that name is a factor or a user's own
             return [1] * len(treatments)
         return found.get(REPETITION) or self._repetitions.counted(treatments)
 
-    def _kept(self, headings: Headings, cells: Sequence[Sequence[str]], count: int) -> Iterable[Mapping[str, str] | None]:
+    def _kept(
+        self, headings: Headings, cells: Sequence[Sequence[str]], count: int
+    ) -> Iterable[Mapping[str, str] | None]:
         """Return the text that each row keeps as it is: a user's own columns, and what no treatment is written as."""
         odd = [factor for factor in self._factors if factor.kept]
         if not headings.extras and not odd:
@@ -319,7 +323,10 @@ class _Reading:
 
 
 def _are_as_planned(
-    runs: Sequence[PlannedRun], run_ids: Sequence[str], treatments: Sequence[tuple[Any, ...]], repetitions: Sequence[int]
+    runs: Sequence[PlannedRun],
+    run_ids: Sequence[str],
+    treatments: Sequence[tuple[Any, ...]],
+    repetitions: Sequence[int],
 ) -> bool:
     if [run.run_id for run in runs] != list(run_ids) or [run.repetition for run in runs] != list(repetitions):
         return False

@@ -133,8 +133,10 @@ class RunTableRows:
         no_stamps, no_measures = _nothing(self.layout)
         stamps = zip(*(row.stamps for row in self._rows if row.stamps != no_stamps), strict=True)
         measures = zip(*(row.measures for row in self._rows if row.measures != no_measures), strict=True)
-        nothing: dict[str, tuple[Any, ...]] = dict.fromkeys((*self.layout.stamps, *self.layout.measures), ())
-        return nothing | dict(zip(self.layout.stamps, stamps)) | dict(zip(self.layout.measures, measures))
+        found: dict[str, tuple[Any, ...]] = dict.fromkeys((*self.layout.stamps, *self.layout.measures), ())
+        found.update(zip(self.layout.stamps, stamps, strict=False))  # there are no columns where no run has a value
+        found.update(zip(self.layout.measures, measures, strict=False))
+        return found
 
     def run_id(self, place: int) -> str:
         """Return the id of the run at `place`."""
@@ -226,7 +228,9 @@ class RunTableRows:
         texts = {column.name: _texts_by_treatment(column) for column in self.layout.factors}
         for start in range(0, len(self), _ROWS_AT_ONCE):
             rows = self._rows[start : start + _ROWS_AT_ONCE]
-            cells: list[Sequence[Any]] = list(zip(*(self._written(name, rows, texts) for name in self._sources), strict=True))
+            cells: list[Sequence[Any]] = list(
+                zip(*(self._written(name, rows, texts) for name in self._sources), strict=True)
+            )
             kept = any(row.kept for row in rows)
             yield [self._with_kept(row, each) for row, each in zip(rows, cells, strict=True)] if kept else cells
 
