@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from robot_runner.cli.console import quiet_loading, shown_path
 from robot_runner.cli.parser import UsageError
 from robot_runner.core.config.checks import create_model, gather_plugins, read_parameters
+from robot_runner.core.config.dialects import load_config
 from robot_runner.core.config.experiment import experiment_folder
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.design.listed_runs import ListedRunTableModel
@@ -19,7 +20,6 @@ from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.words import listed
-from robot_runner.legacy.loading import load_config
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -25,6 +25,9 @@ class GraphClock:
     Args:
         link: to the graph.
 
+    Attributes:
+        is_simulated: always: a graph publishes its time because it is not that of the world.
+
     Example:
         >>> from robot_runner.testing import FakeClock, FakeRobotLink
         >>> link = FakeRobotLink(FakeClock())
@@ -34,17 +37,19 @@ class GraphClock:
         12.5
     """
 
+    is_simulated = True
+
     def __init__(self, link: RobotLink) -> None:
         self._changed = threading.Condition()
         self._now = 0.0
         self._is_known = False
-        self._subscription = link.subscribe(_TOPIC, _TYPE, self._hear)
+        self._subscription = link.subscribe(_TOPIC, _TYPE, self._take)
 
     def start(self) -> None:
         """Return once it shows the graph's time.
 
         Raises:
-            LinkError: nobody publishes it.
+            LinkError: it is not published.
         """
         with self._changed:
             if not self._changed.wait_for(lambda: self._is_known, _PATIENCE):
@@ -78,10 +83,10 @@ class GraphClock:
                     )
 
     def close(self) -> None:
-        """Hear no more of the time; what it shows stays."""
+        """End the subscription; what it shows stays."""
         self._subscription.close()
 
-    def _hear(self, message: Message) -> None:
+    def _take(self, message: Message) -> None:
         stamp = message["clock"]
         with self._changed:
             self._now = max(self._now, stamp["sec"] + stamp["nanosec"] / 1e9)

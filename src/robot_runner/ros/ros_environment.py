@@ -16,16 +16,15 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.links.kinds import FoundRobot
 from robot_runner.core.links.ssh_host import complaint, execute, ssh_command
-from robot_runner.ros.ros1.master import Master
+from robot_runner.ros.ros1_master import Master
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
 
 __all__ = [
-    "AUTO",
-    "FoundRobot",
     "RosEnvironment",
     "describe_ros",
     "find_ros",
@@ -178,7 +177,6 @@ def _version(path: Path) -> str:
     return found[1].decode("utf-8", "replace") if found else ""
 
 
-AUTO = "auto"
 _MASTER_SECONDS = 1.0
 _BRIDGE = ("localhost", 9090)
 _BRIDGE_SECONDS = 0.5
@@ -188,7 +186,7 @@ _GRAPH_SECONDS = 8.0
 _LOOK_AT_GRAPH = """
 import sys, time
 from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.dds.link import open_dds_link
+from robot_runner.ros.dds_link import open_dds_link
 link = open_dds_link({}, SystemClock())
 deadline = time.monotonic() + 2.0
 while not (found := set(link.topics()) - {"/rosout", "/parameter_events"}) and time.monotonic() < deadline:
@@ -196,19 +194,6 @@ while not (found := set(link.topics()) - {"/rosout", "/parameter_events"}) and t
 link.close()
 sys.exit(0 if found else 1)
 """
-
-
-@dataclass(frozen=True, slots=True)
-class FoundRobot:
-    """How a robot can be reached from here.
-
-    Attributes:
-        name: what to write for `robot`.
-        reason: why it was chosen.
-    """
-
-    name: str
-    reason: str
 
 
 @lru_cache(maxsize=1)

@@ -1,34 +1,32 @@
-"""The name of a robot as a config gives it: how it is reached, and options of that way."""
+"""What a link to a robot can do, whatever stands behind it, and the name of a robot as a config gives it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from enum import StrEnum
-from math import inf
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.core.errors import LinkError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
-
 __all__ = [
+    "Caller",
     "Encoding",
+    "GraphListing",
     "Message",
+    "Offerer",
+    "Publisher",
     "Qos",
     "RawMessage",
     "RobotLink",
     "RobotName",
-    "SimulationOptions",
+    "Subscriber",
     "Subscription",
-    "simulation_options",
 ]
 
-
-# What a link to a robot can do, whatever stands behind it: ROS 1, ROS 2, DDS, rosbridge or the embedded simulator.
 
 #: A ROS message as a plain mapping that follows its definition: `{"linear": {"x": 0.2, ...}, "angular": {...}}`.
 #: Times and durations are `{"sec": …, "nanosec": …}` in both generations of ROS, arrays are lists, byte arrays `bytes`.
@@ -45,9 +43,9 @@ class Qos(StrEnum):
     DEFAULT = "default"
     #: Best effort, volatile, the last 5 are kept: `rmw_qos_profile_sensor_data`.
     SENSOR_DATA = "sensor_data"
-    #: Reliable, volatile, as many are kept as come: nothing is lost to a slow listener.
+    #: Reliable, volatile, as many are kept as come: nothing is lost to a slow subscriber.
     RELIABLE = "reliable"
-    #: Reliable, and the last message is there for who comes later, as of `/tf_static` and a map.
+    #: Reliable, and the last message is kept for later subscribers, as of `/tf_static` and a map.
     TRANSIENT_LOCAL = "transient_local"
 
 
@@ -62,7 +60,7 @@ class Encoding(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RawMessage:
-    """A message as it was received, for who records it or weighs it.
+    """A message as it was received, for recorders and for what measures its size.
 
     Attributes:
         data: the message's bytes, in the link's encoding.
@@ -79,27 +77,13 @@ class Subscription(Protocol):
     """A subscription, or an offered service, that can be ended."""
 
     def close(self) -> None:
-        """Hear no more messages; closing twice does nothing."""
+        """End it; closing twice does nothing."""
         ...
 
 
 @runtime_checkable
-class RobotLink(Protocol):
-    """A link to one robot. Names are relative to the robot's namespace unless they begin with `/`.
-
-    Message types are ROS names without a generation, such as `geometry_msgs/Twist`. Callbacks may be
-    called from another thread; on the simulated link they are called while the clock is slept on.
-    """
-
-    @property
-    def is_simulated(self) -> bool:
-        """Whether there is a simulation behind it, so that what it yields is labelled so."""
-        ...
-
-    @property
-    def encoding(self) -> Encoding:
-        """How the bytes of raw messages are laid out."""
-        ...
+class Publisher(Protocol):
+    """Publishes on the topics of a robot."""
 
     def publish(self, topic: str, message_type: str, message: Message, *, qos: Qos = Qos.DEFAULT) -> None:
         """Publish one message; fields that are left out take their ROS default.
@@ -109,6 +93,14 @@ class RobotLink(Protocol):
         """
         ...
 
+
+@runtime_checkable
+class Subscriber(Protocol):
+    """Receives what is published on the topics of a robot.
+
+    Callbacks may be called from another thread; on the simulated link they are called while the clock is slept on.
+    """
+
     def subscribe(
         self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None
     ) -> Subscription:
@@ -117,7 +109,8 @@ class RobotLink(Protocol):
         Args:
             topic: its name. It may come later, except on the simulated link, whose topics are all there.
             message_type: ROS name, such as `nav_msgs/Odometry`.
-            callback: called with each message.
+            callback: called with each message. What it raises fails the run: on the simulated link it is raised where
+                the clock is slept on, on all others by `close`.
             qos: None for what fits the topic's publishers.
 
         Raises:
@@ -146,6 +139,11 @@ class RobotLink(Protocol):
         """
         ...
 
+
+@runtime_checkable
+class Caller(Protocol):
+    """Calls the services of a robot."""
+
     def call(self, service: str, service_type: str, request: Message | None = None, *, timeout: float = 5.0) -> Message:
         """Call a service and return its response; `timeout` is in seconds.
 
@@ -155,6 +153,11 @@ class RobotLink(Protocol):
         """
         ...
 
+
+@runtime_checkable
+class Offerer(Protocol):
+    """Offers services in the namespace of a robot."""
+
     def offer(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> Subscription:
         """Offer a service until it is closed; `answer` makes the response of a request.
 
@@ -163,8 +166,13 @@ class RobotLink(Protocol):
         """
         ...
 
+
+@runtime_checkable
+class GraphListing(Protocol):
+    """Lists what is on the graph."""
+
     def topics(self) -> Mapping[str, str]:
-        """Return the type of each topic that is published or heard on the graph, by its full name."""
+        """Return the type of each topic that is published or subscribed on the graph, by its full name."""
         ...
 
     def services(self) -> Mapping[str, str]:
@@ -173,6 +181,25 @@ class RobotLink(Protocol):
 
     def nodes(self) -> Sequence[str]:
         """Return the full names of the nodes on the graph, sorted."""
+        ...
+
+
+@runtime_checkable
+class RobotLink(Publisher, Subscriber, Caller, Offerer, GraphListing, Protocol):
+    """A link to one robot. Names are relative to the robot's namespace unless they begin with `/`.
+
+    Message types are ROS names without a generation, such as `geometry_msgs/Twist`. What needs only a part of a link
+    may ask for that part: `Publisher`, `Subscriber`, `Caller`, `Offerer` or `GraphListing`.
+    """
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether there is a simulation behind it, so that what it yields is labelled so."""
+        ...
+
+    @property
+    def encoding(self) -> Encoding:
+        """How the bytes of raw messages are laid out."""
         ...
 
     def definition(self, message_type: str) -> str:
@@ -184,12 +211,15 @@ class RobotLink(Protocol):
         ...
 
     def close(self) -> None:
-        """End all subscriptions and offers and leave; closing twice does nothing."""
+        """End all subscriptions and offers and leave; closing twice does nothing.
+
+        Raises:
+            LinkError: a robot that was driven could not be told to stand still, or a callback raised.
+        """
         ...
 
 
 _WHERE = "robot"
-_REAL_TIME_FACTOR = "real_time_factor"
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,48 +263,3 @@ class RobotName:
                 raise LinkError(f"{text!r} sets {name!r} twice", where=_WHERE, fix="Leave one of them out.")
             options[name] = value
         return cls(link.strip(), options)
-
-
-@dataclass(frozen=True, slots=True)
-class SimulationOptions:
-    """What `robot = "simulated:name=value,..."` says of the simulation.
-
-    Attributes:
-        parameters: what its robots are made of.
-        real_time_factor: simulated seconds a real second (1.0: real time); None for as fast as the physics goes.
-    """
-
-    parameters: Turtlebot3Parameters
-    real_time_factor: float | None
-
-
-def simulation_options(options: Mapping[str, str]) -> SimulationOptions:
-    """Return what a simulated robot with these options is made of, and how fast its time goes by.
-
-    Example:
-        >>> simulation_options({"initial_charge": "40", "real_time_factor": "1"}).real_time_factor
-        1.0
-
-    Raises:
-        LinkError: there is no such parameter, or it cannot have this value.
-    """
-    from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters  # noqa: PLC0415  # only where there is a simulator
-
-    kinds = {each.name: int if each.type == "int" else float for each in fields(Turtlebot3Parameters)}
-    kinds[_REAL_TIME_FACTOR] = float
-    values: dict[str, Any] = {}
-    for name, text in options.items():
-        if name not in kinds:
-            fix = did_you_mean(name, kinds)
-            raise LinkError(f"the simulated robot has no parameter {name!r}", where=_WHERE, fix=fix)
-        try:
-            values[name] = kinds[name](text)
-        except ValueError as error:
-            kind = "a whole number" if kinds[name] is int else "a number"
-            problem = f"the simulated robot's {name} is {text!r}, which is not {kind}"
-            raise LinkError(problem, where=_WHERE, fix=f"Give {kind}, as in {name}=1.") from error
-    pace = values.pop(_REAL_TIME_FACTOR, None)
-    if pace is not None and not 0 < pace < inf:
-        problem = f"the simulated robot's {_REAL_TIME_FACTOR} is {pace:g}, which no clock can keep"
-        raise LinkError(problem, where=_WHERE, fix="Give 1 for real time, 2 for twice as fast.")
-    return SimulationOptions(Turtlebot3Parameters(**values), pace)

@@ -268,7 +268,7 @@ class _Reading:
             for row, text in zip(texts, cells[headings.places[name]], strict=True):
                 if text:
                     row[name] = text
-        for factor in odd if all(factor.name in headings.places for factor in odd) else ():
+        for factor in odd:
             for row, text in zip(texts, cells[headings.places[factor.name]], strict=True):
                 if text in factor.kept:
                     row[factor.name] = text
