@@ -92,7 +92,7 @@ def quoted(text: str) -> str:
 
 
 def csv_text(rows: Sequence[Sequence[Any]]) -> str:
-    r"""Return rows of a CSV file, with lines that end in `\n`; None is an empty cell, all else is written as its text."""
+    r"""Return rows of a CSV file, with lines that end in `\n`; None is an empty cell, all else its `str()`."""
     written = io.StringIO(newline="")
     csv.writer(written, lineterminator="\n").writerows(rows)
     text = written.getvalue()

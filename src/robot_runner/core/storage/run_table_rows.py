@@ -8,14 +8,14 @@ from itertools import repeat
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
+from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.design.run_table import garbage_collection_paused
 from robot_runner.core.errors import MeasureError, StorageError, did_you_mean
 from robot_runner.core.storage.cells import RunStatus, checked_measure, csv_text
 from robot_runner.core.storage.safe_write import write_beside_and_rename
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.core.design.factor import Combination
