@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 __all__ = ["EarlierExperiment", "call", "check_callback", "printed_to_log"]
 
 
-# Calling a callback of an earlier tool: with the context or without, as it was written.
-
 #: Events whose callbacks the earlier tools called without a context.
 _WITHOUT_CONTEXT = frozenset(
     {
@@ -115,12 +113,9 @@ def _unfit(callback: Callable[..., Any], event: RobotRunnerEvents) -> ConfigErro
     )
 
 
-# What `before_run` prints belongs to the run's log, though it is called before the run has its process.
-
-
 @contextmanager
 def printed_to_log(folder: ExperimentFolder) -> Iterator[None]:
-    """Have what is printed go to the log of the run that begins; the user sees it where the user is asked something."""
+    """Have what `before_run` prints go to the log of its run, which has no process yet; a user who is asked sees it."""
     terminal, keyboard = sys.stdout, sys.stdin
     with os.fdopen(open_log(folder), "a", encoding="utf-8", errors="backslashreplace") as log:
         said = _Said(log)
@@ -152,7 +147,7 @@ class _Said(io.TextIOBase):
 
 
 class _Asking(io.TextIOBase):
-    """A keyboard: whoever reads from it first shows what was said, as a question may be part of it."""
+    """A keyboard: before it is read, the user is shown what was printed, as a question may be part of it."""
 
     def __init__(self, keyboard: Any, said: _Said, terminal: TextIO) -> None:
         self._keyboard = keyboard
@@ -272,7 +267,7 @@ class EarlierExperiment:
 
     @contextmanager
     def executing_nothing(self) -> Iterator[Session]:
-        """Have the modules of the earlier tools there for whoever looks at the config; yields what is known of it."""
+        """Have the modules of the earlier tools there while the config is looked at; yields its session."""
         with self._executing(None):
             yield self._session
 
@@ -283,11 +278,12 @@ class EarlierExperiment:
         return self._design
 
     def _emit(self, event: RobotRunnerEvents, context: RobotRunnerContext | None = None) -> list[Any]:
-        """Call whoever subscribed an event; returns what each returned."""
+        """Call the callbacks of an event; returns what each returned."""
         heard = [each.callback for each in self._session.subscriptions if each.event is event]
-        is_needed = bool(heard) or event is RobotRunnerEvents.START_RUN  # a run has its folder, whoever hears it
+        if not heard and event is not RobotRunnerEvents.START_RUN:  # which makes the run's folder
+            return []
         with self._executing(context):
-            given = self._earlier_context(context) if context is not None and is_needed else None
+            given = None if context is None else self._earlier_context(context)
             return [call(callback, event, given) for callback in heard]
 
     @contextmanager

@@ -1,4 +1,4 @@
-"""A word about the run that is being executed, from a stand-in that has no context of its own."""
+"""What is known while a config file of an earlier tool is loaded and executed; its stand-in modules look here."""
 
 from __future__ import annotations
 
@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from robot_runner.legacy.recognition import Recognised
 
 __all__ = ["EarlierSubscription", "Session", "active_context", "active_session", "current_session", "warn_of_run"]
-
-
-# What is known while a config file of an earlier tool is loaded and executed; its stand-in modules look here.
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +103,7 @@ _log = logging.getLogger(__name__)
 
 
 def warn_of_run(problem: str, *, fix: str = "") -> None:
-    """Have something doubtful said at the end of the experiment; outside a run it is logged."""
+    """Warn of something doubtful at the end of the experiment; outside a run it is logged."""
     context = active_context()
     if context is None:
         _log.warning("%s %s", problem, fix)

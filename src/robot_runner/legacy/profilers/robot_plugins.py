@@ -39,7 +39,7 @@ class INA219Profiler:
         """Wait until the card is there; returns the cells of its file.
 
         Raises:
-            LinkError: nobody brings it within an hour.
+            LinkError: the file is not there within an hour.
         """
         deadline = time.monotonic() + _PATIENCE_S
         while not self.path_to_data_file.is_file():
