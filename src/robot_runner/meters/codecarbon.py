@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.links.measured_machine import clock_details, machine_clock, simulation_findings
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.quality import write_quality
 from robot_runner.core.sampling.series import Window
-from robot_runner.meters.polled import clock_details, machine_clock, simulation_findings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -91,7 +91,7 @@ class CodeCarbon(Profiler):
         """Return what stands in the way: the library is not installed."""
         if importlib.util.find_spec("codecarbon") is None:
             return [Finding.error(f"plugin {self.name}", "codecarbon is not installed", _INSTALL)]
-        return simulation_findings(self.name, circumstances)
+        return simulation_findings(self.name, circumstances.robot)
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Forget the run before."""
