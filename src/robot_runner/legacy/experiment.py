@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import inspect
 import io
-import os
 import sys
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from typing import TYPE_CHECKING, Any, TextIO
 
 from robot_runner.core.errors import ConfigError
 from robot_runner.core.events.manager import RobotRunnerEvents, place_of
-from robot_runner.core.storage.layout import ExperimentFolder, open_log
+from robot_runner.core.storage.layout import ExperimentFolder, LazyLog
 from robot_runner.legacy.recognition import Dialect
 from robot_runner.legacy.run_data import as_mapping, publish_row
 from robot_runner.legacy.run_tables import value_of
@@ -117,8 +116,7 @@ def _unfit(callback: Callable[..., Any], event: RobotRunnerEvents) -> ConfigErro
 def printed_to_log(folder: ExperimentFolder) -> Iterator[None]:
     """Have what `before_run` prints go to the log of its run, which has no process yet; a user who is asked sees it."""
     terminal, keyboard = sys.stdout, sys.stdin
-    with os.fdopen(open_log(folder), "a", encoding="utf-8", errors="backslashreplace") as log:
-        said = _Said(log)
+    with _Said(folder) as said:
         sys.stdin = _Asking(keyboard, said, terminal)
         try:
             with redirect_stdout(said), redirect_stderr(said):
@@ -127,23 +125,16 @@ def printed_to_log(folder: ExperimentFolder) -> Iterator[None]:
             sys.stdin = keyboard
 
 
-class _Said(io.TextIOBase):
-    """Writes to the log, and remembers what the user has not seen."""
+class _Said(LazyLog):
+    """The run's log, which remembers what the user has not seen."""
 
-    def __init__(self, log: TextIO) -> None:
-        self._log = log
+    def __init__(self, folder: ExperimentFolder) -> None:
+        super().__init__(folder)
         self.unseen: list[str] = []
-
-    def writable(self) -> bool:
-        return True
 
     def write(self, text: str) -> int:
         self.unseen.append(text)
-        return self._log.write(text)
-
-    def flush(self) -> None:
-        if not self._log.closed:
-            self._log.flush()
+        return super().write(text)
 
 
 class _Asking(io.TextIOBase):
