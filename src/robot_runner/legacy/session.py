@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import ConfigError, Finding
+from robot_runner.core.errors import ConfigError, Finding, LinkError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -18,7 +18,15 @@ if TYPE_CHECKING:
     from robot_runner.core.events.manager import RobotRunnerEvents
     from robot_runner.legacy.recognition import Recognised
 
-__all__ = ["EarlierSubscription", "Session", "active_context", "active_session", "current_session", "warn_of_run"]
+__all__ = [
+    "EarlierSubscription",
+    "Session",
+    "active_context",
+    "active_session",
+    "current_run",
+    "current_session",
+    "warn_of_run",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +105,22 @@ def current_session() -> Session:
 def active_context() -> RobotRunnerContext | None:
     """Return the context of the run that is being executed, or None."""
     return _active[-1].context if _active else None
+
+
+def current_run(where: str) -> RobotRunnerContext:
+    """Return the context of the run that is being executed.
+
+    Raises:
+        LinkError: there is none; `where` names the plugin that needs it.
+    """
+    context = active_context()
+    if context is None:
+        raise LinkError(
+            f"{where} can be used only while a run is executed",
+            where=where,
+            fix="Use it in start_run and in the events after it.",
+        )
+    return context
 
 
 _log = logging.getLogger(__name__)
