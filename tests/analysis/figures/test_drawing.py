@@ -18,7 +18,7 @@ from matplotlib.colors import to_rgb
 
 from robot_runner.analysis.figures.courses import MissionCourses, PhaseSpan, course_of_run
 from robot_runner.analysis.figures.distribution import Group, draw_distribution, draw_quantiles, draw_run_order
-from robot_runner.analysis.figures.effects import Estimate, Mean, draw_agreement, draw_differences, draw_interaction
+from robot_runner.analysis.figures.effects import Estimate, draw_agreement, draw_differences, draw_interaction
 from robot_runner.analysis.figures.missions import (
     AttemptSpan,
     Way,
@@ -69,7 +69,10 @@ DRAWINGS = {
         [Group("a", (1.0,) * 30, ("r",) * 30)], value_label=LABEL, group_label="Task"
     ),
     "interaction": lambda: draw_interaction(
-        {"fast": {"a": Mean(1.0, 0.9, 1.1), "b": Mean(2.0)}, "slow": {"a": Mean(1.5)}},
+        {
+            "fast": {"a": Group("a", (1.0,), ("r_1",), 0.9, 1.1), "b": Group("b", (2.0,), ("r_2",))},
+            "slow": {"a": Group("a", (1.5,), ("r_3",))},
+        },
         treatments=["a", "b"],
         value_label=LABEL,
         along="Task",
