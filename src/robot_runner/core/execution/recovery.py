@@ -236,7 +236,9 @@ class RecoveredTable:
         self.rows.record(
             run_id,
             status=_ENDS[status],
-            stamps={name: stamp for event, stamp in stamps.items() if (name := f"{event}_at") in self.rows.layout.stamps},
+            stamps={
+                name: stamp for event, stamp in stamps.items() if (name := f"{event}_at") in self.rows.layout.stamps
+            },
             measures={name: value for name, value in measures.items() if name in self.rows.layout.measures},
         )
 

@@ -238,12 +238,16 @@ class _Reading:
             self._kept(headings, cells, count),
         )
 
-    def _repetitions_of(self, found: Mapping[str, Sequence[Any]], treatments: Sequence[tuple[Any, ...]]) -> Iterable[int]:
+    def _repetitions_of(
+        self, found: Mapping[str, Sequence[Any]], treatments: Sequence[tuple[Any, ...]]
+    ) -> Iterable[int]:
         if not self._layout.has_repetition:  # a column of that name is a factor or a user's own
             return repeat(1)
         return found.get(REPETITION) or self._repetitions.counted(treatments)
 
-    def _kept(self, headings: Headings, cells: Sequence[Sequence[str]], count: int) -> Iterable[Mapping[str, str] | None]:
+    def _kept(
+        self, headings: Headings, cells: Sequence[Sequence[str]], count: int
+    ) -> Iterable[Mapping[str, str] | None]:
         """Return the text that each row keeps as it is: a user's own columns, and what no treatment is written as."""
         odd = [factor for factor in self._factors if factor.kept]
         if not headings.extras and not odd:

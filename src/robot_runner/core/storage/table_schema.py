@@ -155,7 +155,10 @@ def describe_columns(
         *(_factor(column, rows) for column in rows.layout.factors),
         *(_repetition(name) for name in rows.layout.repetition),
         *(_measure(name, rows.values(name)) for name in rows.layout.measures),
-        *(ColumnDescription(name=name, role=ColumnRole.EXTRA, type="string", title=name) for name in rows.layout.extras),
+        *(
+            ColumnDescription(name=name, role=ColumnRole.EXTRA, type="string", title=name)
+            for name in rows.layout.extras
+        ),
     ]
     spelled = (replace(column, heading=_other_heading(rows, column.name)) for column in described)
     return tuple(_merged(column, (known or {}).get(column.name)) for column in spelled)
