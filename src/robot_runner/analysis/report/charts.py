@@ -10,8 +10,8 @@ import pandas as pd
 
 from robot_runner.analysis.figures.style import looks_by
 from robot_runner.analysis.report.blocks import Chart
-from robot_runner.analysis.wording import counted
 from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

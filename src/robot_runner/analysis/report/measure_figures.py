@@ -13,8 +13,9 @@ from robot_runner.analysis.figures.effects import draw_interaction
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Section, Tone
 from robot_runner.analysis.report.material import JOINT, origin_in_words
 from robot_runner.analysis.report.mission_figures import mission_parts, trajectory_part
-from robot_runner.analysis.wording import RHO, counted, shown_number
+from robot_runner.analysis.wording import RHO, shown_number
 from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

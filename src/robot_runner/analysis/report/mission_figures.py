@@ -12,8 +12,9 @@ from robot_runner.analysis.figures.missions import Way, draw_mean_courses, draw_
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Tone
 from robot_runner.analysis.report.charts import course_chart
 from robot_runner.analysis.report.material import origin_badges, origin_in_words
-from robot_runner.analysis.wording import counted, listed
+from robot_runner.analysis.wording import listed
 from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
