@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 __all__ = ["Meter", "PolledProfiler", "reach_findings"]
 
 
-# Whether what a built-in profiler reads from can be reached, before anything is executed.
-
 _FIX = f"Name it in the config: robot = {SIMULATED!r}. Or: --set robot={SIMULATED}."
 
 
@@ -45,7 +43,7 @@ def reach_findings(
         problem = f"{parameter} is {device!r}, and this version reaches only the {kind} of the simulated robot"
         return [Finding.error(where, problem, f"Leave {parameter} out, and use --set robot={SIMULATED}.")]
     if circumstances.robot is None:
-        return [Finding.error(where, f"it reads the robot's {kind}, and the experiment names no robot", _FIX)]
+        return [Finding.error(where, f"the plugin reads the robot's {kind}, and the experiment names no robot", _FIX)]
     return []
 
 

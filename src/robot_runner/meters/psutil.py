@@ -128,7 +128,7 @@ class PsUtil(Profiler):
         )
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Connect, before the robot moves and while nobody measures."""
+        """Connect, before the robot moves and before the measurement begins."""
         self._sampler = self._window = self._utilisation = None
         link = self._connected(context)
         if isinstance(link, RemoteHost):

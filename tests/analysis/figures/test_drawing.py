@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,11 +16,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.colors import to_rgb
 
-from robot_runner.analysis.figures.courses import PhaseSpan, course_of_run, mean_course
-from robot_runner.analysis.figures.differences import Estimate, draw_agreement, draw_differences
-from robot_runner.analysis.figures.distribution import Group, draw_distribution, draw_quantiles
-from robot_runner.analysis.figures.effects import AttemptSpan, Mean, draw_interaction, draw_run_order, draw_timeline
-from robot_runner.analysis.figures.missions import Way, draw_mean_courses, draw_single_courses, draw_trajectories
+from robot_runner.analysis.figures.courses import MissionCourses, PhaseSpan, course_of_run
+from robot_runner.analysis.figures.distribution import Group, draw_distribution, draw_quantiles, draw_run_order
+from robot_runner.analysis.figures.effects import Estimate, draw_agreement, draw_differences, draw_interaction
+from robot_runner.analysis.figures.missions import (
+    AttemptSpan,
+    Way,
+    draw_mean_courses,
+    draw_single_courses,
+    draw_timeline,
+    draw_trajectories,
+)
 from robot_runner.analysis.figures.style import COLUMN, PAGE, FigureFormat, figure_bytes, file_name, looks, verbatim
 
 ROOT = Path(__file__).parents[3]
@@ -26,24 +34,19 @@ LABEL = "Energy (J)"
 TASKS = ("Video", "Network")
 
 
-def courses():
+def mission():
     time = np.arange(0, 20, 0.1)
-    return [course_of_run(f"r_{n}", time, 7 + np.sin(time) + n, 0.5) for n in range(2)]
+    runs = {name: [course_of_run(f"r_{n}", time, 7 + np.sin(time) + n, 0.5)] for n, name in enumerate(TASKS)}
+    phases = [PhaseSpan("sleep", 0, 5), PhaseSpan("forward", 5, 20)]
+    return MissionCourses("Power (W)", "W", TASKS, runs, 0.5, phases, {"launch_mission": 0.1, "stop_measurement": 19.0})
 
 
 def single():
-    return draw_single_courses(
-        dict(zip(TASKS, courses(), strict=True)),
-        order=TASKS,
-        value_label="Power (W)",
-        phases=[PhaseSpan("sleep", 0, 5), PhaseSpan("forward", 5, 20)],
-        events={"launch_mission": 0.1, "stop_measurement": 19.0},
-    )
+    return draw_single_courses(mission())
 
 
 def means():
-    means = [mean_course(name, [course], 0.5) for name, course in zip(TASKS, courses(), strict=True)]
-    return draw_mean_courses(means, order=TASKS, value_label="Power (W)")
+    return draw_mean_courses(replace(mission(), phases=(), events={}))
 
 
 def distribution(count=3, size=5):
@@ -66,7 +69,10 @@ DRAWINGS = {
         [Group("a", (1.0,) * 30, ("r",) * 30)], value_label=LABEL, group_label="Task"
     ),
     "interaction": lambda: draw_interaction(
-        {"fast": {"a": Mean(1.0, 0.9, 1.1), "b": Mean(2.0)}, "slow": {"a": Mean(1.5)}},
+        {
+            "fast": {"a": Group("a", (1.0,), ("r_1",), 0.9, 1.1), "b": Group("b", (2.0,), ("r_2",))},
+            "slow": {"a": Group("a", (1.5,), ("r_3",))},
+        },
         treatments=["a", "b"],
         value_label=LABEL,
         along="Task",
@@ -99,7 +105,8 @@ DRAWINGS = {
     ),
 }
 
-each_drawing = pytest.mark.parametrize("draw", DRAWINGS.values(), ids=DRAWINGS)
+# Each is drawn once, for all tests that only look at it.
+each_drawing = pytest.mark.parametrize("draw", [cache(draw) for draw in DRAWINGS.values()], ids=DRAWINGS)
 
 
 @each_drawing
@@ -135,9 +142,9 @@ def test_letters_in_a_pdf_are_of_a_truetype_font():
 
 
 def test_crowds_of_points_and_bars_are_kept_as_pixels():
-    spans = [AttemptSpan(f"r_{n}", "Video", n, n + 0.9, (n + 0.1, n + 0.8), is_done=True) for n in range(1000)]
+    spans = [AttemptSpan(f"r_{n}", "Video", n, n + 0.9, (n + 0.1, n + 0.8), is_done=True) for n in range(400)]
     for few, many in (
-        (distribution(), distribution(3, 1000)),
+        (distribution(), distribution(3, 250)),
         (draw_timeline(spans[:20], order=["Video"]), draw_timeline(spans, order=["Video"])),
     ):
         assert b"<image" not in figure_bytes(few, FigureFormat.SVG)

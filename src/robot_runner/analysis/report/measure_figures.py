@@ -1,4 +1,4 @@
-"""The figures of the measures and of the mission."""
+"""Figures of measures: distributions, interactions, residuals; and the section that shows all figures."""
 
 from __future__ import annotations
 
@@ -8,24 +8,23 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from robot_runner.analysis.figures.distribution import Group, draw_distribution, draw_quantiles
-from robot_runner.analysis.figures.effects import Mean, draw_interaction
+from robot_runner.analysis.figures.distribution import Group, draw_distribution, draw_quantiles, draw_run_order
+from robot_runner.analysis.figures.effects import draw_interaction
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Section, Tone
 from robot_runner.analysis.report.material import JOINT, origin_in_words
 from robot_runner.analysis.report.mission_figures import mission_parts, trajectory_part
-from robot_runner.analysis.wording import counted
+from robot_runner.analysis.wording import RHO, shown_number
 from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from robot_runner.analysis.report.material import Material
-    from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics
+    from robot_runner.analysis.statistics.outcome import Description, Drift, MeasureStatistics
 
-__all__ = ["distribution_figures", "figures_section", "interaction_figures", "quantile_figure"]
+__all__ = ["drift_figure", "figures_section", "quantile_figure"]
 
-
-# The figures of one measure: its distribution, and how factors act together.
 
 _MOST_COMBINATIONS = 16
 _MOST_LINES = 8
@@ -51,7 +50,26 @@ def quantile_figure(material: Material, measure: MeasureStatistics) -> FigureBlo
     )
 
 
-def distribution_figures(material: Material, measure: MeasureStatistics) -> Iterator[FigureBlock]:
+def drift_figure(material: Material, measure: MeasureStatistics, drift: Drift) -> FigureBlock:
+    """Return the figure of a measure over the order of execution."""
+    return FigureBlock(
+        f"order {measure.name}",
+        f"{measure.name} over the order of execution: each run less the mean of its combination. Dashed: slope of "
+        f"Theil and Sen, {shown_number(drift.slope, 3)} {measure.unit} a run "
+        f"(Spearman's {RHO} = {shown_number(drift.correlation, 3)}).",
+        f"Residuals of {measure.name} over the order of execution.",
+        lambda: draw_run_order(
+            drift.places,
+            drift.residuals,
+            [material.labels[run_id] for run_id in drift.run_ids],
+            order=material.order,
+            value_label=material.results.label(measure.name),
+            slope=drift.slope,
+        ),
+    )
+
+
+def _distributions(material: Material, measure: MeasureStatistics) -> Iterator[FigureBlock]:
     """Yield how a measure is distributed, by combination or by each factor; nothing where no run has a number."""
     if measure.overall is None or not measure.overall.n:
         return
@@ -114,7 +132,7 @@ def _groups(material: Material, measure: MeasureStatistics, factors: tuple[str, 
     return groups
 
 
-def interaction_figures(material: Material, measure: MeasureStatistics) -> Iterator[FigureBlock]:
+def _interactions(material: Material, measure: MeasureStatistics) -> Iterator[FigureBlock]:
     """Yield how each two factors act together on a measure; nothing where no run has a number."""
     if measure.overall is None or not measure.overall.n:
         return
@@ -129,12 +147,11 @@ def interaction_figures(material: Material, measure: MeasureStatistics) -> Itera
 def _interaction(material: Material, measure: MeasureStatistics, along: str, across: str) -> FigureBlock:
     groups = {group.label: group for group in _groups(material, measure, (along, across)) if group.size}
     treatments = [str(each) for each in material.runs[along].cat.categories]
-    means: dict[str, dict[str, Mean]] = {}
-    for second in map(str, material.runs[across].cat.categories):
-        found = {first: groups[key] for first in treatments if (key := f"{first}{JOINT}{second}") in groups}
-        cells = {first: Mean(group.mean, group.mean_low, group.mean_high) for first, group in found.items()}
-        if cells:
-            means[second] = cells
+    by_second = {
+        second: {first: groups[key] for first in treatments if (key := f"{first}{JOINT}{second}") in groups}
+        for second in map(str, material.runs[across].cat.categories)
+    }
+    lines = {second: members for second, members in by_second.items() if members}
     return FigureBlock(
         f"interaction {measure.name} {along} {across}",
         f"Mean {material.results.label(measure.name)} of each combination of {along} and {across}. Lines that are not "
@@ -142,7 +159,7 @@ def _interaction(material: Material, measure: MeasureStatistics, along: str, acr
         f"Interaction of {along} and {across} on {measure.name}.",
         partial(
             draw_interaction,
-            means,
+            lines,
             treatments=treatments,
             value_label=material.results.label(measure.name),
             along=along,
@@ -155,10 +172,10 @@ def figures_section(material: Material) -> Section:
     """Return the section."""
     measures = [measure for measure in material.statistics.measures if measure.name in material.drawn]
     blocks: list[Block] = [*mission_parts(material), *trajectory_part(material)]
-    distributions = [each for measure in measures for each in distribution_figures(material, measure)]
+    distributions = [each for measure in measures for each in _distributions(material, measure)]
     if distributions:
         blocks.append(Part("distributions", "Measures by treatment", (Gallery(tuple(distributions)),)))
-    interactions = [each for measure in measures for each in interaction_figures(material, measure)]
+    interactions = [each for measure in measures for each in _interactions(material, measure)]
     if interactions:
         blocks.append(Part("interactions", "Interactions of factors", (Gallery(tuple(interactions)),)))
     others = len(material.statistics.measures) - len(measures)

@@ -19,10 +19,11 @@ from robot_runner.analysis.statistics.outcome import (
 from robot_runner.analysis.statistics.post_hoc import adjusted, compare_pairs
 from robot_runner.analysis.statistics.power import power_of
 from robot_runner.analysis.statistics.tests import carry_out
-from robot_runner.analysis.wording import counted, p_in_words
+from robot_runner.analysis.wording import p_in_words
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import AnalysisError, did_you_mean
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

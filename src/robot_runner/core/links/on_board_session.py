@@ -77,7 +77,7 @@ class OnBoardSession:
         explain: says from the stderr of the command what mends it.
 
     Raises:
-        LinkError: the command cannot be started, nobody answers, or the computer cannot be sampled.
+        LinkError: the command cannot be started, there is no answer, or the computer cannot be sampled.
     """
 
     def __init__(
@@ -249,7 +249,7 @@ class OnBoardSession:
             except queue.Empty:
                 break
             if not words:
-                self._answers.put(([], at))  # whoever asks next is told the same
+                self._answers.put(([], at))  # the next call is told the same
                 raise self.lost()
             if words[0] == kind:
                 return words[1:], at

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 __all__ = ["DEFAULT_BAUD", "SIMULATED_PORT", "Chunk", "SerialLine", "SerialPort", "found_ports", "port_problem"]
 
 
-# What a serial line can do, whether a device or a simulated one is at its other end.
-
 #: The name of the link to a port at whose other end is a simulated meter; it tells who opens it so.
 SIMULATED_PORT = "simulated-ina219"
 
@@ -116,7 +114,7 @@ def port_problem(port: str) -> LinkError | None:
 class SerialPort:
     """A serial line that is read by a thread of the run's process, which stamps what arrives on the run's clock.
 
-    It is 8N1 without flow control, and nobody else can open the port meanwhile.
+    It is 8N1 without flow control, and opened exclusively.
 
     Args:
         port: a device file such as `/dev/ttyUSB0`, or a URL of pyserial's such as `rfc2217://robot.local:4000`.

@@ -54,7 +54,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def execute(arguments: Namespace) -> int:
-    """Let the robot live on the graph until somebody ends it."""
+    """Let the robot live on the graph until it is stopped."""
     if arguments.robot not in _ROBOTS:
         fix = did_you_mean(arguments.robot, _ROBOTS)
         raise UsageError(f"there is no simulated {arguments.robot!r}", where="robot-runner simulate", fix=fix)
