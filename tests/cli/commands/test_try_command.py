@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 import textwrap
 from typing import TYPE_CHECKING
 
@@ -87,7 +88,9 @@ def test_an_author_sees_what_the_framework_sees(robot_runner: Callable, plugin: 
     assert "Spare  no value" in answer.out
     assert "samples.csv   " in answer.out
     assert "time_s" in answer.out
-    assert "of 10 expected" in answer.out
+    expected = re.search(r"\d+ of (\d+) expected", answer.out)
+    assert expected is not None
+    assert int(expected[1]) >= 10  # more on a busy machine, where 0.2 s take longer
     assert "jitter" in answer.out
     assert "  measured none\n" in answer.out
     assert "warning: r_1, Meter: Spare has no value" in answer.out
