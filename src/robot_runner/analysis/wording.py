@@ -11,7 +11,7 @@ from robot_runner.core.words import listed as _shortened
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from robot_runner.analysis.statistics.outcome import Interval
+    from robot_runner.analysis.statistics.tested import Interval
 
 __all__ = [
     "ALPHA",

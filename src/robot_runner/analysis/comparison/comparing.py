@@ -19,7 +19,7 @@ from robot_runner.analysis.comparison.equivalence import (
 )
 from robot_runner.analysis.comparison.matching import chosen_measures, differing_circumstances, match_runs, names_of
 from robot_runner.analysis.results import Results, load_results
-from robot_runner.analysis.statistics.outcome import NotComputed
+from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.core.errors import AnalysisError
 
 if TYPE_CHECKING:
