@@ -161,7 +161,7 @@ def test_an_experiment_that_is_being_executed_is_not_packed(copied, tmp_path):
         )
         words = code.format(str(copied), str(tmp_path / "a.zip"))
         asked = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=False)
-    assert "it is being executed by process" in asked.stderr
+    assert "is being executed by process" in asked.stderr
     assert not (tmp_path / "a.zip").exists()
 
 
@@ -172,7 +172,7 @@ def test_a_package_is_not_written_into_what_it_holds(copied):
 
 def test_a_file_that_is_no_package_is_not_replaced(copied, tmp_path):
     (tmp_path / "notes.zip").write_text("mine", encoding="utf-8")
-    with pytest.raises(PackageError, match="no package"):
+    with pytest.raises(PackageError, match="is not a package"):
         pack(copied, tmp_path / "notes.zip")
     assert (tmp_path / "notes.zip").read_text(encoding="utf-8") == "mine"
 

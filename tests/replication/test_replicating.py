@@ -17,7 +17,7 @@ from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
-from robot_runner.replication.preparing import identical_values, prepare_replication
+from robot_runner.replication.replicating import identical_values, prepare_replication
 
 
 @pytest.fixture(autouse=True)

@@ -83,7 +83,7 @@ class TestReplicate:
         _rewrite(package, "config/small.py", b"Video", b"Videos", with_sums=False)
         answer = robot_runner("replicate", "small.zip", "--yes")
         assert answer.code == 2
-        assert "it was altered" in answer.err
+        assert "the file was altered" in answer.err
         assert [path.name for path in tmp_path.iterdir()] == ["small.zip"]
 
     def test_an_experiment_that_nobody_sealed_says_so(self, robot_runner, experiment, tmp_path):
