@@ -33,7 +33,7 @@ def _refusal(path):
 
 def _rezipped(packed, target, change):
     """Write the package anew; `change` gets each name and content and returns both, or None to leave it out."""
-    with zipfile.ZipFile(packed.path) as old, zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as new:
+    with zipfile.ZipFile(packed.path) as old, zipfile.ZipFile(target, "w") as new:
         for entry in old.infolist():
             changed = change(entry.filename, old.read(entry))
             if changed is not None:
