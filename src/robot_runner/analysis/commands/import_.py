@@ -1,4 +1,4 @@
-"""Adopt a folder of results: of an earlier tool, or made by hand.
+"""Adopt results of an earlier tool, or made by hand.
 
 The run table and the raw files in the runs' folders are read as they are; what cannot be seen is told by options, or in
 a TOML file. What was understood is shown before anything is written. The originals are never changed. Exit code 0:
@@ -10,6 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.analysis.libraries import require_libraries
 from robot_runner.cli.console import UserConsole, output, print_facts, print_json, shown_path
 from robot_runner.cli.parser import UsageError, add_json
 from robot_runner.cli.screens.plain import terminal_input
@@ -204,6 +205,7 @@ def _add_repeated(parser: Parser, option: str, metavar: str, text: str) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Show what was understood; write it, if that is wanted; say how it differs from the table's own values."""
+    require_libraries()
     from robot_runner.analysis.importing.adoption import adopt  # noqa: PLC0415 - takes a second to import
     from robot_runner.analysis.importing.understanding import understand  # noqa: PLC0415 - as above
 
@@ -231,8 +233,11 @@ def execute(arguments: Namespace) -> int:
 
 
 def _said(arguments: Namespace) -> ImportDescription:
-    from robot_runner.analysis.importing.description import ImportDescription, parse_recipe  # noqa: PLC0415 - as above
-    from robot_runner.analysis.importing.description_file import read_description  # noqa: PLC0415 - as above
+    from robot_runner.analysis.importing.description import (  # noqa: PLC0415 - as above
+        ImportDescription,
+        parse_recipe,
+        read_description,
+    )
 
     described = read_description(Path(arguments.description)) if arguments.description else ImportDescription()
     return described.with_options(
@@ -297,10 +302,10 @@ def _samples(arguments: Namespace) -> Any:
 
 
 def _save_description(path: Path, understanding: Understanding) -> None:
-    from robot_runner.analysis.importing.description_file import description_text  # noqa: PLC0415 - as above
+    from robot_runner.analysis.importing.description import description_text  # noqa: PLC0415 - as above
     from robot_runner.core.storage.safe_write import write_beside_and_rename  # noqa: PLC0415 - as above
 
-    text = description_text(understanding)
+    text = description_text(understanding.description)
     write_beside_and_rename(path, lambda file: file.write(text))
 
 

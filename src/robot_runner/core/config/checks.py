@@ -11,7 +11,6 @@ from robot_runner.core.config.experiment import experiment_folder
 from robot_runner.core.config.loader import place_in, raised_in
 from robot_runner.core.config.parameters import (
     PARAMETERS,
-    PARAMETERS_BY_NAME,
     REQUIRED,
     Parameter,
     Parameters,
@@ -19,6 +18,7 @@ from robot_runner.core.config.parameters import (
 )
 from robot_runner.core.design.run_table import RunTable
 from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.core.plugin import Circumstances, Plugin
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from robot_runner.core.events.measure import MeasureColumns
 
 __all__ = [
+    "announced_checks",
     "check_analysis",
     "check_disk_space",
     "check_names",
@@ -63,7 +64,7 @@ def check_names(loaded: LoadedConfig) -> list[Finding]:
     """Return a finding for each public name of the config that nearly is a parameter or a callback."""
     names = {name for parent in type(loaded.config).__mro__[:-1] for name in _names_of(parent)}
     names |= set(vars(loaded.config)) if hasattr(loaded.config, "__dict__") else set()
-    parameters = [*PARAMETERS_BY_NAME, "plugins"]
+    parameters = [*PARAMETERS, "plugins"]
     callbacks = [*EVENTS_BY_CALLBACK, "create_run_table"]
     findings = []
     for name in sorted(names):
@@ -107,14 +108,14 @@ def read_parameters(loaded: LoadedConfig) -> tuple[Parameters | None, list[Findi
     """Return the static parameters, or None where one of them is missing or malformed, and the findings."""
     values: dict[str, Any] = {}
     findings: list[Finding] = []
-    for parameter in PARAMETERS:
+    for parameter in PARAMETERS.values():
         value = getattr(loaded.config, parameter.name, parameter.default)
         if value is REQUIRED:
             findings.append(_missing(loaded, parameter))
-        elif not parameter.accepts(value):
+        elif not parameter.kind.accepts(value):
             findings.append(_malformed(loaded, parameter, value))
         else:
-            values[parameter.name] = parameter.normalise(value)
+            values[parameter.name] = parameter.kind.normalise(value)
     return (None if findings else Parameters(**values)), findings
 
 
@@ -122,7 +123,7 @@ def _missing(loaded: LoadedConfig, parameter: Parameter) -> Finding:
     return Finding.error(
         f"{loaded.where}.{parameter.name}",
         "this static parameter is missing",
-        f"Give it a value: it must be {parameter.expected}.",
+        f"Give it a value: it must be {parameter.kind.expected}.",
     )
 
 
@@ -130,7 +131,7 @@ def _malformed(loaded: LoadedConfig, parameter: Parameter, value: object) -> Fin
     return Finding.error(
         f"{loaded.where}.{parameter.name}",
         f"it is {value!r}, of type {type(value).__name__}",
-        f"It must be {parameter.expected}.",
+        f"It must be {parameter.kind.expected}.",
     )
 
 
@@ -158,7 +159,26 @@ def check_plugins(plugins: Iterable[Plugin], model: RunTableModel | None, robot:
         try:
             findings += plugin.check(circumstances)
         except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
-            findings.append(_failed_check(plugin, error))
+            findings.append(_failed_check(plugin.name, error))
+    return findings
+
+
+def announced_checks(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> list[Finding]:
+    """Return what the checks find that installed packages announce in the group `robot_runner.checks`.
+
+    Each is a function that takes these arguments and returns findings.
+
+    Args:
+        where: the config's file and class.
+        parameters: of the experiment.
+        plugins: all of the experiment.
+    """
+    findings: list[Finding] = []
+    for point in entry_points("checks"):
+        try:
+            findings += point.load()(where, parameters, plugins)
+        except Exception as error:  # noqa: BLE001 - a stranger's code, as above
+            findings.append(_failed_check(point.where, error))
     return findings
 
 
@@ -207,11 +227,11 @@ def _equal_names(loaded: LoadedConfig, plugins: list[Plugin]) -> list[Finding]:
     ]
 
 
-def _failed_check(plugin: Plugin, error: Exception) -> Finding:
+def _failed_check(where: str, error: Exception) -> Finding:
     if isinstance(error, RobotRunnerError):
-        return Finding.error(error.where or plugin.name, error.problem, error.fix)
+        return Finding.error(error.where or where, error.problem, error.fix)
     problem = f"its check raised {type(error).__name__}: {error}"
-    return Finding.error(plugin.name, problem, "Tell the plugin's author; update or leave out the plugin.")
+    return Finding.error(where, problem, "Tell the plugin's author; update or leave out the plugin.")
 
 
 # The results folder: that it can be made or written, found out without touching it.
