@@ -94,18 +94,23 @@ def verify_package(package: OpenPackage, progress: Progress = lambda _, __: None
         StorageError: it cannot be read.
     """
     description = _description(package)
-    if package.faults:  # not even looked into
-        return _verified(package, description, {}, {}, package.faults)
-    sums, findings = _sums(package)
-    findings += _differing_names(package, sums)
-    findings += _differing_contents(package, sums, progress)
-    manifest = _mapping(package, contents.MANIFEST, findings)
-    environment = _mapping(package, contents.ENVIRONMENT, findings)
-    findings += _malformed(package, contents.DESCRIPTION, description)
-    findings += _malformed(package, contents.ENVIRONMENT, environment)
-    malformed = list(_malformed(package, contents.MANIFEST, manifest))
-    findings += malformed or _unfit(package, manifest)
-    return _verified(package, description, manifest, environment, tuple(findings))
+    manifest: Mapping[str, Any] = {}
+    environment: Mapping[str, Any] = {}
+    findings = list(package.faults)
+    if not findings:  # otherwise nothing in it is even read
+        sums, findings = _sums(package)
+        findings += _differing_names(package, sums)
+        findings += _differing_contents(package, sums, progress)
+        manifest = _mapping(package, contents.MANIFEST, findings)
+        environment = _mapping(package, contents.ENVIRONMENT, findings)
+        findings += _malformed(package, contents.DESCRIPTION, description)
+        findings += _malformed(package, contents.ENVIRONMENT, environment)
+        findings += [*_malformed(package, contents.MANIFEST, manifest)] or _unfit(package, manifest)
+    more = len(findings) - _MOST_FINDINGS
+    if more > 0:
+        findings[_MOST_FINDINGS:] = [Finding.error(str(package.where), f"there are {more:,} more faults", _ALTERED)]
+    count, size = len(package.sizes), sum(package.sizes.values())
+    return Verification(package.where, description, manifest, environment, count, size, tuple(findings))
 
 
 def refuse_faults(verification: Verification) -> None:
@@ -117,21 +122,6 @@ def refuse_faults(verification: Verification) -> None:
     errors = [finding for finding in verification.findings if finding.is_error]
     if errors:
         raise PackageError.of_findings(errors)
-
-
-def _verified(
-    package: OpenPackage,
-    description: Mapping[str, Any],
-    manifest: Mapping[str, Any],
-    environment: Mapping[str, Any],
-    findings: tuple[Finding, ...],
-) -> Verification:
-    shown = findings[:_MOST_FINDINGS]
-    if len(findings) > _MOST_FINDINGS:
-        more = f"there are {len(findings) - _MOST_FINDINGS:,} more faults"
-        shown = (*shown, Finding.error(str(package.where), more, _ALTERED))
-    size = sum(package.sizes.values())
-    return Verification(package.where, description, manifest, environment, len(package.sizes), size, shown)
 
 
 def _description(package: OpenPackage) -> Mapping[str, Any]:

@@ -111,7 +111,8 @@ def execute(arguments: Namespace) -> int:
     robot = deviations.get("robot", original_settings(source.manifest).get("robot", source.manifest.get("robot")))
     _print_plan(output(), source, differing_environment(source.environment, robot=robot), deviations, target)
     if arguments.environment == _CONTAINER:
-        return _container(source, target)
+        _print_container(output(), source.experiment, _unpacked(source, target))
+        return 0
     _make_sure(arguments)
     root = _unpacked(source, target)
     if arguments.environment == _VENV:
@@ -168,19 +169,17 @@ def _unpacked(source: Source, target: Path) -> Path:
         return source.unpacked_below(target, progress)
 
 
-def _container(source: Source, target: Path) -> int:
-    root = _unpacked(source, target)
-    _print_container(output(), container_commands(source.experiment, shlex.quote(shown_path(root))))
-    return 0
-
-
 def _in_own_environment(arguments: Namespace, source: Source, root: Path, target: Path) -> int:
     """Make the environment, and let the program in it take this process's place."""
     output().print("Making the environment of the package ...", style="bold")
     sys.stdout.flush()
     folder = target / "environment"
     program = make_environment(root, folder, source.environment)
-    _print_remaining(output(), remaining_differences(folder, source.environment))
+    differing = remaining_differences(folder, source.environment)
+    _print_differences(output(), differing, "The environment that was made differs:", "package", "made")
+    if not differing:
+        same = "the same versions, and the same files where that is known"
+        output().print(f"The environment has what the package lists: {same}.")
     words = [str(program), "replicate", str(root), "--to", str(target), "--environment", _HERE, "--yes"]
     words += [word for each in arguments.set for word in ("--set", each)]
     words += [word for each in arguments.bound or () for word in ("--bound", each)]
@@ -229,12 +228,10 @@ def _print_plan(
     console: UserConsole, source: Source, differing: Sequence[Difference], deviations: Mapping[str, str], target: Path
 ) -> None:
     """Print what will be executed, and what differs from how it was."""
-    manifest = source.manifest
-    sealed = ("  verified: every file is as it was packed", "green") if source.is_sealed else ("  not sealed", "yellow")
-    console.print(
-        Text(one_line(source.experiment), style="bold").append(sealed[0], f"not bold {sealed[1]}"), soft_wrap=True
-    )
-    settings = original_settings(manifest)
+    manifest, settings = source.manifest, original_settings(source.manifest)
+    sealed = ("verified: every file is as it was packed", "green") if source.is_sealed else ("not sealed", "yellow")
+    head = Text(one_line(source.experiment), style="bold").append(f"  {sealed[0]}", f"not bold {sealed[1]}")
+    console.print(head, soft_wrap=True)
     facts = [
         ("Executes", f"config/{(manifest.get('config') or {}).get('file')}, seed {manifest.get('seed')}"),
         ("As then", ", ".join(f"{name}={text}" for name, text in settings.items() if name not in deviations)),
@@ -249,19 +246,11 @@ def _print_plan(
     _print_differences(console, differing, "This machine differs from the package's:", "package", "here")
 
 
-def _print_remaining(console: UserConsole, differing: Sequence[Difference]) -> None:
-    """Print how the environment that was made differs from the package's."""
-    _print_differences(console, differing, "The environment that was made differs:", "package", "made")
-    if not differing:
-        text = "The environment has what the package lists: the same versions, and the same files where that is known."
-        console.print(text)
-
-
-def _print_container(console: UserConsole, commands: Sequence[str]) -> None:
+def _print_container(console: UserConsole, experiment: str, root: Path) -> None:
     """Print the commands that build an image and replicate in it."""
     console.print()
     console.print("Build the image and replicate in it (docker takes the same words):", style="bold")
-    for command in commands:
+    for command in container_commands(experiment, shlex.quote(shown_path(root))):
         console.print(f"  {command}", soft_wrap=True)
 
 
@@ -272,7 +261,9 @@ def _print_verdicts(console: UserConsole, replication: Replication, target: Path
         RobotRunnerError: they cannot be compared.
     """
     same = identical_values(replication.original, replication.experiment.folder.root)
-    _print_identical(console, same)
+    if same and all(each.is_complete for each in same.values()):
+        runs = counted(max(each.runs for each in same.values()), "run")
+        console.print(f"The results are identical: every value of {runs}, to the last digit.", style="bold green")
     require_libraries()
     from robot_runner.analysis.comparison.comparing import compare  # noqa: PLC0415 - slow, and an extra
     from robot_runner.analysis.comparison.comparison_document import (  # noqa: PLC0415
@@ -284,22 +275,20 @@ def _print_verdicts(console: UserConsole, replication: Replication, target: Path
     write_beside_and_rename(target / "comparison.json", lambda file: file.write(json_of_comparison(comparison) + "\n"))
     write_comparison(comparison, target / "comparison.html")
     _print_table(console, comparison, same)
-    print_facts(
-        console,
-        [
-            ("Original", shown_path(replication.original)),
-            ("Again", shown_path(replication.experiment.folder.root)),
-            ("All of it", shown_path(target / "comparison.html")),
-        ],
-    )
+    paths = {
+        "Original": replication.original,
+        "Again": replication.experiment.folder.root,
+        "All of it": target / "comparison.html",
+    }
+    print_facts(console, [(what, shown_path(path)) for what, path in paths.items()])
 
 
 def _replaced(source: Source) -> str:
-    kinds = {str(each.get("what")) for each in source.description.get("replaced", ())}
-    in_config = {str(each.get("name")) for each in source.description.get("replaced", ())}
-    of_config = sorted(name for name in in_config if name.startswith("config/"))
-    told = f" (in {', '.join(of_config)}, too: look whether it works without)" if of_config else ""
-    return f"{', '.join(sorted(kinds))}{told}" if kinds else ""
+    """Return the kinds of secrets that were replaced; a config may not work without those that were in it."""
+    replaced = source.description.get("replaced", ())
+    names = sorted({str(each.get("name")) for each in replaced if str(each.get("name")).startswith("config/")})
+    advice = f" (in {', '.join(names)}, too: look whether it works without)" if names else ""
+    return ", ".join(sorted({str(each.get("what")) for each in replaced})) + advice
 
 
 def _print_differences(
@@ -308,7 +297,7 @@ def _print_differences(
     if not differing:
         return
     console.print(head, style="bold")
-    shown = [each for each in differing if not each.is_package] + [each for each in differing if each.is_package]
+    shown = sorted(differing, key=lambda each: each.is_package)  # the facts first; there may be many packages
     rows = [[one_line(text) for text in (each.what, each.original, each.here)] for each in shown[:_MOST_LINES]]
     headings = ["", first, second]
     columns = [Column(name, width_of([name, *(row[place] for row in rows)])) for place, name in enumerate(headings)]
@@ -317,13 +306,6 @@ def _print_differences(
         console.print(f"  {aligned(columns, row)}", soft_wrap=True)
     if len(shown) > _MOST_LINES:
         console.print(f"  and {len(shown) - _MOST_LINES} more", style="dim")
-
-
-def _print_identical(console: UserConsole, same: Mapping[str, Sameness]) -> None:
-    if same and all(each.is_complete for each in same.values()):
-        runs = max(each.runs for each in same.values())
-        text = f"The results are identical: every value of {counted(runs, 'run')}, to the last digit."
-        console.print(text, style="bold green")
 
 
 def _print_table(console: UserConsole, comparison: Comparison, same: Mapping[str, Sameness]) -> None:
