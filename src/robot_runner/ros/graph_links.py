@@ -172,12 +172,12 @@ class _FoundRobot:
 
 
 # What the entry points of this room name.
-ROS1 = GraphLinkKind("ROS 1 with rospy", "robot_runner.ros.ros1.link", "open_ros1_link")
-ROS2 = GraphLinkKind("ROS 2 with rclpy", "robot_runner.ros.ros2.link", "open_ros2_link")
-DDS = GraphLinkKind("ROS 2 over DDS, with no ROS installed", "robot_runner.ros.dds.link", "open_dds_link")
+ROS1 = GraphLinkKind("ROS 1 with rospy", "robot_runner.ros.ros1_link", "open_ros1_link")
+ROS2 = GraphLinkKind("ROS 2 with rclpy", "robot_runner.ros.ros2_link", "open_ros2_link")
+DDS = GraphLinkKind("ROS 2 over DDS, with no ROS installed", "robot_runner.ros.dds_link", "open_dds_link")
 ROSBRIDGE = GraphLinkKind(
     "ROS 1 or 2 through a rosbridge, with no ROS installed",
-    "robot_runner.ros.rosbridge.link",
+    "robot_runner.ros.rosbridge_link",
     "open_rosbridge_link",
     takes_address=True,
 )

@@ -24,7 +24,7 @@ from robot_runner.core.links.robot import RobotName
 from robot_runner.core.links.utilisation import Selection, Utilisation
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.series import Window
-from robot_runner.ros.ros1.link import master_of
+from robot_runner.ros.ros1_link import master_of
 from robot_runner.ros.topic_statistics import robot_findings
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ class RosGraph(Profiler):
         return [*findings, *reach]
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Connect, before the robot moves and while nobody measures."""
+        """Connect, before the robot moves and before anything is measured."""
         self._sampler = self._utilisation = None
         self._graphs = {}
         self._is_simulated = is_simulation(connect_robot(context, namespace=self.namespace), self.namespace)
@@ -211,7 +211,7 @@ def _selectors(nodes: Sequence[str] | Mapping[str, str], where: str) -> dict[str
     for node in chosen:
         if not node.startswith("/"):
             fix = f"Give it as the graph lists it: '/{node}'."
-            raise PluginError(f"{node!r} is no full name of a node", where=where, fix=fix)
+            raise PluginError(f"{node!r} is not the full name of a node", where=where, fix=fix)
     try:
         return {node: process_selector(selector) for node, selector in chosen.items()}
     except LinkError as error:

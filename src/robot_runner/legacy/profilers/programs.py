@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.legacy.session import warn_of_run
-from robot_runner.meters.meter_process import ChildProgram
+from robot_runner.core.sampling.meter_process import ChildProgram
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from robot_runner.meters.meter_process import Ending
+    from robot_runner.core.sampling.meter_process import Ending
 
 __all__ = ["Program", "Table", "read_table"]
 
