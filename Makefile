@@ -38,10 +38,10 @@ bench: ## Measure the promised figures, each beside its floor (minutes; a quiet 
 	@sh scripts/system_packages.sh
 	@$(BIN)/python -m benchmarks
 
-soak: ## Execute the long-running tests (many minutes).
+soak: ## Execute the long-running tests, and search all properties at random (hours).
 	@sh scripts/set_up.sh test
 	@sh scripts/system_packages.sh
-	@$(BIN)/pytest -m soak --timeout 3600
+	@$(BIN)/pytest -m "soak or hypothesis" --hypothesis-profile soak --timeout 3600
 
 docs: ## Build the documentation into site/.
 	@sh scripts/set_up.sh test

@@ -8,12 +8,39 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from hypothesis import HealthCheck, settings
+from hypothesis.internal.conjecture import providers
 from tests.command_line import program, robot_runner, terminal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 __all__ = ["program", "robot_runner", "terminal"]
+_FIXED, _SOAK = "fixed", "soak"
+
+# Without a clock and with a fixed seed, what passes on one machine passes on every machine, however busy it is.
+settings.register_profile(
+    _FIXED, derandomize=True, database=None, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.register_profile(
+    _SOAK,
+    max_examples=10_000,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
+    print_blob=True,
+)
+settings.load_profile(_FIXED)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let the examples of the fixed search depend on nothing but the test.
+
+    hypothesis also tries the constants of those local modules that happen to be imported. Which ones are, depends on
+    the tests that the same worker of pytest-xdist executed before; only the random search uses them.
+    """
+    if config.getoption("--hypothesis-profile") != _SOAK:
+        providers.is_local_module_file = lambda _path: False
+
 
 HEAD = """\
 from pathlib import Path

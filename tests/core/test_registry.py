@@ -44,4 +44,4 @@ def test_what_is_no_plugin_of_its_kind_is_refused() -> None:
     with pytest.raises(PluginError, match="is no Profiler"):
         announced("collections:OrderedDict").load()
     with pytest.raises(PluginError, match="is no Profiler"):
-        announced("robot_runner.ros.turtlebot3:BasicTurtlebot3").load()
+        announced("robot_runner.ros.turtlebot3.basic_turtlebot3:BasicTurtlebot3").load()

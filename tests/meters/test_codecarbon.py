@@ -92,7 +92,7 @@ def test_a_tracker_that_swallowed_an_exception_yields_no_value_and_a_warning(mea
     assert set(context.measures.values()) == {None}
     assert [finding.problem for finding in context.broker.findings] == ["CodeCarbon said nothing"]
     for left in set(threading.enumerate()) - before:
-        left.join(5.0)
+        left.join(60.0)
     assert set(threading.enumerate()) <= before
 
 

@@ -126,7 +126,7 @@ def test_a_program_that_says_nothing_costs_its_values_and_not_the_run(measure):
 def test_a_program_that_is_deaf_is_killed(measure):
     begun = time.monotonic()
     context = measure("--deaf", grace_s=0.1)
-    assert time.monotonic() - begun < 20.0
+    assert time.monotonic() - begun < 60.0
     assert "the program did not end on SIGINT and had to be killed" in problems(context)
     assert context.measures["CPU"] == pytest.approx(20.0)
 
@@ -134,7 +134,7 @@ def test_a_program_that_is_deaf_is_killed(measure):
 def test_what_the_program_has_started_ends_with_it(measure, tmp_path):
     note = tmp_path / "child"
     measure("--leaves-child", str(note))
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + 60.0
     while _is_alive(int(note.read_text())) and time.monotonic() < deadline:
         time.sleep(0.01)
     assert not _is_alive(int(note.read_text()))
@@ -158,14 +158,14 @@ def test_a_program_ends_when_the_run_is_killed(tmp_path):
         "time.sleep(60)"
     )
     run = subprocess.Popen([sys.executable, "-c", script])
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + 60.0
     output = tmp_path / "stdout.txt"
     while (not output.exists() or output.read_text().count("\n") < 2) and time.monotonic() < deadline:
         time.sleep(0.01)
     meter = int(output.read_text().splitlines()[1].split(",")[-1])
     assert _is_alive(meter)
     run.kill()
-    run.wait(10)
+    run.wait(60)
     while _is_alive(meter) and time.monotonic() < deadline:
         time.sleep(0.01)
     assert not _is_alive(meter)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.meters.fake_sysfs import FakePowercap, write
+from tests.process.conftest import starved_for
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
@@ -127,12 +128,15 @@ def test_on_a_simulated_robot_power_is_that_of_real_time(tmp_path):
         powercap.draw(package=6.0)
         SystemClock().sleep(0.3)
 
+    starved = starved_for()
     rehearse(context, plugin, mission=mission)
+    starved = starved_for() - starved
     context.resources.close()
     facts = json.loads((context.raw_data_folder / "quality.json").read_text())
     seconds = facts["window"]["end"] - facts["window"]["start"]
     assert 0.3 < seconds < 60.0
-    assert context.measures["Energy"] == pytest.approx(6.0, rel=0.1)
+    # A reading that waits for a processor comes late, and is extended to the window's end.
+    assert context.measures["Energy"] == pytest.approx(6.0, rel=0.1 + starved / seconds)
     assert context.measures["MeanPower"] == pytest.approx(context.measures["Energy"] / seconds)
     assert facts["clock"] == "machine"
 

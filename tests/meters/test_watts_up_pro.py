@@ -159,7 +159,7 @@ class PtyMeter:
 
     def close(self) -> None:
         self._is_over.set()
-        self._thread.join(5.0)
+        self._thread.join(60.0)
         os.set_blocking(self.mine, False)
         with contextlib.suppress(BlockingIOError):
             self.heard += os.read(self.mine, 64)

@@ -18,7 +18,7 @@ from robot_runner.ros.graph_links import open_graph_link
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-PATIENCE = 30.0
+PATIENCE = 60.0
 STANDSTILL = 0.01  # m/s
 
 
@@ -33,6 +33,7 @@ def simulated_robot(link: str, *options: str) -> Iterator[str]:
     try:
         assert process.stdout is not None
         lines = list(takewhile(lambda line: line != "ready", map(str.strip, process.stdout)))
+        overdue.cancel()
         assert process.poll() is None, "it ended before it was ready"
         yield next(line.partition(": ")[2] for line in lines if line.startswith("power meter: "))
         process.terminate()

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.conftest import HEAD, TABLE
+from tests.process.conftest import is_within_a_second, starved_for
 from tests.process.graph_simulation import simulated_robot, witness
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.ros1_master import RUDE, needs_ros1
@@ -124,19 +125,23 @@ def test_an_experiment_lives_by_the_time_of_a_graph_that_goes_by_faster(
 ) -> None:
     robot = graph if graph == "ros1" else f"{graph},clock=graph"
     mission = "task='Video', task_factor=None, sleep_s=1, drive_s=4, task_s=1, rotate_s=4"
+    patience = "connect_timeout_s=600, odometry_timeout_s=300"  # a tenth of it on the machine's clock
     body = f"""
         robot = {robot!r}
-        plugins = [BasicTurtlebot3(namespace="/dave", {mission})]
+        plugins = [BasicTurtlebot3(namespace="/dave", {mission}, {patience})]
     """
     head = HEAD.replace("import *\n", "import *\nfrom robot_runner.plugins.systems import BasicTurtlebot3\n", 1)
     table = TABLE.replace('Factor("Task", ["Video", "Network"])', 'Factor("Load", [1])').replace("Energy", "Duration")
     with simulated_robot(graph, "--namespace", "/dave", "--use-sim-time", "--real-time-factor", "10"):
+        starved = starved_for()
         experiment = start(config=write_config(body, table=table.replace("repetitions=2", "repetitions=1"), head=head))
         assert experiment.end() == 0, experiment.output
+        starved = starved_for() - starved
     row = experiment.table[0]
-    assert float(row["Duration"]) == pytest.approx(21.0, abs=0.5)
+    # The graph's time goes by ten times as fast while the mission waits for a processor.
+    assert 20.5 <= float(row["Duration"]) <= 21.5 + 10 * starved
     began, ended = (datetime.fromisoformat(row[f"{event}_at"]) for event in ("launch_mission", "stop_measurement"))
-    assert (ended - began).total_seconds() < 15.0
+    assert (ended - began).total_seconds() < 15.0 + starved
 
 
 def test_a_robot_whose_experiment_is_killed_stands_still_within_a_second(
@@ -148,9 +153,9 @@ def test_a_robot_whose_experiment_is_killed_stands_still_within_a_second(
         for kill in (lambda one: [one.process.pid], lambda one: one.processes()):  # the orchestrator; the whole laptop
             experiment = start(config=config)
             looking.sees(0.19, since=killed + 1.0)
-            doomed, killed = kill(experiment), time.time()
+            doomed, starved, killed = kill(experiment), starved_for(), time.time()
             for pid in doomed:
                 os.kill(pid, signal.SIGKILL)
-            assert looking.sees_standstill(since=killed) - killed < 1.0
+            assert is_within_a_second(killed, looking.sees_standstill(since=killed), starved)
             experiment.end()
             assert experiment.nobody_is_left()

@@ -84,7 +84,7 @@ def ros1_master(folder: Path) -> Iterator[str]:
 
 
 def _await(uri: str) -> None:
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 60
     while True:
         try:
             return Master(uri, timeout=1.0).check()

@@ -44,7 +44,7 @@ def _odometry(link):
         yield
     finally:
         is_over.set()
-        thread.join(10.0)
+        thread.join(60.0)
         link.close()
 
 

@@ -105,7 +105,7 @@ def test_nothing_arrives_twice_or_before_its_time(simulation):
     assert meter.arrived() == []
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(st.lists(st.integers(0, 400), min_size=1, max_size=12))
 def test_the_stream_does_not_depend_on_when_it_is_read(milliseconds):
     def stream(durations):

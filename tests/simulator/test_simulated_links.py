@@ -74,6 +74,12 @@ def test_callbacks_are_called_while_the_clock_is_slept_on(simulation, link):
     assert len(heard) == 30
 
 
+def test_a_wait_ends_with_the_message_that_it_is_for(simulation, link):
+    begun = simulation.clock.now()
+    link.wait_for("odom", "nav_msgs/Odometry", timeout=60.0)
+    assert simulation.clock.now() - begun < 1.0  # odometry comes 30 times a second
+
+
 def test_a_callback_may_command_the_robot(simulation, robot, link):
     def stop_at_half_a_metre(message):
         if message["pose"]["pose"]["position"]["x"] >= 0.5:

@@ -16,13 +16,15 @@ if TYPE_CHECKING:
 
     from robot_runner.core.links.robot import Message, RawMessage
 
-__all__ = ["SLACK", "RobotLinkContract", "refusal"]
+__all__ = ["PATIENCE", "RobotLinkContract", "punctual_refusal", "refusal"]
 
 _TWIST = "geometry_msgs/Twist"
 _ODOMETRY = "nav_msgs/Odometry"
 _TRIGGER = "std_srvs/Trigger"
-#: How much longer than its deadline something may take, s.
-SLACK = 3.0
+#: How long what takes milliseconds may take on a busy machine, s.
+PATIENCE = 20.0
+#: How much longer than its deadline something may take, s; and how often it is tried, since a busy machine may be late.
+_SLACK, _ATTEMPTS = 3.0, 3
 
 
 def refusal(attempt: Callable[[], object]) -> LinkError:
@@ -33,6 +35,16 @@ def refusal(attempt: Callable[[], object]) -> LinkError:
         require(error.problem and error.where, f"{error!r} does not say what is wrong and where")
         return error
     raise AssertionError("it was not refused")
+
+
+def punctual_refusal(attempt: Callable[[], object], *, timeout: float) -> LinkError:
+    """Return the `LinkError` that the attempt raises; fail the test if it never does so soon after its `timeout`, s."""
+    for _ in range(_ATTEMPTS):
+        begun = time.monotonic()
+        error = refusal(attempt)
+        if time.monotonic() - begun < timeout + _SLACK:
+            return error
+    raise AssertionError(f"it waited too long: more than {_SLACK:g} s after its deadline")
 
 
 class RobotLinkContract:
@@ -76,7 +88,7 @@ class RobotLinkContract:
             closing.callback(link.close)
             yield link
 
-    def until(self, claim: Callable[[], object], otherwise: str, *, timeout: float = 10.0) -> None:
+    def until(self, claim: Callable[[], object], otherwise: str, *, timeout: float = 60.0) -> None:
         """Let time go by until the claim holds; fail the test if it does not within `timeout` s."""
         passed = 0.0
         deadline = time.monotonic() + timeout
@@ -164,9 +176,9 @@ class RobotLinkContract:
     def test_a_message_that_never_comes_is_waited_for_until_the_deadline(self) -> None:
         """Hold that `wait_for` ends, and says what did not come."""
         with self.opened() as link:
-            begun = time.monotonic()
-            error = refusal(lambda: link.wait_for(self.topic, _ODOMETRY, lambda _: False, timeout=0.3))
-            require(time.monotonic() - begun < 0.3 + SLACK, "it waited too long")
+            error = punctual_refusal(
+                lambda: link.wait_for(self.topic, _ODOMETRY, lambda _: False, timeout=0.3), timeout=0.3
+            )
             require(self.topic in f"{error.where} {error.problem}", f"the topic is not named: {error}")
 
     def test_a_fault_of_the_condition_is_raised_where_it_is_waited_for(self) -> None:
@@ -185,9 +197,7 @@ class RobotLinkContract:
     def test_a_service_that_is_not_there_is_refused_in_time(self) -> None:
         """Hold that a missing service is named, within the deadline."""
         with self.opened() as link:
-            begun = time.monotonic()
-            error = refusal(lambda: link.call("no/such/service", _TRIGGER, timeout=1.0))
-            require(time.monotonic() - begun < 1.0 + SLACK, "it waited too long")
+            error = punctual_refusal(lambda: link.call("no/such/service", _TRIGGER, timeout=1.0), timeout=1.0)
             require("no/such/service" in f"{error.where} {error.problem}", f"the service is not named: {error}")
 
     def test_an_offered_service_answers(self) -> None:
@@ -200,7 +210,9 @@ class RobotLinkContract:
 
         with self.opened() as robot, self.opened() as link:
             offer = robot.offer("lamp", "std_srvs/SetBool", answer)
-            response = link.call("lamp", "std_srvs/SetBool", {"data": True})
+            begun = time.monotonic()
+            response = link.call("lamp", "std_srvs/SetBool", {"data": True}, timeout=2 * PATIENCE)
+            require(time.monotonic() - begun < PATIENCE, "the call went on waiting when the response was there")
             require(response == {"success": True, "message": "lamp is True"}, f"it answered {response}")
             require(asked == [{"data": True}], f"it was asked {asked}")
             error = refusal(lambda: link.call("lamp", "std_srvs/SetBool", {"dat": True}))

@@ -7,7 +7,7 @@ from dataclasses import fields, is_dataclass
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from tests.analysis.made_experiment import make_experiment
 from tests.analysis.statistics.reference_data import one_factor
@@ -276,16 +276,19 @@ def test_an_effect_beyond_measure_needs_two_runs():
     assert power.needed[-1].repetitions == 2
 
 
-@settings(max_examples=15, deadline=None)  # each call of statsmodels collects the interpreter's garbage
+@settings(max_examples=settings.default.max_examples // 7)  # statsmodels collects garbage at each call
+@example([5e-324] * 2 + [1.0] * 7, Correction.BENJAMINI_HOCHBERG)
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=20), st.sampled_from(Correction))
 def test_adjusted_p_values_agree_with_statsmodels(p_values, correction):
     from statsmodels.stats.multitest import multipletests
 
     method = {Correction.HOLM: "holm", Correction.BENJAMINI_HOCHBERG: "fdr_bh"}[correction]
-    np.testing.assert_allclose(adjusted(p_values, correction), multipletests(p_values, method=method)[1])
+    theirs = multipletests(p_values, method=method)[1]
+    below_normal = np.finfo(np.float64).tiny  # where one rounding changes a number by up to its own size
+    np.testing.assert_allclose(adjusted(p_values, correction), theirs, atol=below_normal)
 
 
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=settings.default.max_examples // 8, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     values=st.lists(
         st.none() | st.integers(-3, 3).map(float) | st.floats(-1e6, 1e6, width=32), min_size=12, max_size=12

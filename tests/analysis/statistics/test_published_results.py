@@ -106,6 +106,14 @@ def test_anova_of_plant_growth():
     assert effect.effect_sizes[0].value == pytest.approx(0.2641, abs=5e-5)
 
 
+def test_intervals_of_plant_growth():
+    # confint(lm(weight ~ group, PlantGrowth)): grouptrt1 -0.9430126 to 0.2010126, grouptrt2 -0.0780126 to 1.0660126
+    found = {(pair.first, pair.second): pair for pair in pairs(data.one_factor(data.PLANT_GROWTH), TestMethod.ANOVA)}
+    ends = {names: (pair.interval.low, pair.interval.high) for names, pair in found.items()}
+    assert ends["ctrl", "trt1"] == pytest.approx((-0.2010126, 0.9430126), abs=5e-8)
+    assert ends["ctrl", "trt2"] == pytest.approx((-1.0660126, 0.0780126), abs=5e-8)
+
+
 def test_assumptions_of_plant_growth():
     # shapiro.test(residuals(aov(...))): W = 0.96607, p = 0.4379; car::leveneTest: F = 1.1192, p = 0.3412
     measure = data.one_factor(data.PLANT_GROWTH)
@@ -268,6 +276,8 @@ def test_mixed_model_of_ergo_stool():
     assert [pair.difference for pair in first] == pytest.approx([-3.888889, -2.222222, -0.666667])
     assert [pair.statistic for pair in first] == pytest.approx([-7.49761, -4.28435, -1.28530], abs=5e-4)
     assert [pair.p_value for pair in first[1:]] == pytest.approx([0.0003, 0.2110], abs=5e-5)
+    # qt(0.975, 24) * 0.5186838 = 1.070511 on either side
+    assert (first[0].interval.low, first[0].interval.high) == pytest.approx((-4.959399, -2.818378), abs=5e-6)
 
 
 def test_mixed_model_of_two_treatments_is_the_paired_t_test():

@@ -9,7 +9,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.core.design.factor import Factor
@@ -55,7 +55,6 @@ def model_of(design: tuple[list[Factor], dict[str, Any], int], **order: Any) -> 
     return RunTableModel(factors, [exclusion] if exclusion else [], repetitions, **order)
 
 
-@settings(deadline=None)  # a busy machine is no fault
 @given(designs())
 def test_as_written_the_plan_is_the_factorial_less_the_exclusions_times_the_repetitions(design: Any) -> None:
     factors, exclusion, repetitions = design
@@ -67,7 +66,6 @@ def test_as_written_the_plan_is_the_factorial_less_the_exclusions_times_the_repe
     assert [run.number for run in plan] == list(range(1, len(plan) + 1))
 
 
-@settings(deadline=None)  # a busy machine is no fault
 @given(designs(), st.integers(0, 2**64))
 def test_a_random_order_is_a_permutation_and_the_same_for_the_same_seed(design: Any, seed: int) -> None:
     as_written = model_of(design).plan()
@@ -81,7 +79,6 @@ def test_a_random_order_is_a_permutation_and_the_same_for_the_same_seed(design: 
     assert list(shuffled) == list(again)
 
 
-@settings(deadline=None)  # a busy machine is no fault
 @given(designs(), st.data())
 def test_every_block_is_complete(design: Any, data: st.DataObject) -> None:
     factors, exclusion, repetitions = design
@@ -101,7 +98,6 @@ def test_every_block_is_complete(design: Any, data: st.DataObject) -> None:
             assert found == Counter({text: once[text] * repetitions for text in found})
 
 
-@settings(deadline=None)  # a busy machine is no fault
 @given(designs(), st.booleans())
 def test_columns_hold_what_the_rows_hold(design: Any, shuffle: bool) -> None:
     plan = model_of(design, shuffle=shuffle, seed=3).plan()

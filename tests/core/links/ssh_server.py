@@ -16,7 +16,7 @@ import pytest
 
 _SEARCHED = os.pathsep.join([os.environ.get("PATH", os.defpath), "/usr/sbin", "/usr/local/sbin", "/sbin"])
 _SEPARATED = Path("/run/sshd")
-_DEADLINE = 10.0
+_DEADLINE = 60.0
 
 _SERVER = """\
 Port {port}

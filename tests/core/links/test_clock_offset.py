@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.core.errors import LinkError
@@ -21,7 +21,6 @@ def offset(at, steady, uncertainty=0.0):
     return ClockOffset(at, steady, wall_offset=0.0, round_trip=0.0, uncertainty=uncertainty, exchanges=1)
 
 
-@settings(deadline=None)
 @given(ahead=st.floats(-1e6, 1e6), ways=st.lists(st.tuples(delays, delays), min_size=1, max_size=8))
 def test_the_true_offset_is_within_the_uncertainty_however_uneven_the_ways_are(ahead, ways):
     exchanges = [exchange(10.0 * number, there, back, ahead=ahead) for number, (there, back) in enumerate(ways)]
@@ -30,7 +29,6 @@ def test_the_true_offset_is_within_the_uncertainty_however_uneven_the_ways_are(a
     assert abs(estimate.steady - estimate.at - ahead) <= estimate.uncertainty + 1e-6
 
 
-@settings(deadline=None)
 @given(ways=st.lists(st.tuples(delays, delays), min_size=2, max_size=8))
 def test_the_exchange_with_the_least_delay_wins(ways):
     exchanges = [exchange(10.0 * number, there, back, ahead=3.0) for number, (there, back) in enumerate(ways)]
@@ -50,7 +48,6 @@ def test_without_an_exchange_there_is_no_offset():
         estimate_offset([])
 
 
-@settings(deadline=None)
 @given(
     start=st.floats(-1e5, 1e5),
     drift=st.floats(-0.05, 0.05),

@@ -3,7 +3,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.core.links.cpu_counters import CoreCounters, CounterSample, ProcessCounters, utilisation_of
@@ -24,7 +24,6 @@ def test_utilisation_is_what_was_busy_since_the_look_before():
     assert [one.memory for one in found] == [25.0, 25.0, 25.0]
 
 
-@settings(deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 50), st.integers(0, 50)), min_size=1, max_size=30))
 def test_utilisation_stays_between_0_and_100_and_adds_up_to_the_whole(steps):
     total = idle = 0

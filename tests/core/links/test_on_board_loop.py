@@ -20,7 +20,7 @@ from robot_runner.core.links.ssh_host import SshHost
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-PROGRAMS = Path(__file__).parents[3] / "src" / "robot_runner" / "links" / "on_board"
+PROGRAMS = Path(__file__).parents[3] / "src" / "robot_runner" / "core" / "links" / "on_board"
 SHELLS = [shell for shell in ("dash", "bash", "busybox", "sh") if shutil.which(shell)]
 PYTHON_AND_SHELL = ["python3", "sh"]
 EVERY_FORM = [*PYTHON_AND_SHELL, "ps"]

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.core.links.cpu_counters import CoreCounters
@@ -33,7 +33,6 @@ def test_a_damaged_line_is_no_sample(fields):
     assert counter_sample(fields) is None
 
 
-@settings(deadline=None)
 @given(st.lists(st.text(max_size=30), max_size=6))
 def test_whatever_arrives_raises_nothing(fields):
     counter_sample(fields)

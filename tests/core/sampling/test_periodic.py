@@ -5,13 +5,13 @@ import time
 from itertools import count, pairwise
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.sampling import periodic
 from robot_runner.core.sampling.periodic import PeriodicSampler
-from robot_runner.plugins import periodic
 from robot_runner.simulator.simulated_clock import SimulatedClock
 from robot_runner.testing import FakeClock
 
@@ -29,7 +29,6 @@ def test_on_a_clock_that_is_slept_on_readings_come_on_the_way(clock):
     assert sampling.quality().warnings() == ()
 
 
-@settings(deadline=None)
 @given(rate=st.floats(0.3, 300.0), seconds=st.floats(0.0, 20.0))
 def test_a_simulated_clock_is_sampled_without_drift(rate, seconds):
     clock = SimulatedClock()
@@ -55,12 +54,13 @@ def test_on_the_machines_clock_a_thread_keeps_the_rate():
     sampler = PeriodicSampler(lambda: threading.current_thread().name, rate=100.0, clock=SystemClock())
     begun = time.monotonic()
     sampler.start()
-    waited = threading.Event()
+    waited, turns = threading.Event(), 0
     while time.monotonic() - begun < 0.3:
         waited.wait(0.01)
+        turns += 1  # as often as the machine finds time for a thread that waits as long
     sampling = sampler.stop()
     seconds = sampling.window.duration
-    assert seconds * 100 * 0.5 <= len(sampling.times) <= seconds * 100 + 3
+    assert turns * 0.5 <= len(sampling.times) <= seconds * 100 + 3
     assert all(sooner <= later for sooner, later in pairwise(sampling.times))
     assert set(sampling.readings[:-1]) == {"sampler"}
     assert "sampler" not in {thread.name for thread in threading.enumerate()}
@@ -79,8 +79,9 @@ def test_a_moment_that_a_slow_meter_missed_is_passed_over():
     while time.monotonic() - begun < 0.4:
         slow.wait(0.01)
     sampling = sampler.stop()
+    took = time.monotonic() - begun
     # Without passing over it would owe 20 readings by now; with it, it takes one as soon as the last is done.
-    assert len(sampling.readings) <= 0.4 / 0.055 + 2
+    assert len(sampling.readings) <= took / 0.055 + 2
     assert sampling.quality().got < sampling.quality().expected
     assert any("samples arrived of" in warning for warning in sampling.quality().warnings())
 

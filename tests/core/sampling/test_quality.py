@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.core.sampling.quality import jitter_of, quality_of
@@ -67,7 +67,6 @@ def test_even_samples_have_no_jitter():
     assert (jitter.p50, jitter.p95, jitter.p99) == pytest.approx((0.0, 0.0, 0.0))
 
 
-@settings(deadline=None)
 @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=60))
 def test_jitter_is_that_of_the_times_between_samples_whatever_the_rate(shifts):
     times = [number + shift / 3 for number, shift in enumerate(shifts)]

@@ -8,7 +8,7 @@ import math
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.core.design.factor import Factor
@@ -33,7 +33,6 @@ def same(one: object, other: object) -> bool:
     return type(one) is type(other) and one == other
 
 
-@settings(deadline=None)  # a busy machine is no fault
 @given(st.lists(texts, min_size=2))
 def test_a_quoted_row_is_read_back_as_it_was(cells: list[str]) -> None:
     assert quoted_all(cells) == list(map(quoted, cells))
@@ -41,13 +40,11 @@ def test_a_quoted_row_is_read_back_as_it_was(cells: list[str]) -> None:
     assert list(csv.reader(io.StringIO(line, newline=""), strict=True)) == [cells]
 
 
-@settings(deadline=None)  # a busy machine is no fault
 @given(st.integers(-(2**1023), 2**1023) | st.floats(allow_nan=False, allow_infinity=False) | st.booleans() | st.none())
 def test_a_measure_that_is_no_text_comes_back_with_its_type(value: Any) -> None:
     assert same(plain_value(measure_text(value)), value)
 
 
-@settings(deadline=None)  # a busy machine is no fault
 @given(texts.filter(bool))
 def test_a_text_comes_back_as_text_where_the_schema_says_so(text: str) -> None:
     assert typed_value(measure_text(text), "string") == text
@@ -60,7 +57,6 @@ def test_what_python_would_not_write_as_a_number_is_text(text: str) -> None:
     assert plain_value(text) == text
 
 
-@settings(deadline=None)  # a busy machine is no fault
 @given(
     st.lists(st.one_of(st.integers(), st.floats(allow_nan=False, allow_infinity=False), texts, st.none())), st.data()
 )

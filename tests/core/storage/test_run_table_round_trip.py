@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.core.design.factor import Factor
@@ -79,7 +79,6 @@ def as_factor(values: list[Any]) -> list[Any]:
     return kept
 
 
-@settings(deadline=None)  # a busy machine is no fault
 @given(factors.map(as_factor), factors.map(as_factor), st.integers(1, 3), st.booleans())
 def test_treatments_come_back_as_they_are(one: list[Any], other: list[Any], repetitions: int, shuffle: bool) -> None:
     model = RunTableModel([Factor("One", one), Factor("Other", other)], repetitions=repetitions, shuffle=shuffle)
@@ -93,7 +92,6 @@ def test_treatments_come_back_as_they_are(one: list[Any], other: list[Any], repe
         assert read.run_id(place) == run.run_id
 
 
-@settings(deadline=None)  # a busy machine is no fault
 @given(st.lists(st.tuples(measures, measures, st.sampled_from(RunStatus)), min_size=1, max_size=8))
 def test_measures_and_statuses_come_back_as_they_are(records: list[tuple[Any, Any, RunStatus]]) -> None:
     model = RunTableModel([Factor("N", range(len(records)))])
@@ -113,7 +111,6 @@ def test_measures_and_statuses_come_back_as_they_are(records: list[tuple[Any, An
     assert [read.count(status) for status in RunStatus] == [rows.count(status) for status in RunStatus]
 
 
-@settings(deadline=None)  # a busy machine is no fault
 @given(st.lists(texts, min_size=1, max_size=5, unique=True), st.lists(measures, min_size=5, max_size=5))
 def test_every_row_of_the_file_has_a_cell_for_each_heading(values: list[str], found: list[Any]) -> None:
     model = RunTableModel([Factor("Text", values)])

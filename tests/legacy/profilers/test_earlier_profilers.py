@@ -76,7 +76,7 @@ def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, s
 
 
 def wait_for(path: Path) -> None:
-    for _ in range(1000):
+    for _ in range(12_000):
         if path.exists() and path.read_text():
             return
         os.sched_yield()

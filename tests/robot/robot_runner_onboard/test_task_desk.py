@@ -28,7 +28,7 @@ def saying(code: str) -> list[str]:
     return [sys.executable, "-c", textwrap.dedent(code)]
 
 
-def until(holds: Callable[[], object], seconds: float = 5.0) -> bool:
+def until(holds: Callable[[], object], seconds: float = 60.0) -> bool:
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
         if holds():

@@ -13,6 +13,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import pytest
+from tests.process.conftest import starved_for
 from tests.ros.ros1_master import RUDE, needs_ros1, ros1_environment
 
 from robot_runner.ros.ros1.link import Ros1Link
@@ -62,7 +63,7 @@ def node(name, environment, *arguments, python=SYSTEM_PYTHON):
     finally:
         process.terminate()
         try:
-            process.wait(10)
+            process.wait(60)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
@@ -102,7 +103,7 @@ def bob(alice, master_uri):
     link.close()
 
 
-def until(holds, seconds=15.0):
+def until(holds, seconds=60.0):
     deadline = time.monotonic() + seconds
     while not holds():
         assert time.monotonic() < deadline
@@ -178,8 +179,8 @@ def test_the_topic_of_a_camera_is_recorded_without_opencv(bob, robot):
 
 
 def falls_silent(messages, seconds):
-    """Whether none comes for so long, before 5 s have passed."""
-    deadline = time.monotonic() + 5
+    """Whether none comes for so long, before 60 s have passed."""
+    deadline = time.monotonic() + 60
     while time.monotonic() < deadline:
         count = len(messages)
         time.sleep(seconds)
@@ -194,12 +195,12 @@ def test_the_watchdog_stops_a_robot_whose_run_falls_silent(alice):
     for count in range(1, 6):
         alice.publish("robot_runner/heartbeat", "std_msgs/UInt32", {"data": count})
         alice.publish("cmd_vel", TWIST, {"linear": {"x": 0.2}})
-        last = time.monotonic()
+        last, starved = time.monotonic(), starved_for()
         time.sleep(0.1)
     assert all(message["linear"]["x"] for _, message in commands)
     until(lambda: len(commands) > 7 and not commands[-1][1]["linear"]["x"])
     stopped = next(moment for moment, message in commands if not message["linear"]["x"])
-    assert 0.3 < stopped - last < 0.7
+    assert 0.3 < stopped - last < 0.7 + starved_for() - starved
     alice.publish("robot_runner/heartbeat", "std_msgs/UInt32", {"data": 6})
     alice.publish("robot_runner/heartbeat", "std_msgs/UInt32", {"data": 0})
     assert falls_silent(commands, 0.6)  # after the farewell the robot is others'
@@ -225,7 +226,7 @@ def test_a_node_that_is_ended_ends_its_task(master_uri, tmp_path, alice):
         workers = children(process.pid)
         assert workers
         process.send_signal(signal.SIGINT)
-        process.wait(10)
+        process.wait(60)
     until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers))
     carol.close()
 

@@ -56,12 +56,12 @@ def test_they_are_built_by_catkin_and_launched(tmp_path, master_uri):
     environment = {**ros1_environment(master_uri, tmp_path), "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}
     build = ["catkin_make", "-DPYTHON_EXECUTABLE=/usr/bin/python3", "-DCATKIN_ENABLE_TESTING=OFF"]
     done = subprocess.run(
-        build, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=100, check=False
+        build, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=250, check=False
     )
     assert done.returncode == 0, done.stderr
     listing = ". devel/setup.sh && exec roslaunch --nodes robot_runner_ros1 robot.launch"
     listed = subprocess.run(
-        ["/bin/sh", "-c", listing], cwd=tmp_path, env=environment, capture_output=True, check=True, timeout=30
+        ["/bin/sh", "-c", listing], cwd=tmp_path, env=environment, capture_output=True, check=True, timeout=100
     )
     assert set(listed.stdout.split()) == {b"/robot_runner_tasks", b"/robot_runner_watchdog"}
     launch = ". devel/setup.sh && exec roslaunch robot_runner_ros1 robot.launch namespace:=/launched"
@@ -70,12 +70,12 @@ def test_they_are_built_by_catkin_and_launched(tmp_path, master_uri):
     )
     link = Ros1Link(Master(master_uri), "/launched")
     try:
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + 100
         while "/launched/task/stop" not in link.services() or "/launched/robot_runner_watchdog" not in link.nodes():
             assert time.monotonic() < deadline
             time.sleep(0.1)
     finally:
         link.close()
         process.terminate()
-        output, _ = process.communicate(timeout=30)
+        output, _ = process.communicate(timeout=100)
     assert b"the tasks are offered under /launched/task" in output

@@ -36,7 +36,7 @@ def link():
 
 
 def until(claim, do=lambda: None):
-    deadline = time.monotonic() + 10.0
+    deadline = time.monotonic() + 60.0
     while not claim():
         assert time.monotonic() < deadline
         do()

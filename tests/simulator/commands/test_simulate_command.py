@@ -23,7 +23,7 @@ def test_it_is_ready_and_ends_cleanly(number, monkeypatch):
     try:
         first = [process.stdout.readline() for _ in range(3)]
         process.send_signal(number)
-        rest, _ = process.communicate(timeout=20)
+        rest, _ = process.communicate(timeout=60)
     finally:
         process.kill()
         process.communicate()

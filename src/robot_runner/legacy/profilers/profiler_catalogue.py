@@ -124,7 +124,7 @@ PLUGINS: tuple[EarlierPlugin, ...] = (
         _profiler("NvidiaML"),
         _names("nvidia", "NvidiaML")
         | _names(
-            "nvidia_names",
+            "nvidia",
             "NVML_IDs",
             "NVML_Query",
             "NVML_Static_Query",
@@ -148,7 +148,7 @@ PLUGINS: tuple[EarlierPlugin, ...] = (
     ),
     EarlierPlugin(
         _profiler("WattsUpPro"),
-        _names("watts_up_pro", "WattsUpPro"),
+        _names("wall_socket", "WattsUpPro"),
         (_package("serial", "Install it: pip install 'robot-runner[serial]'."),),
         ours="WattsUpPro",
     ),
@@ -160,7 +160,7 @@ PLUGINS: tuple[EarlierPlugin, ...] = (
     EarlierPlugin(
         (*_profiler("CodecarbonWrapper"), "Plugins.CodecarbonWrapper"),
         _names(
-            "codecarbon",
+            "emissions",
             "DataColumns",
             "emission_tracker",
             "start_emission_tracker",
@@ -180,19 +180,19 @@ PLUGINS: tuple[EarlierPlugin, ...] = (
     ),
     EarlierPlugin(
         _profiler("INA219Profiler"),
-        _names("robot", "INA219Profiler"),
+        _names("robot_plugins", "INA219Profiler"),
         ours="Ina219",
         note="It takes the file of a memory card; Ina219 reads the sensor itself, and computes the energy.",
     ),
     EarlierPlugin(
         _profiler("NetworkProfiler"),
-        _names("robot", "NetworkProfiler"),
+        _names("robot_plugins", "NetworkProfiler"),
         (_program("tshark", "Install tshark."),),
         ours="Network",
     ),
     EarlierPlugin(
         ("Plugins.Systems.TopicSubscriber", "plugins.Systems.TopicSubscriber"),
-        _names("robot", "TopicSubscriber"),
+        _names("robot_plugins", "TopicSubscriber"),
         operates_robot=True,
     ),
     EarlierPlugin(
@@ -201,13 +201,13 @@ PLUGINS: tuple[EarlierPlugin, ...] = (
             "plugins.Systems.TurtleBot3.BasicTurtleBot3",
             "Plugins.Systems.BasicTurtleBot3",
         ),
-        _names("turtlebot3", "BasicTurtleBot3"),
+        _names("robot_plugins", "BasicTurtleBot3"),
         ours="BasicTurtlebot3",
         operates_robot=True,
     ),
     EarlierPlugin(
         ("Plugins.Systems.TurtleBot3.BasicTurtleBot3Ros2",),
-        _names("turtlebot3", "BasicTurtleBot3Ros2"),
+        _names("robot_plugins", "BasicTurtleBot3Ros2"),
         ours="BasicTurtlebot3",
         operates_robot=True,
     ),

@@ -30,14 +30,14 @@ _OPERATION = _in(_CHOICES, "OperationType")
 _CONTROLLER = _in(f"{_HERE}.events", "EventSubscriptionController")
 _ROBOT_EVENTS = _in(f"{_HERE}.events", "RobotRunnerEvents")
 _EVENTS = _in(f"{_HERE}.events", "RunnerEvents")
-_ROBOT_CONTEXT = _in(f"{_HERE}.contexts", RobotRunnerContext="EarlierContext")
-_CONTEXT = _in(f"{_HERE}.contexts", RunnerContext="EarlierContext")
-_OUTPUT = _in(f"{_HERE}.output", "OutputProcedure")
-_PROGRESS = _in(f"{_HERE}.progress", "RunProgress")
+_ROBOT_CONTEXT = _in(f"{_HERE}.base_configs", RobotRunnerContext="EarlierContext")
+_CONTEXT = _in(f"{_HERE}.base_configs", RunnerContext="EarlierContext")
+_OUTPUT = _in(f"{_HERE}.machinery", "OutputProcedure")
+_PROGRESS = _in(f"{_HERE}.machinery", "RunProgress")
 _TYPING = _in(f"{_HERE}.machinery", "SupportsStr")
-_HEADERS = _in(f"{_HERE}.output", "BashHeaders")
-_BASE_ERROR = _in(f"{_HERE}.faults", "BaseError")
-_DICTS = _in(f"{_HERE}.output", "class_to_dict", "pop_from_each_dict_in_list")
+_HEADERS = _in(f"{_HERE}.machinery", "BashHeaders")
+_BASE_ERROR = _in(f"{_HERE}.files", "BaseError")
+_DICTS = _in(f"{_HERE}.machinery", "class_to_dict", "pop_from_each_dict_in_list")
 _PATHS = _in(
     f"{_HERE}.files",
     "is_path_exists_or_creatable_portable",
@@ -46,7 +46,7 @@ _PATHS = _in(
 # A config that wrote `from ConfigValidator.Config.RunnerConfig import *` got these as well.
 _COMMON = _FACTOR | _TABLE | _OPERATION | _CONTROLLER
 _STANDARD = _in("typing", "Any", "Dict", "List", "Optional") | _in("pathlib", "Path")
-_PATH_NAMES = _in("os.path", "dirname", "realpath") | {"output": f"{_HERE}.output:OutputProcedure"}
+_PATH_NAMES = _in("os.path", "dirname", "realpath") | {"output": f"{_HERE}.machinery:OutputProcedure"}
 
 _MODELS = {
     "FactorModel": _FACTOR,
@@ -60,14 +60,14 @@ _ERRORS = {
     "BaseError": _BASE_ERROR,
     "CLIErrors": _BASE_ERROR
     | _in(
-        f"{_HERE}.faults",
+        f"{_HERE}.files",
         "CommandNotRecognisedError",
         "InvalidUserSpecifiedPathError",
         "InvalidConfigTypeSpecifiedError",
     ),
     "ConfigErrors": _BASE_ERROR
     | _in(
-        f"{_HERE}.faults",
+        f"{_HERE}.files",
         "ConfigBaseError",
         "ConfigInvalidError",
         "ConfigInvalidClassNameError",
@@ -76,8 +76,8 @@ _ERRORS = {
         "ConfigRunTableCreationError",
     ),
     "ExperimentOutputErrors": _BASE_ERROR
-    | _in(f"{_HERE}.faults", "ExperimentOutputPathAlreadyExistsError", "ExperimentOutputFileDoesNotExistError"),
-    "ProgressErrors": _BASE_ERROR | _in(f"{_HERE}.faults", "ProgressBaseError", "AllRunsCompletedOnRestartError"),
+    | _in(f"{_HERE}.files", "ExperimentOutputPathAlreadyExistsError", "ExperimentOutputFileDoesNotExistError"),
+    "ProgressErrors": _BASE_ERROR | _in(f"{_HERE}.files", "ProgressBaseError", "AllRunsCompletedOnRestartError"),
 }
 _MISC = {"BashHeaders": _HEADERS, "DictConversion": _DICTS, "PathValidation": _PATHS}
 _ARCHITECTURE = {

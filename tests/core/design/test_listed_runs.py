@@ -1,0 +1,23 @@
+"""Runs that are listed one by one are planned as they are listed."""
+
+from __future__ import annotations
+
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.listed_runs import ListedRun, ListedRunTableModel
+
+TASK = Factor("Task", ["Video", "Network"])
+
+
+def test_listed_runs_are_numbered_from_1_as_all_others() -> None:
+    runs = [ListedRun(f"run_{at}", {"Task": task}) for at, task in enumerate(["Network", "Video", "Network"])]
+    plan = ListedRunTableModel([TASK], runs).plan()
+    assert [(run.run_id, run.number) for run in plan] == [("run_0", 1), ("run_1", 2), ("run_2", 3)]
+    assert plan[-1].number == 3
+
+
+def test_listed_runs_keep_their_treatments_and_repetitions() -> None:
+    listed = [("b", "Network", 1), ("a", "Video", 1), ("c", "Network", 2)]
+    runs = [ListedRun(run_id, {"Task": task}, repetition) for run_id, task, repetition in listed]
+    plan = ListedRunTableModel([TASK], runs).plan(seed=7)
+    assert [(run.run_id, run.combination["Task"], run.repetition) for run in plan] == listed
+    assert list(plan.repetition_numbers()) == [1, 1, 2]
