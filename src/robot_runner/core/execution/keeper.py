@@ -49,7 +49,7 @@ _NUMBER_BYTES = 8
 #: How long the keeper waits for processes that it has killed, s: one that waits for a broken disk cannot be reaped.
 _REAPING = 5.0
 #: How long it waits until it looks again, s.
-_LOOK = 0.005
+_LOOK = 0.01
 
 
 class Keeper:
@@ -170,7 +170,7 @@ class _KeeperProcess:
         use_no_streams()
         adopt_orphans()
         self._fork_run()
-        self._listen()
+        self._report.close()  # the run's alone from here on
         status = self._watch()
         kill_group(self._run)
         self._end_orphans()
@@ -179,7 +179,8 @@ class _KeeperProcess:
 
     def _fork_run(self) -> None:
         keeper = os.getpid()
-        # A stop signal waits until the run can take it: a forked process forgets those that come while it begins.
+        # The run takes them once it can: a forked process forgets signals that come while it begins. The keeper itself
+        # keeps them blocked: to stop is the run's business.
         signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
         self._run = forked()
         if self._run == 0:
@@ -198,33 +199,26 @@ class _KeeperProcess:
         if os.getppid() == keeper:  # else it died before the system would have told us
             self._start(self._report)
 
-    def _listen(self) -> None:
-        """Be woken by the death of a child; be deaf to the stop signals, which are the run's business."""
-        self._report.close()
-        for number in STOP_SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
-        self._wakeups, wake = os.pipe()
-        for descriptor in (self._wakeups, wake):
-            os.set_blocking(descriptor, False)
-        signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
-        signal.signal(signal.SIGCHLD, lambda *_: None)  # one that is ignored would not wake us
-        self._poll = select.poll()
-        for descriptor in (self._requests, self._wakeups):
-            self._poll.register(descriptor, select.POLLIN)
-
     def _watch(self) -> int:
         """Return how the run ended, as `os.waitpid` does; obey requests, and kill it when the grace is over."""
+        poll = select.poll()
+        poll.register(self._requests, select.POLLIN)
+        if hasattr(os, "pidfd_open"):
+            poll.register(os.pidfd_open(self._run), select.POLLIN)  # macOS has none: there we look now and then
         while (status := self._reap()) is None:
-            left = None if self._kill_at is None else max(0.0, self._kill_at - time.monotonic()) * 1000
-            for descriptor, _ in self._poll.poll(left):
-                if descriptor == self._requests:
-                    self._obey(os.read(self._requests, 1))
-                else:
-                    os.read(self._wakeups, 4096)
+            for descriptor, _ in poll.poll(self._milliseconds()):
+                if descriptor == self._requests and not self._obey():
+                    poll.unregister(self._requests)
             if self._kill_at is not None and time.monotonic() >= self._kill_at:
                 kill_group(self._run)
                 self._kill_at = time.monotonic() + self._grace
         return status
+
+    def _milliseconds(self) -> float | None:
+        """Return how long to wait at most."""
+        if not hasattr(os, "pidfd_open"):
+            return _LOOK * 1000
+        return None if self._kill_at is None else max(0.0, self._kill_at - time.monotonic()) * 1000
 
     def _reap(self) -> int | None:
         """Reap every child that has ended; return how the run ended if it is among them."""
@@ -235,14 +229,15 @@ class _KeeperProcess:
             if pid == 0:
                 return None
 
-    def _obey(self, request: bytes) -> None:
-        if not request:  # the orchestrator is gone
-            self._poll.unregister(self._requests)
+    def _obey(self) -> bool:
+        """Take a request; return whether the orchestrator is still there."""
+        request = os.read(self._requests, 1)
         if request == _KILL:
             self._kill_at = time.monotonic()
         elif self._kill_at is None:
             self._kill_at = time.monotonic() + self._grace
             os.kill(self._run, signal.SIGTERM)
+        return bool(request)
 
     def _end_orphans(self) -> None:
         """Kill what the run left behind, also what has a session or a process group of its own, and reap it."""

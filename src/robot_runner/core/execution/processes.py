@@ -40,22 +40,22 @@ _LOOK = 0.02
 # From <linux/prctl.h>; Python's library has no prctl.
 _PR_SET_PDEATHSIG = 1
 _PR_SET_CHILD_SUBREAPER = 36
-_libc = ctypes.CDLL(None) if sys.platform == "linux" else None
+_prctl = None
+if sys.platform == "linux":
+    _prctl = ctypes.CDLL(None).prctl
+    _prctl.argtypes = [ctypes.c_int, *[ctypes.c_ulong] * 4]
 
 
 def adopt_orphans() -> None:
     """Become the parent of whatever a descendant leaves behind when it ends, whatever its session (Linux only)."""
-    _control_process(_PR_SET_CHILD_SUBREAPER, 1)
+    if _prctl is not None:
+        _prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
 def stop_with_parent() -> None:
     """Have SIGTERM sent to this process when its parent dies (Linux only)."""
-    _control_process(_PR_SET_PDEATHSIG, signal.SIGTERM)
-
-
-def _control_process(option: int, value: int) -> None:
-    if _libc is not None:
-        _libc.prctl(option, ctypes.c_ulong(value), ctypes.c_ulong(0), ctypes.c_ulong(0), ctypes.c_ulong(0))
+    if _prctl is not None:
+        _prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
 
 
 def forked() -> int:

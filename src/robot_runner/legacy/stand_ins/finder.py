@@ -36,6 +36,8 @@ class StandIns(MetaPathFinder, Loader):
         self._clone = clone_around(config)
         self._modules: dict[str, ModuleType] = {}
         self._depth = 0
+        #: Names of loaded modules that are no stand-in's: each event would look at hundreds of them again, twice.
+        self._foreign: set[str] = set()
 
     @contextmanager
     def present(self) -> Iterator[None]:
@@ -122,7 +124,11 @@ class StandIns(MetaPathFinder, Loader):
         return spec
 
     def _taken_away(self) -> dict[str, ModuleType]:
-        names = [name for name, module in sys.modules.items() if is_earlier_import(name) or self._is_own(module)]
+        unknown = sys.modules.keys() - self._foreign
+        self._foreign |= {
+            name for name in unknown if not is_earlier_import(name) and name.partition(".")[0] != _LOWER_CASE_ROOT
+        }
+        names = [name for name in unknown - self._foreign if is_earlier_import(name) or self._is_own(sys.modules[name])]
         return {name: sys.modules.pop(name) for name in names}
 
     def _is_own(self, module: ModuleType | None) -> bool:
