@@ -11,14 +11,15 @@ BIN := .venv/bin
 CODE := src tests benchmarks scripts examples robot
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench soak docs cli-page format picture clean
+.PHONY: help demo test check bench soak docs cli-page format picture lock lower-bounds dist system-packages clean
 
 help: ## Show this list.
 	@echo "Robot Runner. Python 3.11 or newer and make are enough; every target does its own set-up."
 	@echo
-	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1|\2/p' Makefile | awk -F '|' '{ printf "%-16s %s\n", $$1, $$2 }'
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1|\2/p' Makefile | awk -F '|' '{ printf "%-22s %s\n", $$1, $$2 }'
 	@echo
 	@echo "  PYTHON=python3.13 make test   chooses the Python."
+	@echo "  ROBOT_RUNNER_SYSTEM_PACKAGES=no make test   installs no Debian packages; tests that need a missing one are skipped."
 
 demo: ## Execute the paper's experiment on the embedded robot: 15 runs, in under a minute.
 	@sh scripts/set_up.sh demo
@@ -60,6 +61,21 @@ format: ## Format the code, and mend what the linter can mend by itself.
 picture: ## Record the demo into docs/images/demo.svg.
 	@sh scripts/set_up.sh test
 	@$(BIN)/python scripts/record_demo.py docs/images/demo.svg -- $(BIN)/robot-runner demo
+
+lock: ## Bring the locked versions in requirements/ up to date.
+	@sh scripts/set_up.sh test
+	@sh scripts/lock.sh
+
+lower-bounds: ## Execute the tests with the oldest dependencies that pyproject.toml allows.
+	@sh scripts/set_up.sh test
+	@sh scripts/lower_bounds.sh
+
+dist: ## Build what is published into dist/; refuses a tag that is not the version.
+	@sh scripts/set_up.sh test
+	@sh scripts/dist.sh
+
+system-packages: ## Install the Debian packages that the tests need (as root).
+	@sh scripts/system_packages.sh
 
 clean: ## Remove .venv and everything else that was generated.
 	@rm -rf .venv .make build dist site .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .coverage

@@ -21,10 +21,13 @@ step() {
     fi
 }
 
+# shellcheck disable=SC2086  # several words on purpose
 step "format" "$bin/ruff" format --check $code
+# shellcheck disable=SC2086  # likewise
 step "lint" "$bin/ruff" check $code
 step "types" "$bin/mypy"
 step "import contracts" "$bin/lint-imports"
+step "shell scripts" "$bin/shellcheck" scripts/*.sh .ci/run
 if [ "${1:-all}" = all ]; then
     step "command-line page is current" "$bin/python" scripts/generate_cli_page.py --check
     step "documentation" "$bin/mkdocs" build --strict --site-dir .make/site

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from robot_runner.cli.commands import COMMANDS
+from robot_runner.cli.commands import command_module, installed_commands
 from robot_runner.cli.main import overview
 from robot_runner.cli.parser import Parser, parser_of
 
@@ -52,11 +52,12 @@ def main() -> int:
 
 def current_page() -> str:
     """Return what the page is to hold."""
-    return "\n".join([_HEAD.format(overview=overview()), *map(_section, COMMANDS)])
+    names = installed_commands()
+    return "\n".join([_HEAD.format(overview=overview()), *map(_section, names)])
 
 
 def _section(command: str) -> str:
-    parser = parser_of(command)
+    parser = parser_of(command, command_module(installed_commands()[command]))
     lines = [f"## robot-runner {command}", "", parser.description or "", "", "```text", _usage(parser), "```", ""]
     lines += ["| argument | means |", "|---|---|"]
     lines += [f"| `{_name(action)}` | {_cell(action.help or '')} |" for action in parser.documented]

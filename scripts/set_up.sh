@@ -1,8 +1,9 @@
 #!/bin/sh
 # Make .venv and install the project into it. Usage: set_up.sh demo|test
 #
-# `demo` is what the embedded robot needs, `test` also what every check needs. A second call finds its stamp
-# and returns at once; a changed pyproject.toml, a moved folder or another PYTHON is noticed.
+# `demo` is what the embedded robot needs, `test` also what every check needs: the versions in requirements/, and no
+# others. A second call finds its stamp and returns at once; a changed pyproject.toml or lock, a moved folder or another
+# PYTHON is noticed. ROBOT_RUNNER_SYSTEM_PACKAGES=no keeps it from installing anything outside this folder.
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -35,8 +36,8 @@ find_python() {
 provide_venv() {
     "$1" -c 'import ensurepip, venv' >/dev/null 2>&1 && return
     package=python$("$1" -c 'import sys; print("%d.%d" % sys.version_info[:2])')-venv
-    if [ "$(id -u)" -eq 0 ] && command -v apt-get >/dev/null 2>&1; then
-        say "installing $package, which $1 needs to make a virtual environment"
+    if [ "${ROBOT_RUNNER_SYSTEM_PACKAGES:-yes}" != no ] && [ "$(id -u)" -eq 0 ] && command -v apt-get >/dev/null 2>&1; then
+        say "installing the Debian package $package, which $1 needs to make a virtual environment"
         run_quietly sh -c "apt-get update; DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends $package"
     else
         die "$1 cannot make a virtual environment: its venv module is not complete." "Install it (Debian, Ubuntu: sudo apt install $package), then repeat the command."
@@ -54,6 +55,11 @@ run_quietly() {
         die "this failed: $*" "The lines above say why; mend it, then repeat the command."
     fi
     rm -f .make/set_up.log
+}
+
+install() {
+    run_quietly env PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_USER=0 \
+        .venv/bin/python -m pip install --quiet --no-input --progress-bar off "$@"
 }
 
 is_usable() {
@@ -80,12 +86,11 @@ is_done() {
 
 purpose=${1:-}
 case $purpose in
-    demo) extras=sim ;;
-    test) extras=dev ;;
+    demo | test) ;;
     *) die "set_up.sh was called for '$purpose'." "Call it for demo or for test." ;;
 esac
 stamp=.venv/.installed-$purpose
-key="$(pwd -P) $(cksum <pyproject.toml)"
+key="$(pwd -P) $(cat pyproject.toml requirements/demo.txt requirements/test.txt | cksum)"
 
 is_done && exit 0
 mkdir -p .make
@@ -103,8 +108,9 @@ if was_moved || ! is_usable; then
 fi
 say "installing what 'make $purpose' needs (once; minutes on a slow connection)"
 rm -f "$stamp"
-run_quietly env PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_USER=0 \
-    .venv/bin/python -m pip install --quiet --no-input --progress-bar off --editable ".[$extras]"
+install --require-hashes --requirement "requirements/$purpose.txt"
+# What is not in the lock is not fetched: neither a dependency nor what builds the project.
+install --no-index --no-deps --no-build-isolation --editable .
 printf '%s\n' "$key" >"$stamp"
 # What the tests need includes what the demo needs.
 if [ "$purpose" = test ]; then

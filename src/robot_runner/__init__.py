@@ -6,8 +6,8 @@ This is the door for who writes an experiment; its names are imported when they 
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False  # `typing` takes long to import, and `robot-runner --help` is to be quick
 if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Author
     from robot_runner.core.config.parameters import ExperimentConfig, FailurePolicy, OperationType, RunProcess
@@ -60,7 +60,7 @@ _HOMES = {
 }
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,16 +1,14 @@
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint
-
 import pytest
 
+from robot_runner.core.entry_points import EntryPoint
 from robot_runner.core.errors import PluginError
 from robot_runner.core.plugin import GROUPS, InstalledPlugin, find_plugin, installed_plugins
 
 
 def announced(value: str, kind: str = "profilers") -> InstalledPlugin:
-    point = EntryPoint(name="Odd", value=value, group=f"robot_runner.{kind}")
-    return InstalledPlugin("Odd", kind, "some-package", "1.0", point)
+    return InstalledPlugin(kind, EntryPoint("Odd", f"robot_runner.{kind}", value, lambda: ("some-package", "1.0")))
 
 
 def test_the_built_in_plugins_come_in_through_entry_points_like_anybodys() -> None:

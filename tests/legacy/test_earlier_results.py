@@ -9,6 +9,7 @@ import pytest
 from frictionless import Resource
 from tests.legacy.earlier_configs import ROBOT, RUNNER, planned
 
+from robot_runner.core.config.dialects import prepare
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.recovery import Resumption
@@ -18,7 +19,6 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
-from robot_runner.legacy.loading import prepare
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.legacy.earlier_configs import RUNNER, planned
 
-from robot_runner.legacy.loading import prepare
+from robot_runner.core.config.dialects import prepare
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot import RobotName
-from robot_runner.ros.graph_links import open_graph_link
+from robot_runner.ros.graph_links import GRAPH_LINKS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -83,7 +83,8 @@ class Witness:
 @contextmanager
 def witness(link: str, namespace: str) -> Iterator[Witness]:
     looking = Witness()
-    connected = open_graph_link(RobotName.parse(link), SystemClock(), namespace)
+    name = RobotName.parse(link)
+    connected = GRAPH_LINKS[name.link].open(name, SystemClock(), namespace)
     try:
         connected.subscribe("odom", "nav_msgs/Odometry", looking.hear)
         yield looking

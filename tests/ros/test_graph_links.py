@@ -13,7 +13,7 @@ from robot_runner.core.links.connect import link_findings, lives_by_simulation, 
 from robot_runner.core.links.robot import RobotName
 from robot_runner.ros import graph_links
 from robot_runner.ros.graph_clock import GraphClock
-from robot_runner.ros.graph_links import GRAPH_LINKS, follows_graph_clock, graph_findings, open_graph_link
+from robot_runner.ros.graph_links import DDS, GRAPH_LINKS, ROS1, ROSBRIDGE
 from robot_runner.testing import FakeClock, FakeRobotLink, make_context
 
 
@@ -49,14 +49,15 @@ def name_of(text):
 
 @pytest.mark.parametrize("robot", ["ros1", "ros2", "dds"])
 def test_a_link_gets_its_options_without_those_of_the_run(opening, robot):
-    open_graph_link(name_of(f"{robot}:domain=7,clock=system"), SystemClock(), "/alice")
+    kind = GRAPH_LINKS[robot]
+    kind.open(name_of(f"{robot}:domain=7,clock=system"), SystemClock(), "/alice")
     assert opening.opened == [({"domain": "7"}, "/alice")]
-    assert graph_findings(name_of(f"{robot}:clock=system")) == []
+    assert kind.findings(name_of(f"{robot}:clock=system")) == []
     assert opening.opened[-1] == RobotName(robot)
 
 
 def test_a_rosbridge_gets_its_address(opening):
-    open_graph_link(name_of("rosbridge://robot:9090/a?ros=1"), SystemClock())
+    ROSBRIDGE.open(name_of("rosbridge://robot:9090/a?ros=1"), SystemClock())
     assert opening.opened == [("rosbridge://robot:9090/a?ros=1", "")]
 
 
@@ -72,11 +73,11 @@ def test_an_address_of_another_link_is_refused():
 
 
 def test_the_clock_is_this_machine_s_unless_the_graph_s_is_asked_for(opening):
-    assert not follows_graph_clock(name_of("dds"))
-    assert not follows_graph_clock(name_of("ros1:clock=system"))
-    assert follows_graph_clock(name_of("dds:clock=graph"))
+    assert not DDS.follows_graph_clock(name_of("dds"))
+    assert not ROS1.follows_graph_clock(name_of("ros1:clock=system"))
+    assert DDS.follows_graph_clock(name_of("dds:clock=graph"))
     with pytest.raises(LinkError, match="'wall'") as caught:
-        follows_graph_clock(name_of("dds:clock=wall"))
+        DDS.follows_graph_clock(name_of("dds:clock=wall"))
     assert "clock=graph" in caught.value.fix
 
 

@@ -10,12 +10,12 @@ import pytest
 from robot_runner.core.config import preparation as robot_check
 from robot_runner.core.config.preparation import check_robot, choose_robot
 from robot_runner.core.errors import LinkError
+from robot_runner.core.links.kinds import FoundRobot
 from robot_runner.core.links.robot import RobotName
 from robot_runner.ros import ros_environment
 from robot_runner.ros.required_ros import check_required_ros
 from robot_runner.ros.ros1.master import Master
 from robot_runner.ros.ros_environment import (
-    FoundRobot,
     RosEnvironment,
     find_ros,
     installed_ros,
@@ -184,7 +184,7 @@ def config_of(robot):
 
 
 def test_auto_is_replaced_by_what_is_found_and_says_so(monkeypatch):
-    monkeypatch.setattr(robot_check, "found_robot", lambda: FoundRobot("ros1", "a ROS 1 master answers"))
+    monkeypatch.setattr(ros_environment, "found_robot", lambda: FoundRobot("ros1", "a ROS 1 master answers"))
     loaded = config_of("auto")
     (finding,) = choose_robot(loaded)
     assert loaded.config.robot == "ros1"
@@ -196,7 +196,7 @@ def test_auto_without_a_robot_is_refused(monkeypatch):
     def nothing():
         raise LinkError("no robot is found", where="robot", fix="Name one.")
 
-    monkeypatch.setattr(robot_check, "found_robot", nothing)
+    monkeypatch.setattr(ros_environment, "found_robot", nothing)
     (finding,) = choose_robot(config_of("auto"))
     assert finding.is_error
     assert choose_robot(config_of("simulated")) == choose_robot(config_of(None)) == []

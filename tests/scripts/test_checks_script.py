@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-TOOLS = ("ruff", "mypy", "lint-imports", "python", "mkdocs", "pytest")
+TOOLS = ("ruff", "mypy", "lint-imports", "python", "mkdocs", "pytest", "shellcheck")
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def test_all_steps_are_taken(clone: Path) -> None:
 
 def test_the_quick_checks_execute_no_tests(clone: Path) -> None:
     assert _checks(clone, "quick").returncode == 0
-    assert _tools_called(clone) == {"ruff", "mypy", "lint-imports"}
+    assert _tools_called(clone) == {"ruff", "mypy", "lint-imports", "shellcheck"}
 
 
 @pytest.mark.parametrize("tool", TOOLS)

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from robot_runner.cli.commands import COMMANDS
+from robot_runner.cli.commands import installed_commands
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = Path("scripts") / "generate_cli_page.py"
@@ -41,7 +41,7 @@ def test_a_page_that_is_not_current_fails_and_is_written_anew(tmp_path: Path) ->
 def test_the_page_has_a_section_for_every_command_and_every_option() -> None:
     page = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")
     assert [line for line in page.splitlines() if line.startswith("## robot-runner ")] == [
-        f"## robot-runner {command}" for command in COMMANDS
+        f"## robot-runner {command}" for command in installed_commands()
     ]
     assert "| `--set NAME=VALUE` | " in page
     assert "robot-runner new [FILE] [--debug]" in page

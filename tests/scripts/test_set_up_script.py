@@ -1,4 +1,4 @@
-"""The set-up that every make target does first says what is wrong and what to do, and leaves nothing behind."""
+"""The set-up that every make target does first installs what is locked, or says what is wrong and what to do."""
 
 from __future__ import annotations
 
@@ -9,7 +9,15 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-TOOLS = ("sh", "cat", "cksum", "dirname", "flock", "grep", "id", "mkdir", "rm", "sed")
+TOOLS = ("sh", "cat", "cksum", "cp", "dirname", "env", "flock", "grep", "id", "mkdir", "rm", "sed")
+# A Python that makes an environment out of itself, and notes what its pip is asked to install.
+WORKING = """\
+case "$*" in
+    "-m venv"*) mkdir -p .venv/bin && cp "$0" .venv/bin/python ;;
+    "-m pip install"*) echo "$*" >>calls ;;
+    *version*) echo 3.12 ;;
+esac
+"""
 
 
 @pytest.fixture
@@ -19,6 +27,7 @@ def clone(tmp_path: Path) -> Path:
     (tmp_path / "bin").mkdir()
     shutil.copy(ROOT / "scripts" / "set_up.sh", tmp_path / "scripts")
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    shutil.copytree(ROOT / "requirements", tmp_path / "requirements")
     for tool in TOOLS:
         if found := shutil.which(tool):
             (tmp_path / "bin" / tool).symlink_to(found)
@@ -42,6 +51,52 @@ def _python(clone: Path, name: str, script: str) -> None:
     program.unlink(missing_ok=True)  # a link to the system's own program: writing through it would replace that
     program.write_text(f"#!/bin/sh\n{script}\n", encoding="utf-8")
     program.chmod(0o755)
+
+
+def _installed(clone: Path) -> list[str]:
+    """What pip was asked to install, call by call."""
+    calls = (clone / "calls").read_text(encoding="utf-8").splitlines()
+    return [call.partition("--progress-bar off ")[2] for call in calls]
+
+
+PROJECT = "--no-index --no-deps --no-build-isolation --editable ."
+
+
+@pytest.mark.parametrize("purpose", ["demo", "test"])
+def test_what_is_locked_is_installed_and_nothing_else(clone: Path, purpose: str) -> None:
+    _python(clone, "python3", WORKING)
+    answer = _set_up(clone, purpose)
+    assert answer.returncode == 0, answer.stderr
+    assert _installed(clone) == [f"--require-hashes --requirement requirements/{purpose}.txt", PROJECT]
+
+
+def test_what_is_set_up_is_left_alone(clone: Path) -> None:
+    _python(clone, "python3", WORKING)
+    _set_up(clone, "test")
+    before = _installed(clone)
+    for purpose in ("test", "demo"):  # what the tests need includes what the demo needs
+        assert (_set_up(clone, purpose).returncode, _set_up(clone, purpose).stderr) == (0, "")
+    assert _installed(clone) == before
+
+
+@pytest.mark.parametrize("changed", ["pyproject.toml", "requirements/demo.txt", "requirements/test.txt"])
+def test_a_changed_lock_or_project_is_installed_anew(clone: Path, changed: str) -> None:
+    _python(clone, "python3", WORKING)
+    _set_up(clone)
+    with (clone / changed).open("a", encoding="utf-8") as file:
+        file.write("# changed\n")
+    assert _set_up(clone).returncode == 0
+    assert _installed(clone) == ["--require-hashes --requirement requirements/demo.txt", PROJECT] * 2
+
+
+def test_nothing_of_the_system_is_installed_where_that_is_not_wanted(clone: Path) -> None:
+    _python(clone, "python3", 'case "$2" in *ensurepip*) exit 1 ;; *print*) echo 3.12 ;; esac')
+    _python(clone, "id", "echo 0")
+    _python(clone, "apt-get", "echo apt-get >>calls")
+    answer = _set_up(clone, ROBOT_RUNNER_SYSTEM_PACKAGES="no")
+    assert answer.returncode == 1
+    assert "sudo apt install python3.12-venv" in answer.stderr
+    assert not (clone / "calls").exists()
 
 
 def test_without_a_python_it_says_how_to_get_one(clone: Path) -> None:

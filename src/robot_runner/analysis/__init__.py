@@ -37,13 +37,11 @@ _HOMES = {
     "write_report": "robot_runner.analysis.report.writing",
 }
 
-# Every module of this package passes here first, so that none fails with a bare ModuleNotFoundError.
-require_libraries()
-
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    require_libraries()  # or the name would fail with a bare ModuleNotFoundError
     found = getattr(import_module(_HOMES[name]), name)
     globals()[name] = found
     return found

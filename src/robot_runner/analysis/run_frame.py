@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from robot_runner.core.errors import Finding
     from robot_runner.core.storage.layout import ExperimentFolder
     from robot_runner.core.storage.run_table_rows import RunTableRows
-    from robot_runner.core.storage.table_columns import CodedColumn
 
 __all__ = [
     "EVENTS",
@@ -93,9 +92,8 @@ def read_run_frame(
             "there is no run table in it", where=str(folder.root), fix="Restore run_table.csv from a backup."
         )
     rows = read_run_table(folder.run_table, TableLayout.of_schema(columns))
-    known = {rows.run_ids.value(place) for place in range(len(rows))}
     for record in newer.values():
-        if record["run"] in known:
+        if rows.place_of(record["run"]) is not None:
             _take(rows, record)
     return RunFrame(_frame(rows, columns, manifest), rows.warnings)
 
@@ -116,41 +114,42 @@ def _ended_since_table(records: Iterable[Mapping[str, Any]]) -> dict[str, Mappin
 
 
 def _take(rows: RunTableRows, record: Mapping[str, Any]) -> None:
-    stamps = {f"{event}_at": at for event, at in record["stamps"].items() if f"{event}_at" in rows.stamps}
-    measures = {name: each["value"] for name, each in record["measures"].items() if name in rows.measures}
+    stamps = {f"{event}_at": at for event, at in record["stamps"].items() if f"{event}_at" in rows.layout.stamps}
+    measures = {name: each["value"] for name, each in record["measures"].items() if name in rows.layout.measures}
     rows.record(record["run"], status=_ENDS.get(record["status"], RunStatus.TODO), stamps=stamps, measures=measures)
 
 
 def _frame(rows: RunTableRows, columns: Sequence[ColumnDescription], manifest: Mapping[str, Any]) -> pd.DataFrame:
     types = {column.name: column.type for column in columns}
     declared = manifest.get("design", {}).get("factors", {})
-    count = range(len(rows))
     words = [status.value for status in RunStatus]
     data: dict[str, Any] = {
-        RUN_ID: pd.array([rows.run_id(place) for place in count], dtype="str"),
-        STATUS: pd.Categorical([rows.status(place).value for place in count], words, ordered=True),
+        RUN_ID: pd.array(list(rows.values(RUN_ID)), dtype="str"),
+        STATUS: pd.Categorical([status.value for status in rows.values(STATUS)], words, ordered=True),
     }
-    for name, stamp in rows.stamps.items():
-        data[name] = pd.to_datetime(pd.Series(stamp.texts, dtype="object"), utc=True, errors="coerce", format="ISO8601")
-    for name, factor in rows.factors.items():
-        if name in rows.layout.factor_names:
-            data[name] = _factor(factor, types.get(name, "any"), declared.get(name, ()))
-        else:
-            data[name] = pd.array([factor.value(place) for place in count], dtype="Int64")
-    for name, measure in rows.measures.items():
-        data[name] = _values(measure.values, types.get(name, "any"))
-    for name, extra in rows.extras.items():
-        data[name] = _values(typed_values([text or "" for text in extra.texts], None), "string")
+    for name in rows.layout.stamps:
+        stamps = pd.Series(list(rows.values(name)), dtype="object")
+        data[name] = pd.to_datetime(stamps, utc=True, errors="coerce", format="ISO8601")
+    for name in rows.layout.factor_names:
+        data[name] = _factor(list(rows.values(name)), types.get(name, "any"), declared.get(name, ()))
+    for name in rows.layout.repetition:
+        data[name] = pd.array(list(rows.values(name)), dtype="Int64")
+    for name in rows.layout.measures:
+        data[name] = _values(list(rows.values(name)), types.get(name, "any"))
+    for name in rows.layout.extras:
+        data[name] = _values(typed_values([text or "" for text in rows.values(name)], None), "string")
     frame = pd.DataFrame(data)
     frame.attrs["units"] = {column.name: column.unit for column in columns if column.unit and column.name in frame}
     return frame
 
 
-def _factor(column: CodedColumn, kind: str, declared: Sequence[str]) -> pd.Categorical:
+def _factor(values: Sequence[Any], kind: str, declared: Sequence[str]) -> pd.Categorical:
     """Return an ordered categorical: first the treatments as the config has them, then others as they come."""
-    texts = [_text(value) for value in column.values]  # noqa: PD011 - not a data frame's
-    order = list(dict.fromkeys([*declared, *(texts if declared else _in_order(column.values))]))
-    codes = np.array([order.index(text) for text in texts], dtype=np.int64)[np.asarray(column.places, dtype=np.int64)]
+    texts = list(map(_text, values))
+    found = dict(zip(texts, values, strict=True))
+    order = list(dict.fromkeys([*declared, *(found if declared else _in_order(found.values()))]))
+    place_of = {text: place for place, text in enumerate(order)}
+    codes = np.array([place_of[text] for text in texts], dtype=np.int64)
     categories: list[Any] = order
     if kind in _TYPED_TREATMENTS:
         typed = [typed_value(text, kind) for text in order]

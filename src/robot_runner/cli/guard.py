@@ -2,51 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import platform
 import sys
-import tempfile
-import traceback
-from contextlib import suppress
-from importlib.metadata import version
-from typing import TYPE_CHECKING
 
-from robot_runner.cli.findings import show_findings
-from robot_runner.core.errors import Finding
-
+TYPE_CHECKING = False  # `typing` takes long to import, and `--help` is to be quick
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 __all__ = ["BROKEN_PIPE", "FAULT", "INTERRUPTED", "REFUSED", "SOME_FAILED", "guarded", "let_go_of_stdout", "show_fault"]
-
-
-# A fault of our own: one line for the user, the traceback for whoever mends it.
-
-
-def show_fault(error: Exception, *, show_traceback: bool) -> None:
-    """Say that this is our fault; the traceback goes to the terminal, or to a file that is named."""
-    text = "".join(traceback.format_exception(error))
-    if show_traceback:
-        sys.stderr.write(text)
-        fix = "Report it with this traceback."
-    else:
-        fix = f"Report it with the file {_kept(text)}, or repeat the command with --debug."
-    problem = f"this is a fault of Robot Runner, not yours: {type(error).__name__}: {error}"
-    show_findings([Finding.error("", problem, fix)])
-
-
-def _kept(text: str) -> str:
-    head = f"robot-runner {version('robot-runner')}, Python {platform.python_version()}, {platform.platform()}\n"
-    command = " ".join(sys.argv)
-    try:
-        with tempfile.NamedTemporaryFile(
-            "w", prefix="robot-runner-fault-", suffix=".txt", delete=False, encoding="utf-8", errors="backslashreplace"
-        ) as file:
-            file.write(f"{head}{command}\n\n{text}")
-    except OSError as error:
-        return f"that could not be written ({error.strerror})"
-    return file.name
-
 
 SOME_FAILED = 1
 REFUSED = 2
@@ -76,36 +38,72 @@ def guarded(command: Callable[[], int], *, show_traceback: bool = False) -> int:
 
 def let_go_of_stdout() -> None:
     """Point stdout at nothing, so that the interpreter has nowhere to fail when it flushes at its end."""
-    with suppress(OSError, ValueError):
+    import os  # noqa: PLC0415 - for a quick --help
+
+    try:
         nothing = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nothing, sys.stdout.fileno())
         os.close(nothing)
+    except (OSError, ValueError):
+        pass
+
+
+def show_fault(error: Exception, *, show_traceback: bool) -> None:
+    """Say that this is our fault; the traceback goes to the terminal, or to a file that is named."""
+    import traceback  # noqa: PLC0415 - as above
+
+    from robot_runner.cli.findings import show_findings  # noqa: PLC0415 - as above
+    from robot_runner.core.errors import Finding  # noqa: PLC0415 - as above
+
+    text = "".join(traceback.format_exception(error))
+    if show_traceback:
+        sys.stderr.write(text)
+        fix = "Report it with this traceback."
+    else:
+        fix = f"Report it with the file {_kept(text)}, or repeat the command with --debug."
+    problem = f"this is a fault of Robot Runner, not yours: {type(error).__name__}: {error}"
+    show_findings([Finding.error("", problem, fix)])
+
+
+def _kept(text: str) -> str:
+    """Write a traceback to a file beside which nothing else is lost; returns its name, or why there is none."""
+    import platform  # noqa: PLC0415 - as above
+    import tempfile  # noqa: PLC0415 - as above
+    from importlib.metadata import version  # noqa: PLC0415 - as above
+
+    head = f"robot-runner {version('robot-runner')}, Python {platform.python_version()}, {platform.platform()}\n"
+    command = " ".join(sys.argv)
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w", prefix="robot-runner-fault-", suffix=".txt", delete=False, encoding="utf-8", errors="backslashreplace"
+        ) as file:
+            file.write(f"{head}{command}\n\n{text}")
+    except OSError as error:
+        return f"that could not be written ({error.strerror})"
+    return file.name
 
 
 def _explained(error: Exception, *, show_traceback: bool) -> int:
-    from robot_runner.core.errors import RobotRunnerError  # noqa: PLC0415 - `--help` needs none of it
+    from robot_runner.core.errors import RobotRunnerError  # noqa: PLC0415 - as above
 
-    if isinstance(error, RobotRunnerError):
-        from robot_runner.cli.findings import show_error  # noqa: PLC0415 - as above
+    if not isinstance(error, RobotRunnerError):
+        show_fault(error, show_traceback=show_traceback)
+        return FAULT
+    from robot_runner.cli.findings import show_error  # noqa: PLC0415 - as above
 
-        show_error(error)
-        if show_traceback:
-            _print_traceback(error)
-        return REFUSED
+    show_error(error)
+    if show_traceback:
+        import traceback  # noqa: PLC0415 - as above
 
-    show_fault(error, show_traceback=show_traceback)
-    return FAULT
-
-
-def _print_traceback(error: Exception) -> None:
-    import traceback  # noqa: PLC0415 - as above
-
-    traceback.print_exception(error)
+        traceback.print_exception(error)
+    return REFUSED
 
 
 def _make_streams_lenient() -> None:
     # A terminal that knows only ASCII shows question marks, and fails nothing.
     for stream in (sys.stdout, sys.stderr):
         if (getattr(stream, "encoding", None) or "utf-8").lower().replace("-", "") != "utf8":
-            with suppress(AttributeError, ValueError):
+            try:  # noqa: SIM105 - `contextlib` takes long to import
                 stream.reconfigure(errors="replace")  # type: ignore[union-attr]
+            except (AttributeError, ValueError):
+                pass

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import sys
-from importlib import import_module
-from typing import TYPE_CHECKING
 
-from robot_runner.cli.commands import COMMANDS, module_of
+from robot_runner.cli.commands import command_module, installed_commands, summary_of
 from robot_runner.cli.guard import guarded
 
+TYPE_CHECKING = False  # `typing` takes long to import, and `--help` is to be quick
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -40,19 +39,20 @@ def _execute(words: list[str]) -> int:
         print(f"robot-runner {_version()}")
         return 0
     command, rest = _command(words)
+    module = command_module(installed_commands()[command])
     from robot_runner.cli.parser import parser_of  # noqa: PLC0415 - for a quick --help
 
     try:
-        arguments = parser_of(command).parse(rest)
+        arguments = parser_of(command, module).parse(rest)
     except SystemExit as asked:  # argparse has printed the help that was asked for
         return int(asked.code or 0)
-    code: int = import_module(module_of(command)).execute(arguments)
-    return code
+    return module.execute(arguments)
 
 
 def overview() -> str:
     """Return the help of the program."""
-    width = max(map(len, COMMANDS))
+    commands = installed_commands()
+    width = max(map(len, commands), default=0)
     return "\n".join(
         [
             "Robot Runner executes measurement-based experiments on robotics software.",
@@ -61,7 +61,7 @@ def overview() -> str:
             "  robot-runner COMMAND --help     all about one command",
             "",
             "Commands:",
-            *(f"  {name:{width}}  {summary}" for name, summary in COMMANDS.items()),
+            *(f"  {name:{width}}  {summary_of(point)}" for name, point in commands.items()),
             "",
             "Options:",
             "  -h, --help  Show this.",
@@ -79,7 +79,8 @@ def _command(words: list[str]) -> tuple[str, list[str]]:
         UsageError: there is no such command or option.
     """
     first = words[0]
-    if first in COMMANDS:
+    commands = installed_commands()
+    if first in commands:
         return first, words[1:]
     from robot_runner.cli.parser import unknown_command, unknown_option  # noqa: PLC0415 - for a quick --help
 
@@ -87,7 +88,7 @@ def _command(words: list[str]) -> tuple[str, list[str]]:
         raise unknown_option(first, ["--help", "--version"], where="robot-runner")
     if _looks_like_a_file(first):
         return "run", words
-    raise unknown_command(first)
+    raise unknown_command(first, commands)
 
 
 def _looks_like_a_file(word: str) -> bool:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from robot_runner.cli.commands import COMMANDS, module_of
 from robot_runner.core.errors import RobotRunnerError, did_you_mean, nearest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Collection, Iterable, Sequence
+
+    from robot_runner.cli.commands import CommandModule
 
 __all__ = [
     "Parser",
@@ -90,19 +90,18 @@ class Parser(argparse.ArgumentParser):
         return f"See `{self.prog} --help`."
 
 
-def parser_of(command: str) -> Parser:
+def parser_of(command: str, module: CommandModule) -> Parser:
     """Return the parser of a command, with the arguments that its module adds."""
-    module = import_module(module_of(command))
-    parser = Parser(command, module.__doc__ or COMMANDS[command])
+    parser = Parser(command, module.__doc__ or "")
     module.add_arguments(parser)
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     return parser
 
 
-def unknown_command(word: str) -> UsageError:
+def unknown_command(word: str, known: Collection[str]) -> UsageError:
     """Return the error that names the command that was meant, or all of them."""
-    near = nearest(word, COMMANDS)
-    fix = f"Did you mean {near!r}?" if near else f"Choose one of: {', '.join(COMMANDS)}; or name a config file (.py)."
+    near = nearest(word, known)
+    fix = f"Did you mean {near!r}?" if near else f"Choose one of: {', '.join(known)}; or name a config file (.py)."
     return UsageError(f"there is no command {word!r}", where="robot-runner", fix=fix)
 
 

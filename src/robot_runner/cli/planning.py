@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 from robot_runner.cli.console import quiet_loading, shown_path
 from robot_runner.cli.parser import UsageError
 from robot_runner.core.config.checks import create_model, gather_plugins, read_parameters
+from robot_runner.core.config.dialects import load_config
 from robot_runner.core.config.experiment import experiment_folder
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.design.listed_runs import ListedRunTableModel
-from robot_runner.core.design.run_table import PlannedRun
 from robot_runner.core.errors import ConfigError, StorageError, did_you_mean
 from robot_runner.core.events.measure import resolve_columns
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -20,12 +20,12 @@ from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.words import listed
-from robot_runner.legacy.loading import load_config
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from robot_runner.core.config.loader import LoadedConfig
+    from robot_runner.core.design.run_table import PlannedRun
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.errors import Finding
     from robot_runner.core.events.measure import MeasureColumns
@@ -132,10 +132,7 @@ def _plan_on_disk(
         table = model.plan(manifest["seed"])
         return Plan(model, columns, table, None, table.seed, is_recorded=True, findings=warnings)
     rows = read_run_table(folder.run_table, TableLayout.of_model(model, columns.names, spelling=spelling))
-    runs = [
-        PlannedRun(rows.run_id(place), place + 1, rows.combination(place), rows.repetition(place))
-        for place in range(len(rows))
-    ]
+    runs = list(rows.planned)
     findings = (*warnings, *rows.warnings)
     return Plan(model, columns, runs, folder.run_table, None, is_recorded=False, findings=findings)
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from dataclasses import dataclass, field
-from functools import cache
-from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import PluginError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
+    from robot_runner.core.entry_points import EntryPoint
     from robot_runner.core.errors import Finding
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.events.measure import Measure
@@ -24,10 +25,12 @@ __all__ = [
     "Plugin",
     "Profiler",
     "System",
+    "described_circumstances",
     "find_plugin",
     "installed_plugins",
 ]
 
+_log = logging.getLogger(__name__)
 
 # The two kinds of plugin and what validation asks them.
 
@@ -112,16 +115,26 @@ class InstalledPlugin:
     """A plugin as its package's entry point announces it; nothing is imported before `load`.
 
     Attributes:
-        name: the entry point's name, such as `Ina219`.
         kind: `systems` or `profilers`.
-        package: the distribution that brings it, and its version.
     """
 
-    name: str
     kind: str
-    package: str
-    version: str
     entry_point: EntryPoint
+
+    @property
+    def name(self) -> str:
+        """The entry point's name, such as `Ina219`."""
+        return self.entry_point.name
+
+    @property
+    def package(self) -> str:
+        """The distribution that brings it."""
+        return self.entry_point.package
+
+    @property
+    def version(self) -> str:
+        """The version of that distribution."""
+        return self.entry_point.version
 
     def load(self) -> type[Plugin]:
         """Import the plugin's class.
@@ -129,44 +142,21 @@ class InstalledPlugin:
         Raises:
             PluginError: the import fails, or what it finds is no plugin of its kind.
         """
-        where = f"plugin {self.name} ({self.entry_point.value}, of {self.package} {self.version})"
-        try:
-            found = self.entry_point.load()
-        except Exception as error:
-            raise PluginError(
-                f"it cannot be imported: {type(error).__name__}: {error}",
-                where=where,
-                fix=f"Install or repair the package {self.package}.",
-            ) from error
+        found = self.entry_point.load()
         expected = GROUPS[self.kind]
         if not (isinstance(found, type) and issubclass(found, expected)):
             raise PluginError(
                 f"{found!r} is no {expected.__name__}",
-                where=where,
+                where=self.entry_point.where,
                 fix=f"Derive it from robot_runner.plugins.{expected.__name__}.",
             )
         return found
 
 
-@cache
 def installed_plugins(kind: str | None = None) -> tuple[InstalledPlugin, ...]:
-    """Return what is installed, sorted by kind and name; `kind` keeps it to `systems` or `profilers`."""
-    kinds = GROUPS if kind is None else (kind,)
+    """Return what is installed, our own first, sorted by kind and name; `kind` keeps it to `systems` or `profilers`."""
     return tuple(
-        _announced(entry_point, each)
-        for each in kinds
-        for entry_point in sorted(entry_points(group=f"robot_runner.{each}"), key=lambda point: point.name)
-    )
-
-
-def _announced(entry_point: EntryPoint, kind: str) -> InstalledPlugin:
-    package = entry_point.dist
-    return InstalledPlugin(
-        name=entry_point.name,
-        kind=kind,
-        package=package.name if package else "unknown",
-        version=package.version if package else "unknown",
-        entry_point=entry_point,
+        InstalledPlugin(each, point) for each in (GROUPS if kind is None else (kind,)) for point in entry_points(each)
     )
 
 
@@ -185,3 +175,18 @@ def find_plugin(kind: str, name: str) -> InstalledPlugin:
         where=f"plugins.{kind}.{name}",
         fix=did_you_mean(name, [plugin.name for plugin in known]),
     )
+
+
+def described_circumstances() -> dict[str, Any]:
+    """Return what packages add to a manifest of the circumstances, by the name of each: plain data, or None.
+
+    Each is a function without parameters, announced in the group `robot_runner.circumstances`. One that fails is
+    logged and left out: an experiment is worth more than its description.
+    """
+    described: dict[str, Any] = {}
+    for point in entry_points("circumstances"):
+        try:
+            described.setdefault(point.name, point.load()())
+        except Exception as error:  # noqa: BLE001 - a stranger's code
+            _log.warning("%s: the circumstances cannot be described: %s", point.where, error)
+    return described

@@ -39,7 +39,6 @@ from robot_runner.legacy.profilers.self_measure import COLUMN, SelfMeasure
 from robot_runner.legacy.run_tables import EarlierDesign, design_of
 from robot_runner.legacy.session import Session, active_session
 from robot_runner.legacy.stand_ins.finder import StandIns
-from robot_runner.ros.ros_environment import AUTO
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -214,7 +213,7 @@ class _Lifting:
     def _parameters(self) -> dict[str, Any]:
         values = {parameter.name: self._value(parameter.name, parameter.default) for parameter in PARAMETERS}
         if values["robot"] is None and is_robot_operated(self._files):
-            values["robot"] = AUTO  # the earlier tools took the ROS that is sourced
+            values["robot"] = "auto"  # the earlier tools took the ROS that is sourced
         name = values["experiment_name"]
         if isinstance(name, str):
             # The folder has the name as it is; what stands here is what the experiment is called.

@@ -32,8 +32,6 @@ __all__ = [
 ]
 
 
-# EnergiBridge, a command-line meter for the processors of Intel, AMD and Apple.
-
 #: Where the energy of the processor is, in the order of EnergiBridge's own summary (src/main.rs): power in W of Apple's
 #: processors, else a counter in J.
 _POWERS = ("CPU_POWER (Watts)", "SYSTEM_POWER (Watts)")
@@ -158,8 +156,6 @@ class EnergiBridge(CommandProfiler):
             findings.append(Finding.error(f"plugin {self.name}", f"{registers} cannot be read", fix))
         return findings
 
-
-# PowerJoular, a command-line meter for PCs, servers and Raspberry Pis.
 
 _POWER = "Total Power"
 _POWERJOULAR_INSTALL = "Build it from https://github.com/joular/powerjoular, and put it on the PATH."

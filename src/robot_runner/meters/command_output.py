@@ -146,7 +146,7 @@ def _sum(series: Series, window: Window, reach: float) -> float | None:
 
 
 def _increase(series: Series, window: Window, reach: float) -> float | None:
-    """Return by how much a counter grew; None where it fell, for nobody knows what it counted in between."""
+    """Return by how much a counter grew; None where it fell, since what it counted in between is unknown."""
     counter = cut(series, window, reach=reach).values
     falls = any(later < sooner for sooner, later in pairwise(counter))
     return None if len(counter) < 2 or falls else counter[-1] - counter[0]  # noqa: PLR2004 - one value shows no growth

@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 __all__ = ["Meter", "PolledProfiler", "clock_details", "machine_clock", "reach_findings", "simulation_findings"]
 
 
-# The time that a meter of this machine lives by.
-
-
 def machine_clock(context: RobotRunnerContext) -> Clock:
     """Return the clock of what is measured on this machine: the run's, unless that is the clock of a simulation.
 
@@ -47,8 +44,6 @@ def simulation_findings(name: str, circumstances: Circumstances) -> list[Finding
     return [Finding.warning(f"plugin {name}", problem, "Do not take its values for the robot's.")]
 
 
-# Whether what a built-in profiler reads from can be reached, before anything is executed.
-
 _FIX = f"Name it in the config: robot = {SIMULATED!r}. Or: --set robot={SIMULATED}."
 
 
@@ -69,7 +64,7 @@ def reach_findings(
         problem = f"{parameter} is {device!r}, and this version reaches only the {kind} of the simulated robot"
         return [Finding.error(where, problem, f"Leave {parameter} out, and use --set robot={SIMULATED}.")]
     if circumstances.robot is None:
-        return [Finding.error(where, f"it reads the robot's {kind}, and the experiment names no robot", _FIX)]
+        return [Finding.error(where, f"the plugin reads the robot's {kind}, and the experiment names no robot", _FIX)]
     return []
 
 

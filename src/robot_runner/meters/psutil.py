@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 __all__ = ["PsUtil", "host_findings"]
 
 
-# Whether a computer can be sampled, before anything is executed.
-
 _INSTALL = "Install it: pip install 'robot-runner[psutil]'."
 _NAME_ONE = f"Name it: host='localhost' for this machine, or host='user@robot'. Or: --set robot={SIMULATED}."
 
@@ -168,7 +166,7 @@ class PsUtil(Profiler):
         )
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Connect, before the robot moves and while nobody measures."""
+        """Connect, before the robot moves and before the measurement begins."""
         self._sampler = self._window = self._utilisation = None
         link = self._connected(context)
         if isinstance(link, RemoteHost):

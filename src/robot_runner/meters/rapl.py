@@ -60,7 +60,9 @@ def find_domains(root: Path = POWERCAP) -> list[Domain]:
     try:
         return [_domain(folder) for folder in folders]
     except (OSError, ValueError) as error:
-        raise PluginError(f"it cannot be read: {error}", where=str(root), fix="Look at what is in there.") from error
+        raise PluginError(
+            f"the energy counters cannot be read: {error}", where=str(root), fix="Look at what is in there."
+        ) from error
 
 
 def _domain(folder: Path) -> Domain:

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.config.dialects import stand_in_modules
 from robot_runner.core.errors import Finding
+from robot_runner.core.plugin import described_circumstances
 from robot_runner.core.storage.manifest import describe_host
-from robot_runner.legacy.stand_ins.catalogue import MODULES, PACKAGES
 from robot_runner.replication.distributions import installed_distributions
 from robot_runner.replication.environment import imported_names
-from robot_runner.ros.ros_environment import describe_ros
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -68,7 +68,7 @@ def differing_environment(environment: Mapping[str, Any], *, robot: str | None) 
         *_host_facts(environment.get("host") or {}),
     ]
     differing = [Difference(what, _shown(there), _shown(here)) for what, there, here in facts if there != here]
-    differing += _ros(environment.get("ros"), describe_ros())
+    differing += _ros(environment.get("ros"), described_circumstances().get("ros"))
     return [*differing, *differing_packages(environment, installed_distributions())]
 
 
@@ -119,10 +119,6 @@ def _shown(value: object) -> str:
     return "-" if value in (None, "") else str(value)
 
 
-#: What configs of the paper and of the earlier tools import, and Robot Runner itself brings.
-_BROUGHT = frozenset(name.partition(".")[0] for name in (*MODULES, *PACKAGES, "plugins"))
-
-
 def lacking(root: Path, manifest: Mapping[str, Any]) -> list[Finding]:
     """Return the plugins and modules that the experiment in an unpacked package needs and that are not here.
 
@@ -147,7 +143,8 @@ def _plugins(manifest: Mapping[str, Any], local: set[str]) -> Iterator[Finding]:
 
 
 def _modules(config: Path, manifest: Mapping[str, Any], local: set[str]) -> Iterator[Finding]:
-    known = {*local, *_BROUGHT, *sys.stdlib_module_names, "robot_runner"}
+    # `plugins` is what the paper's configs import, and is there while a config is loaded.
+    known = {*local, *stand_in_modules(), "plugins", *sys.stdlib_module_names, "robot_runner"}
     told = {str(plugin.get("class", "")).partition(".")[0] for plugin in manifest.get("plugins", ())}
     for name in sorted(imported_names(config) - known - told):
         if not _is_installed(name):

@@ -79,7 +79,7 @@ class _Explaining:
         self._manifest = read_manifest(self._files.manifest)
         self._columns = {column.name: column for column in read_schema(self._files.schema)}
         rows = read_run_table(self._files.run_table, TableLayout.of_schema(tuple(self._columns.values())))
-        place = rows.run_ids.place_of(run_id)
+        place = rows.place_of(run_id)
         if place is None:
             known = [rows.run_id(each) for each in range(min(len(rows), 1000))]
             raise StorageError(f"there is no run {run_id!r}", where=str(root), fix=did_you_mean(run_id, known))

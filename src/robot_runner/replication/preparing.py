@@ -6,6 +6,7 @@ import hashlib
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.config.dialects import prepare
 from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.recovery import table_differences
 from robot_runner.core.storage.cells import RunStatus
@@ -16,7 +17,6 @@ from robot_runner.core.storage.run_table_rows import write_run_table
 from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
-from robot_runner.legacy.loading import prepare
 from robot_runner.replication.contents import SUMS
 from robot_runner.replication.differences import lacking
 from robot_runner.replication.redaction import REDACTED
@@ -226,14 +226,15 @@ def identical_values(original: Path, replication: Path) -> dict[str, Sameness]:
     pairs = [
         (place, other)
         for place in range(len(ours))
-        if (other := theirs.run_ids.place_of(ours.run_id(place))) is not None
+        if (other := theirs.place_of(ours.run_id(place))) is not None
         and ours.status(place) is theirs.status(other) is RunStatus.DONE
     ]
-    return {name: _sameness(ours, theirs, name, pairs) for name in ours.measures if name in theirs.measures}
+    return {name: _sameness(ours, theirs, name, pairs) for name in ours.layout.measures if name in theirs.layout.measures}
 
 
 def _sameness(ours: RunTableRows, theirs: RunTableRows, name: str, pairs: list[tuple[int, int]]) -> Sameness:
-    values = [(ours.measures[name].values[place], theirs.measures[name].values[other]) for place, other in pairs]
+    first_values, second_values = list(ours.values(name)), list(theirs.values(name))
+    values = [(first_values[place], second_values[other]) for place, other in pairs]
     with_value = [pair for pair in values if pair != (None, None)]
     return Sameness(len(with_value), sum(first == second for first, second in with_value))
 

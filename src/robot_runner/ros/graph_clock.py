@@ -25,6 +25,9 @@ class GraphClock:
     Args:
         link: to the graph.
 
+    Attributes:
+        is_simulated: always: a graph publishes its time because it is not that of the world.
+
     Example:
         >>> from robot_runner.testing import FakeClock, FakeRobotLink
         >>> link = FakeRobotLink(FakeClock())
@@ -33,6 +36,8 @@ class GraphClock:
         >>> clock.now()
         12.5
     """
+
+    is_simulated = True
 
     def __init__(self, link: RobotLink) -> None:
         self._changed = threading.Condition()

@@ -1,96 +1,44 @@
-"""The links to robots on a ROS graph: where each is, loaded only when it is asked for."""
+"""The links to robots on a ROS graph, as entry points announce them: each is imported only when it is asked for."""
 
 from __future__ import annotations
 
 import importlib.util
-import re
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import Finding, LinkError, nearest
+from robot_runner.core.errors import Finding, LinkError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.graph_names import full_name, missing, namespace_prefix
+from robot_runner.core.links.kinds import link_key
+from robot_runner.ros.graph_clock import GraphClock
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from robot_runner.core.events.context import Clock
+    from robot_runner.core.events.context import Clock, Resources
+    from robot_runner.core.links.kinds import FoundRobot
     from robot_runner.core.links.robot import RobotLink, RobotName
 
 __all__ = [
+    "AUTO",
+    "DDS",
     "GRAPH_LINKS",
-    "follows_graph_clock",
+    "ROS1",
+    "ROS2",
+    "ROSBRIDGE",
+    "GraphLinkKind",
     "full_name",
-    "graph_findings",
     "missing",
     "missing_of",
     "namespace_prefix",
     "not_installed",
-    "open_graph_link",
 ]
 
 
-# Names of topics and services on a ROS graph: relative to a robot's namespace unless they begin with a slash.
-
-#: A name that ROS 1 and ROS 2 both take (ROS 1: wiki.ros.org/Names; ROS 2: design.ros2.org, topic and service names).
-_LEGAL = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
-
-
-def namespace_prefix(namespace: str) -> str:
-    """Return what stands before a relative name: nothing, or `/alice`.
-
-    Raises:
-        LinkError: it cannot be the name of a namespace.
-
-    Example:
-        >>> namespace_prefix("alice"), namespace_prefix("/"), namespace_prefix("")
-        ('/alice', '', '')
-    """
-    name = namespace.strip("/")
-    if name and _LEGAL.fullmatch(name) is None:
-        raise _illegal("namespace", namespace)
-    return f"/{name}" if name else ""
-
-
-def full_name(namespace: str, name: str) -> str:
-    """Return the name on the graph of what a robot of this namespace calls `name`.
-
-    Raises:
-        LinkError: it cannot be a name.
-
-    Example:
-        >>> full_name("/alice", "odom"), full_name("/alice", "/map"), full_name("", "odom")
-        ('/alice/odom', '/map', '/odom')
-    """
-    if _LEGAL.fullmatch(name) is None:
-        raise _illegal("topic or service", name)
-    return name if name.startswith("/") else f"{namespace_prefix(namespace)}/{name}"
-
-
-def missing(kind: str, name: str, known: Iterable[str], *, where: str, fix: str) -> LinkError:
-    """Return the error that there is no topic or service of this name; it names the nearest that there is.
-
-    Args:
-        kind: what is missing: `topic`, `service`.
-        name: its full name.
-        known: the full names that there are.
-        where: the link.
-        fix: what to do where none comes near.
-
-    Example:
-        >>> missing("service", "/task/stpo", ["/task/stop"], where="ros1", fix="Start its node.").fix
-        "Did you mean '/task/stop'?"
-    """
-    near = nearest(name, known)
-    return LinkError(f"there is no {kind} {name!r}", where=where, fix=f"Did you mean {near!r}?" if near else fix)
-
-
-def _illegal(kind: str, name: str) -> LinkError:
-    fix = "Use letters, digits and _ between slashes; none may begin with a digit."
-    return LinkError(f"{name!r} cannot be the name of a {kind}", where="robot", fix=fix)
-
-
-# Says which packages a link lacks, and the extra that brings them.
+# Which packages a link lacks, and the extra that brings them.
 
 
 def missing_of(packages: Iterable[str]) -> list[str]:
@@ -123,79 +71,126 @@ _GRAPH = "graph"
 
 
 @dataclass(frozen=True, slots=True)
-class _GraphLink:
-    """One way to a graph.
+class GraphLinkKind:
+    """One way to a ROS graph: a kind of robot link, announced by an entry point.
 
     Attributes:
         description: in one line.
-        module: where it is opened, and asked what stands in its way (`findings`).
+        module: where it is opened, and asked what stands in its way (`findings`); imported once it is asked for.
         opener: the function that opens it.
+        takes_address: whether it has an address, and no options.
     """
 
     description: str
     module: str
     opener: str
+    takes_address: bool = False
+
+    @property
+    def is_simulated(self) -> bool:
+        """Never: a graph does not tell what is behind it; `is_simulation` asks for signs."""
+        return False
+
+    def findings(self, name: RobotName) -> list[Finding]:
+        """Return what stands in the way of reaching a robot of this name; nothing is opened by asking.
+
+        Raises:
+            LinkError: the name cannot be one.
+        """
+        _clock_of(name)
+        findings: list[Finding] = self._opening(name).findings(_without_clock(name))
+        return findings
+
+    def open_robot(
+        self, name: RobotName, *, resources: Resources, clock: Clock, seed: int, namespace: str
+    ) -> RobotLink:
+        """Open a link to the robot of this namespace.
+
+        Raises:
+            LinkError: it cannot be reached.
+        """
+        del resources, seed
+        return self.open(name, clock, namespace)
+
+    def open(self, name: RobotName, clock: Clock, namespace: str = "") -> RobotLink:
+        """Open a link outside a run, too; whoever calls closes it.
+
+        Raises:
+            LinkError: it cannot be reached.
+        """
+        bare = _without_clock(name)
+        opener = getattr(self._opening(name), self.opener)
+        link: RobotLink = opener(bare.options if bare.address is None else bare.address, clock, namespace)
+        return link
+
+    def open_clock(self, name: RobotName, *, resources: Resources, seed: int) -> Clock:
+        """Return the graph's clock where the run lives by it, else this machine's.
+
+        Raises:
+            LinkError: the option `clock` cannot have its value, or the graph cannot be reached or tells no time.
+        """
+        del seed
+        if not self.follows_graph_clock(name):
+            return SystemClock()
+        link = resources.open(link_key("robot", ""), partial(self.open, name, SystemClock()))
+        return resources.open("graph clock", partial(_started, link))
+
+    def follows_graph_clock(self, name: RobotName) -> bool:
+        """Whether a run lives by the time on `/clock`: as its option `clock` says, else as the graph of ROS 1 does.
+
+        Raises:
+            LinkError: the option cannot have its value, or there is no master to ask.
+        """
+        chosen = _clock_of(name)
+        if chosen is not None or name.link != "ros1":
+            return chosen == _GRAPH
+        follows: bool = self._opening(name).follows_graph_clock(name.options)
+        return follows
+
+    def _opening(self, name: RobotName) -> Any:
+        if self.takes_address and name.address is None:
+            fix = "Write it as in rosbridge://robot:9090."
+            raise LinkError("a rosbridge has an address, and none is named", where="robot", fix=fix)
+        return import_module(self.module)
 
 
-GRAPH_LINKS: Mapping[str, _GraphLink] = MappingProxyType(
-    {
-        "ros1": _GraphLink("ROS 1 with rospy", "robot_runner.ros.ros1.link", "open_ros1_link"),
-        "ros2": _GraphLink("ROS 2 with rclpy", "robot_runner.ros.ros2.link", "open_ros2_link"),
-        "dds": _GraphLink("ROS 2 over DDS, with no ROS installed", "robot_runner.ros.dds.link", "open_dds_link"),
-        "rosbridge": _GraphLink(
-            "ROS 1 or 2 through a rosbridge, with no ROS installed",
-            "robot_runner.ros.rosbridge.link",
-            "open_rosbridge_link",
-        ),
-    }
+class _FoundRobot:
+    """The name `auto`: stands for whichever robot is found from here, and never for the simulation."""
+
+    description = (
+        "what is found: a ROS that is sourced, a ROS 1 master, a rosbridge, ROS 2 over DDS; never the simulation"
+    )
+
+    def found_robot(self) -> FoundRobot:
+        """Return the robot that is there.
+
+        Raises:
+            LinkError: none is found.
+        """
+        return import_module("robot_runner.ros.ros_environment").found_robot()  # type: ignore[no-any-return]
+
+
+# What the entry points of this room name.
+ROS1 = GraphLinkKind("ROS 1 with rospy", "robot_runner.ros.ros1.link", "open_ros1_link")
+ROS2 = GraphLinkKind("ROS 2 with rclpy", "robot_runner.ros.ros2.link", "open_ros2_link")
+DDS = GraphLinkKind("ROS 2 over DDS, with no ROS installed", "robot_runner.ros.dds.link", "open_dds_link")
+ROSBRIDGE = GraphLinkKind(
+    "ROS 1 or 2 through a rosbridge, with no ROS installed",
+    "robot_runner.ros.rosbridge.link",
+    "open_rosbridge_link",
+    takes_address=True,
+)
+AUTO = _FoundRobot()
+
+GRAPH_LINKS: Mapping[str, GraphLinkKind] = MappingProxyType(
+    {"ros1": ROS1, "ros2": ROS2, "dds": DDS, "rosbridge": ROSBRIDGE}
 )
 
 
-def graph_findings(name: RobotName) -> list[Finding]:
-    """Return what stands in the way of reaching a robot of this name; nothing is opened by asking."""
-    try:
-        _clock_of(name)
-        findings: list[Finding] = _module(name).findings(_without_clock(name))
-    except LinkError as error:
-        return [error.as_finding()]
-    return findings
-
-
-def open_graph_link(name: RobotName, clock: Clock, namespace: str = "") -> RobotLink:
-    """Open a link to the robot of this namespace.
-
-    Args:
-        name: of the robot.
-        clock: the run's.
-        namespace: the robot's, such as `/alice`.
-
-    Raises:
-        LinkError: it cannot be reached.
-    """
-    bare = _without_clock(name)
-    opener = getattr(_module(name), GRAPH_LINKS[name.link].opener)
-    link: RobotLink = opener(bare.options if bare.address is None else bare.address, clock, namespace)
-    return link
-
-
-def follows_graph_clock(name: RobotName) -> bool:
-    """Whether a run lives by the time on `/clock`: as its option `clock` says, else as the graph of ROS 1 does.
-
-    Raises:
-        LinkError: the option cannot have its value, or there is no master to ask.
-    """
-    chosen = _clock_of(name)
-    if chosen is not None or name.link != "ros1":
-        return chosen == _GRAPH
-    follows: bool = _module(name).follows_graph_clock(name.options)
-    return follows
-
-
-def _module(name: RobotName) -> Any:
-    if name.address is None and name.link == "rosbridge":
-        fix = "Write it as in rosbridge://robot:9090."
-        raise LinkError("a rosbridge has an address, and none is named", where="robot", fix=fix)
-    return import_module(GRAPH_LINKS[name.link].module)
+def _started(link: RobotLink) -> GraphClock:
+    clock = GraphClock(link)
+    clock.start()
+    return clock
 
 
 def _clock_of(name: RobotName) -> str | None:

@@ -1,10 +1,13 @@
-"""The ROS that the experiment requires, compared with each that is found."""
+"""The ROS that the experiment requires, compared with each that is found: a check that an entry point announces."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, LinkError
+from robot_runner.core.links.connect import is_simulated
+from robot_runner.core.links.host import LOCAL
+from robot_runner.core.links.robot import RobotName
 from robot_runner.ros.ros1.master import Master
 from robot_runner.ros.ros_environment import RosEnvironment, find_ros, installed_ros, ros_of_host, ros_of_master
 from robot_runner.ros.rosbridge.link import RosbridgeAddress
@@ -14,18 +17,55 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.config.parameters import Parameters
-    from robot_runner.core.links.robot import RobotName
+    from robot_runner.core.plugin import Plugin
 
-__all__ = ["check_required_ros"]
+__all__ = ["check_required_ros", "check_ros"]
 
 _ON_SIMULATED = "or execute it on the embedded robot: --set robot=simulated"
 _ANY = (None, "any")
 #: The generation that each link speaks; a rosbridge may have either behind it.
 _GENERATIONS = {"ros1": 1, "ros2": 2, "dds": 2}
+#: The generation whose client library each link imports.
+_CLIENTS = {"ros1": 1, "ros2": 2}
 #: The links that take no ROS on this machine.
 _WITHOUT_ROS = ("dds", "rosbridge")
 #: How long the check waits for a master, s.
 _MASTER_SECONDS = 2.0
+
+
+def check_ros(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> Iterator[Finding]:
+    """Yield what stands between an experiment and the ROS that it needs; the embedded robot needs none.
+
+    Args:
+        where: the config's class.
+        parameters: of the experiment.
+        plugins: all of the experiment; some name a computer of the robot.
+    """
+    if is_simulated(parameters.robot):
+        return
+    try:
+        name = None if parameters.robot is None else RobotName.parse(parameters.robot)
+    except LinkError:  # a finding of the link's
+        return
+    yield from _other_generation(name)
+    yield from check_required_ros(where, parameters, name, sorted(set(_hosts(plugins)), key=str))
+
+
+def _other_generation(name: RobotName | None) -> Iterator[Finding]:
+    """Yield that the other generation's packages stand in the way: both call their message packages the same."""
+    sourced, needed = find_ros(), None if name is None else _CLIENTS.get(name.link)
+    if name is not None and sourced is not None and needed not in {None, sourced.version}:
+        problem = f"robot is {name.link!r}, and ROS {sourced.version} is sourced in this shell"
+        fix = f"Start robot-runner from a shell in which ROS {needed} is sourced, and no other."
+        yield Finding.error("robot", problem, fix)
+
+
+def _hosts(plugins: Sequence[Plugin]) -> Iterator[tuple[str, Path | None]]:
+    """Yield the robot's computers that plugins name, each with its ssh config."""
+    for plugin in plugins:
+        host = getattr(plugin, "host", None)
+        if isinstance(host, str) and host != LOCAL:
+            yield host, getattr(plugin, "ssh_config", None)
 
 
 def check_required_ros(

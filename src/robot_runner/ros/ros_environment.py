@@ -16,6 +16,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.links.kinds import FoundRobot
 from robot_runner.core.links.ssh_host import complaint, execute, ssh_command
 from robot_runner.ros.ros1.master import Master
 
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 
 
 __all__ = [
-    "AUTO",
-    "FoundRobot",
     "RosEnvironment",
     "describe_ros",
     "find_ros",
@@ -178,7 +177,6 @@ def _version(path: Path) -> str:
     return found[1].decode("utf-8", "replace") if found else ""
 
 
-AUTO = "auto"
 _MASTER_SECONDS = 1.0
 _BRIDGE = ("localhost", 9090)
 _BRIDGE_SECONDS = 0.5
@@ -196,19 +194,6 @@ while not (found := set(link.topics()) - {"/rosout", "/parameter_events"}) and t
 link.close()
 sys.exit(0 if found else 1)
 """
-
-
-@dataclass(frozen=True, slots=True)
-class FoundRobot:
-    """How a robot can be reached from here.
-
-    Attributes:
-        name: what to write for `robot`.
-        reason: why it was chosen.
-    """
-
-    name: str
-    reason: str
 
 
 @lru_cache(maxsize=1)

@@ -130,10 +130,10 @@ def completed(shape: Shape, message: Mapping[str, Any], *, where: str) -> dict[s
         >>> vector = Shape("geometry_msgs/Vector3", tuple(Field(axis, "float64") for axis in "xyz"))
         >>> completed(vector, {"x": 1}, where="goal")
         {'x': 1.0, 'y': 0.0, 'z': 0.0}
-        >>> completed(vector, {"X": 1}, where="map")
+        >>> completed(vector, {"X": 1}, where="a")
         Traceback (most recent call last):
             ...
-        robot_runner.core.errors.LinkError: map (geometry_msgs/Vector3): the message has no field 'X' → Did you mean 'x'?
+        robot_runner.core.errors.LinkError: a (geometry_msgs/Vector3): the message has no field 'X' → Did you mean 'x'?
     """
     # A command that is not a number would be carried out as who knows what.
     only_finite = shape.type_name in VELOCITY_COMMANDS

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 __all__ = ["MOVING_WHEEL_SPEED", "DifferentialDrive", "OdometryState", "Pose", "WheelOdometry"]
 
 
-# The robot's body in motion: physics, step by step, and the trace that it leaves for encoders and power.
-
 #: A wheel that turns faster than this (rad/s; 1.7 mm/s on the ground) moves.
 MOVING_WHEEL_SPEED = 0.05
 

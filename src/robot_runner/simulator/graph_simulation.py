@@ -14,7 +14,7 @@ from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.connect import SIMULATION_TOPIC
 from robot_runner.core.links.robot import Qos, RobotName
-from robot_runner.ros.graph_links import GRAPH_LINKS, open_graph_link
+from robot_runner.ros.graph_links import GRAPH_LINKS
 from robot_runner.ros.watchdog import HEARTBEAT_TOPIC, HEARTBEAT_TYPE, RELEASE_SERVICE, RELEASE_TYPE, Watchdog
 from robot_runner.simulator.simulated_turtlebot3 import COMMAND_TOPICS, SERVICES
 
@@ -282,7 +282,7 @@ def on_graph(place: SimulatedPlace) -> Iterator[GraphSimulation]:
         closing.callback(simulation.close)
         meter = MeterTerminal(simulation, namespace=place.namespace)
         closing.callback(meter.close)
-        link = open_graph_link(name, SystemClock(), place.namespace)
+        link = GRAPH_LINKS[name.link].open(name, SystemClock(), place.namespace)
         closing.callback(link.close)
         robot = GraphRobot(
             link,

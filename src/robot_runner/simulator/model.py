@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 __all__ = ["ARENA", "WALL_HEIGHT", "Wall", "burger_model", "ray_distances"]
 
 
-# The room in which the robot drives, and what a ray of its laser scanner hits there.
-
 WALL_HEIGHT = 0.5
 
 

@@ -22,9 +22,6 @@ if TYPE_CHECKING:
 __all__ = ["NO_TASK", "OnboardComputer", "Task", "TaskRunner", "Utilisation"]
 
 
-# The tasks of the paper's mission on the on-board computer, and when they ran.
-
-
 class Task(Enum):
     """What the on-board computer can be told to do (paper, section II-C)."""
 

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 __all__ = ["CONFIGURATION", "HELLO_SIZE", "SAMPLE_SIZE", "Arrival", "Ina219Meter", "hello_frame", "sample_frames"]
 
 
-# The device's side of the power meter's serial protocol (`docs/ina219-protocol.md`): registers to frames.
-
 SAMPLE_SIZE = 16
 HELLO_SIZE = 20
 

@@ -34,8 +34,6 @@ __all__ = [
 ]
 
 
-# The robot's messages as plain mappings that follow the ROS message definitions, complete with every field.
-
 Message = dict[str, Any]
 
 _SECOND_NS = 1_000_000_000
@@ -162,11 +160,8 @@ def _diagonal(variance: float) -> list[float]:
     return [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance]
 
 
-# A topic that the robot publishes: its messages are made only while somebody hears them.
-
-
 class PublishedTopic:
-    """A topic with its type, its rate and who hears it.
+    """A topic with its type, its rate and its subscribers. Messages are made only while there are any.
 
     Args:
         clock: the simulation's clock.
@@ -192,7 +187,7 @@ class PublishedTopic:
         return listening
 
     def forget(self, listening: Listening) -> None:
-        """Call this listener no more; a topic that nobody hears is no longer computed."""
+        """Call this subscriber no more; a topic without subscribers is no longer computed."""
         self._listeners.pop(listening, None)
         if not self._listeners and self._ticker is not None:
             self._ticker.close()
@@ -206,7 +201,7 @@ class PublishedTopic:
 
 
 class Listening:
-    """Somebody who hears a topic."""
+    """A subscriber of a topic."""
 
     def __init__(self, topic: PublishedTopic) -> None:
         self._topic = topic

@@ -1,4 +1,4 @@
-"""The clock of a simulation: time goes by only while somebody sleeps on it."""
+"""The clock of a simulation: time passes only during a sleep on it."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class SimulatedClock:
         """
         if self._is_moving_on:
             raise LinkError(
-                f"a callback slept {seconds} s on the simulated clock, on which somebody is sleeping already",
+                f"a callback slept {seconds} s on the simulated clock during another sleep on it",
                 where="the simulated clock",
                 fix="Note the message in the callback and return; sleep in the mission.",
             )
@@ -120,13 +120,13 @@ class SimulatedClock:
             self._is_moving_on = False
 
     def every(self, rate: int, callback: Callable[[], None]) -> Ticker:
-        """Have `callback` called `rate` times a second, on the grid, while somebody sleeps."""
+        """Have `callback` called `rate` times a second, on the grid, as time passes."""
         ticker = Ticker(rate, callback, now_ns=self._now_ns)
         self._schedule(ticker)
         return ticker
 
     def call_every(self, period: float, callback: Callable[[], None]) -> Ticker:
-        """Have `callback` called every `period` seconds from now on, while somebody sleeps."""
+        """Have `callback` called every `period` seconds from now on, as time passes."""
         ticker = _PeriodTicker(period, callback, now_ns=self._now_ns)
         self._schedule(ticker)
         return ticker

@@ -34,7 +34,7 @@ SERVICES = {
 class SimulatedTurtlebot3:
     """A robot in its own copy of the arena; it shares nothing with other robots but the clock.
 
-    Physics and power are computed when somebody looks, up to the clock's time and each step once.
+    Physics and power are computed on demand, up to the clock's time and each step once.
 
     Attributes:
         namespace: its name in the simulation: empty, or `/alice`.
@@ -151,9 +151,6 @@ def _wheel_radii(parameters: Turtlebot3Parameters, streams: NoiseStreams) -> tup
     noise = parameters.wheel_radius_deviation * streams.named("wheels").standard_normal(2)
     left, right = (parameters.wheel_radius + noise).tolist()
     return left, right
-
-
-# A simulation: one clock, and the robots that live by it.
 
 
 class Simulation:

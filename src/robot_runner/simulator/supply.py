@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 __all__ = ["CELLS", "Battery", "PowerModel", "PowerSupply"]
 
 
-# The lithium-polymer battery: voltage from the state of charge and from the load.
-
 CELLS = 3
 
 # Open-circuit voltage of a cell at states of charge from 0 to 1, for a cell whose nominal voltage is 3.7 V.
@@ -68,8 +66,6 @@ class Battery:
         """Return the voltage in volts at the battery's terminals under this current."""
         return self.open_circuit_voltage(self.charge(energy)) - self._inner * current
 
-
-# What the robot draws, in watts, from what it does: the levels of the paper's Fig. 4 and seeded noise around them.
 
 # From this speed of a wheel on, its motor draws all of what turning costs it whatever the speed (rad/s).
 _TURNING_WHEEL_SPEED = 0.5
@@ -164,7 +160,7 @@ _INITIAL_STEPS = 4096
 
 
 class PowerSupply:
-    """What the battery gives and the robot draws, computed as far as somebody has asked."""
+    """What the battery gives and the robot draws, computed as far as was asked for."""
 
     def __init__(self, model: PowerModel, battery: Battery, *, shunt: float) -> None:
         self._model = model

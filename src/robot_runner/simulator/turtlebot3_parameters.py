@@ -13,8 +13,6 @@ from robot_runner.core.errors import LinkError
 __all__ = ["NoiseStreams", "Turtlebot3Parameters"]
 
 
-# Every figure of the simulated robot in one place; `docs/simulator.md` states the source of each.
-
 _MAY_BE_ZERO = ("_deviation", "cpu_", "memory_", "initial_charge")
 
 

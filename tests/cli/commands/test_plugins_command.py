@@ -1,11 +1,12 @@
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint, version
+from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 import pytest
 
 from robot_runner.cli.commands import plugins
+from robot_runner.core.entry_points import EntryPoint
 from robot_runner.core.plugin import InstalledPlugin, installed_plugins
 
 if TYPE_CHECKING:
@@ -13,8 +14,8 @@ if TYPE_CHECKING:
 
 
 def _installed(name: str, value: str) -> InstalledPlugin:
-    point = EntryPoint(name, value, "robot_runner.profilers")
-    return InstalledPlugin(name, "profilers", "stranger", "2.1", point)
+    point = EntryPoint(name, "robot_runner.profilers", value, lambda: ("stranger", "2.1"))
+    return InstalledPlugin("profilers", point)
 
 
 def test_every_built_in_plugin_is_listed_with_all_there_is_to_know(robot_runner: Callable) -> None:
@@ -42,8 +43,8 @@ def test_json_has_the_same(robot_runner: Callable) -> None:
 @pytest.mark.parametrize(
     ("value", "problem"),
     [
-        ("nowhere_at_all:Meter", "it cannot be imported: ModuleNotFoundError"),
-        ("robot_runner.plugins.profilers:Meter", "it cannot be imported: AttributeError"),
+        ("nowhere_at_all:Meter", "the profiler cannot be imported: ModuleNotFoundError"),
+        ("robot_runner.plugins.profilers:Meter", "the profiler cannot be imported: AttributeError"),
         ("robot_runner.core.errors:Finding", "is no Profiler"),
     ],
 )

@@ -12,13 +12,13 @@ import pytest
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import Resources, RobotRunnerContext, SystemClock
 from robot_runner.core.links.connect import (
-    ROBOT_LINKS,
     connect_host,
     connect_robot,
     link_findings,
     open_clock,
     open_serial_line,
 )
+from robot_runner.core.links.kinds import installed_links, link_kind
 from robot_runner.core.links.local_host import LocalHost
 from robot_runner.core.links.ssh_host import SshHost
 from robot_runner.simulator.simulated_clock import SimulatedClock
@@ -154,8 +154,9 @@ def test_what_is_on_this_machine_has_nothing_in_its_way():
 
 
 def test_each_known_name_is_described_in_one_line():
-    assert "simulated" in ROBOT_LINKS
-    assert all(text and "\n" not in text for text in ROBOT_LINKS.values())
+    descriptions = {name: link_kind(name).description for name in installed_links()}
+    assert "simulated" in descriptions
+    assert all(text and "\n" not in text for text in descriptions.values())
 
 
 @pytest.mark.parametrize(
@@ -205,7 +206,8 @@ def test_importing_the_door_to_the_links_imports_nothing_heavy():
     program = (
         "import sys, robot_runner.core.links.connect as connect\n"
         "assert connect.link_findings('simulated') == []\n"
-        "print([name for name in ('mujoco', 'numpy', 'robot_runner.simulator') if name in sys.modules])"
+        "heavy = ('mujoco', 'numpy', 'robot_runner.simulator.simulated_turtlebot3')\n"
+        "print([name for name in heavy if name in sys.modules])"
     )
     answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
     assert answer.stdout.strip() == "[]"

@@ -7,7 +7,7 @@ import pytest
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import Resources
 from robot_runner.core.links.connect import is_simulated, link_findings, open_clock
-from robot_runner.core.links.robot import RobotName, simulation_options
+from robot_runner.core.links.robot import RobotName
 
 
 def test_a_plain_name_has_no_options():
@@ -17,12 +17,6 @@ def test_a_plain_name_has_no_options():
 def test_spaces_around_names_and_values_do_not_matter():
     name = RobotName.parse("simulated: initial_charge = 40 , meter_rate=100")
     assert name.options == {"initial_charge": "40", "meter_rate": "100"}
-
-
-def test_values_have_the_type_of_their_parameter():
-    parameters = simulation_options({"meter_rate": "100", "task_power_factor": "2"}).parameters
-    assert (parameters.meter_rate, parameters.task_power_factor) == (100, 2.0)
-    assert isinstance(parameters.meter_rate, int)
 
 
 @pytest.mark.parametrize(
@@ -58,22 +52,3 @@ def test_options_do_not_make_it_another_robot():
     assert is_simulated("simulated")
     assert not is_simulated("simulated_by_others")
     assert not is_simulated(None)
-
-
-def test_the_simulation_is_made_with_the_options():
-    resources = Resources()
-    open_clock("simulated:task_power_factor=1.1", resources, 1)
-    simulation = resources.open("simulation", lambda: None)
-    assert simulation.parameters.task_power_factor == 1.1
-    resources.close()
-
-
-def test_the_simulation_can_go_in_real_time():
-    assert simulation_options({"real_time_factor": "2"}).real_time_factor == 2.0
-    assert simulation_options({}).real_time_factor is None
-
-
-@pytest.mark.parametrize("pace", ["0", "-1", "inf", "nan"])
-def test_a_pace_that_no_clock_can_keep_is_refused(pace):
-    with pytest.raises(LinkError, match="real_time_factor"):
-        simulation_options({"real_time_factor": pace})

@@ -141,7 +141,7 @@ def test_a_robot_that_falls_silent_is_told_of(
         samples = sampler.stop()
     finally:
         os.kill(client, 18)
-    assert sampler.report().problems[0] == "it did not answer within 1 s"
+    assert sampler.report().problems[0] == "the computer did not answer within 1 s"
     assert samples
 
 

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.legacy.earlier_configs import ROBOT, RUNNER
 
+from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.preparation import prepare as prepare_own
 from robot_runner.core.errors import ConfigError
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.legacy.conversion.converting import check_conversion, convert
 from robot_runner.legacy.conversion.edits import Edits
-from robot_runner.legacy.loading import prepare
 
 if TYPE_CHECKING:
     from collections.abc import Callable

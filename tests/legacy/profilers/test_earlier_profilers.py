@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import pytest
 from tests.legacy.earlier_configs import ROBOT, RUNNER, problems
 
-from robot_runner.core.config import preparation as robot_check
+from robot_runner.core.config.dialects import prepare
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.links.kinds import FoundRobot
 from robot_runner.core.plugin import Circumstances
-from robot_runner.legacy.loading import prepare
 from robot_runner.legacy.profilers import pico
 from robot_runner.legacy.profilers.command_line import EnergiBridge, PowerJoular, Ps
 from robot_runner.legacy.profilers.data_source import DeviceSource, ParameterDict
@@ -28,7 +28,6 @@ from robot_runner.legacy.profilers.programs import read_table
 from robot_runner.legacy.profilers.property_lists import PowerLetrics, PowerMetrics
 from robot_runner.legacy.profilers.robot_plugins import INA219Profiler, NetworkProfiler
 from robot_runner.legacy.profilers.self_measure import SelfMeasure
-from robot_runner.ros.ros_environment import FoundRobot
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -501,9 +500,10 @@ def test_the_mini_mission_is_executed_on_the_embedded_robot(
         return table.get_experiment_run_table()
 """
     path = config(MINI_MISSION, head=head, table=table)
-    monkeypatch.setattr(robot_check, "found_robot", nothing)
+    monkeypatch.setattr("robot_runner.ros.ros_environment.found_robot", nothing)
     assert any("no robot is found → Switch it on." in each for each in problems(prepare(path)))
-    monkeypatch.setattr(robot_check, "found_robot", lambda: FoundRobot("simulated", "it is what this test has"))
+    found = FoundRobot("simulated", "it is what this test has")
+    monkeypatch.setattr("robot_runner.ros.ros_environment.found_robot", lambda: found)
     experiment = prepare(path).experiment
     assert experiment is not None
     assert experiment.parameters.robot == "simulated"

@@ -61,7 +61,7 @@ def test_two_meters_on_one_port_are_found_once_whatever_the_port_is_called(port,
     plugins = (first, second)
     assert found(first, plugins=plugins) == []
     (finding,) = found(second, plugins=plugins)
-    assert finding.problem == "it would share one line with plugin Ina219, and each would get some of the samples"
+    assert finding.problem == "plugin Ina219 has the same serial line, and each would get some of the samples"
 
 
 def test_two_meters_of_one_simulated_robot_are_found_and_those_of_two_robots_are_not():

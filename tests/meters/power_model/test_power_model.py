@@ -110,7 +110,7 @@ def test_utilisation_that_covers_too_little_yields_no_value(estimate):
 @pytest.mark.parametrize(
     ("function", "said"),
     [
-        (lambda state: 1 / 0, "it raised ZeroDivisionError"),
+        (lambda state: 1 / 0, "the function raised ZeroDivisionError"),
         (lambda state: "many", "it returned 'many'"),
         (lambda state: float("inf"), "it returned inf"),
     ],
@@ -163,8 +163,8 @@ def test_the_check_asks_for_the_plugins_whose_samples_it_reads():
     plugins = (plugin := PowerModel(coefficients={"cpu": 0.1, "motion:forward": 2.0}), PsUtil(name="Psutil"))
     findings = list(plugin.check(Circumstances(plugins=plugins)))
     assert [finding.problem for finding in findings] == [
-        "it reads the samples of 'PsUtil', which is not among the plugins",
-        "it reads the samples of 'BasicTurtlebot3', which is not among the plugins",
+        "the model reads the samples of 'PsUtil', which is not among the plugins",
+        "the model reads the samples of 'BasicTurtlebot3', which is not among the plugins",
     ]
     assert "Did you mean 'Psutil'?" in findings[0].fix
     assert list(PowerModel(coefficients=STEADY).check(Circumstances(plugins=plugins))) == []
@@ -175,13 +175,13 @@ def test_a_file_that_holds_no_model_is_refused_by_the_check(tmp_path, content):
     path = tmp_path / "model.json"
     path.write_text(content)
     (finding,) = PowerModel(model=path).check(Circumstances())
-    assert "it holds no power model" in finding.problem
+    assert "the file holds no power model" in finding.problem
     assert "fit-power-model" in finding.fix
 
 
 def test_a_model_file_that_is_not_there_is_told(tmp_path):
     (finding,) = PowerModel(model=tmp_path / "none.json").check(Circumstances())
-    assert "it cannot be read" in finding.problem
+    assert "the file cannot be read" in finding.problem
 
 
 def test_states_are_cut_where_a_sample_or_a_phase_ends(tmp_path):

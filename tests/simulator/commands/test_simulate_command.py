@@ -8,13 +8,14 @@ import sys
 
 import pytest
 from tests.ros.dds_domain import LOOPBACK, claim_domain
+from tests.ros.ros1_master import needs_ros1
 
 from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.main import main
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
-def test_it_is_ready_and_ends_cleanly(number, monkeypatch):
+def test_over_dds_it_is_ready_and_ends_cleanly(number, monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
     words = ["simulate", "turtlebot3", "--link", f"dds:domain={claim_domain()}", "--namespace", "/alice"]
     process = subprocess.Popen(
@@ -41,9 +42,19 @@ def test_it_is_ready_and_ends_cleanly(number, monkeypatch):
         (["turtlebot3"], "--link is missing", "robot-runner simulate --help"),
         (["turtlebot3", "--link", "gazebo"], "no robot can be put on 'gazebo'", "'ros1'"),
         (["turtlebot3", "--link", "dds", "--real-time-factor", "2"], "told the time", "--use-sim-time"),
-        (["turtlebot3", "--link", "dds", "--namespace", "3x"], "'3x' cannot be the name of a namespace", "digit"),
+        pytest.param(
+            ["turtlebot3", "--link", "dds", "--namespace", "3x"],
+            "'3x' cannot be the name of a namespace",
+            "digit",
+            id="a namespace over DDS",
+        ),
         (["turtlebot3", "--link", "dds:domain=900"], "the domain id is '900'", "0 to 232"),
-        (["turtlebot3", "--link", "ros1:master=http://127.0.0.1:9"], "there is no ROS master at", "roscore"),
+        pytest.param(
+            ["turtlebot3", "--link", "ros1:master=http://127.0.0.1:9"],
+            "there is no ROS master at",
+            "roscore",
+            marks=needs_ros1,
+        ),
     ],
 )
 def test_what_cannot_be_is_refused_with_a_remedy(words, complaint, fix, capsys):

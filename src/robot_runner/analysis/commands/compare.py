@@ -1,8 +1,9 @@
-"""Compare two experiments: real with simulated, measured with estimated, original with replication.
+"""Compare two experiments, and say whether they are equivalent.
 
-FIRST is what is compared with, SECOND the other one: each an experiment's folder, or the config file that it comes
-from. Runs are matched by the factors that both have. With a bound - the difference that would not matter - each measure
-gets a verdict: equivalent, different, or undecided.
+They may be real and simulated, measured and estimated, original and replication. FIRST is what is compared with, SECOND
+the other one: each an experiment's folder, or the config file that it comes from. Runs are matched by the factors that
+both have. With a bound - the difference that would not matter - each measure gets a verdict: equivalent, different, or
+undecided.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
+from robot_runner.analysis.libraries import require_libraries
 from robot_runner.cli.console import (
     Column,
     UserConsole,
@@ -68,6 +70,7 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Print the comparison; a difference is no failure, so the exit code is 0."""
+    require_libraries()
     first, second = (folder_of_target(target, []).root for target in (arguments.first, arguments.second))
     from robot_runner.analysis.comparison.comparing import compare  # noqa: PLC0415 - slow, and an extra
 

@@ -1,10 +1,14 @@
-"""Write an experiment's results for other tools: Parquet files, and a data package that describes everything."""
+"""Write an experiment's results for other tools: Parquet and a data package.
+
+The data package describes every column: its type, unit, meaning and owner.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from robot_runner.analysis.libraries import require_libraries
 from robot_runner.cli.console import output, print_facts, print_json, shown_path
 from robot_runner.cli.parser import add_json, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
@@ -27,6 +31,7 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Write the files, and name them."""
+    require_libraries()
     from robot_runner.analysis.results import load_results  # noqa: PLC0415 - takes a second to import
 
     results = load_results(folder_of_target(arguments.target, arguments.set).root)

@@ -1,4 +1,4 @@
-"""Adopt a folder of results: of an earlier tool, or made by hand.
+"""Adopt results of an earlier tool, or made by hand.
 
 The run table and the raw files in the runs' folders are read as they are; what cannot be seen is told by options, or in
 a TOML file. What was understood is shown before anything is written. The originals are never changed. Exit code 0:
@@ -10,6 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.analysis.libraries import require_libraries
 from robot_runner.cli.console import UserConsole, output, print_facts, print_json, shown_path
 from robot_runner.cli.parser import UsageError, add_json
 from robot_runner.cli.screens.plain import terminal_input
@@ -204,6 +205,7 @@ def _add_repeated(parser: Parser, option: str, metavar: str, text: str) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Show what was understood; write it, if that is wanted; say how it differs from the table's own values."""
+    require_libraries()
     from robot_runner.analysis.importing.adoption import adopt  # noqa: PLC0415 - takes a second to import
     from robot_runner.analysis.importing.understanding import understand  # noqa: PLC0415 - as above
 

@@ -1,4 +1,4 @@
-"""Write the report of an experiment: what was done, what came of it, how far it can be trusted.
+"""Write the report of an experiment: tables, figures, tests, threats to validity.
 
 HTML is one file that needs nothing beside it. Tables (CSV, LaTeX) and figures (SVG, PDF, PNG) are written beside it. An
 experiment that is not over, or that failed in part, has a report too. Nothing but the folder is needed.
@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from robot_runner.analysis.libraries import require_libraries
 from robot_runner.cli.console import output, print_facts, shown_path
 from robot_runner.cli.parser import UsageError, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
@@ -54,6 +55,7 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Write the report, and print where it is."""
+    require_libraries()
     kind = _one_of(_FORMATS, arguments.format, "--format")
     figures = _figures(arguments.figures)
     folder = folder_of_target(arguments.target, arguments.set).root

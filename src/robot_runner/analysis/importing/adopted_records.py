@@ -3,30 +3,23 @@
 from __future__ import annotations
 
 import csv
-from array import array
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.importing.description_file import description_text
 from robot_runner.analysis.importing.recomputation import unit_of_recipe
-from robot_runner.core.design.columns import REPETITION
+from robot_runner.core.design.factor import Combination, factor_places
+from robot_runner.core.design.run_table import PlannedRun
 from robot_runner.core.storage.cells import CellValue, RunStatus, typed_value
 from robot_runner.core.storage.journal import Journal, utc_now
 from robot_runner.core.storage.manifest import describe_software, write_manifest
-from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
+from robot_runner.core.storage.run_table_rows import RunRow, RunTableRows, write_run_table
 from robot_runner.core.storage.safe_write import write_beside_and_rename
-from robot_runner.core.storage.table_columns import (
-    CodedColumn,
-    ColumnRole,
-    FactorColumn,
-    RunIdColumn,
-    StatusColumn,
-    TableLayout,
-)
+from robot_runner.core.storage.table_columns import ColumnRole, FactorColumn, TableLayout
 from robot_runner.core.storage.table_schema import ColumnDescription, describe_columns, write_schema
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Collection, Sequence
 
     from robot_runner.analysis.importing.adoption import AdoptedRun
     from robot_runner.analysis.importing.foreign_runs import ForeignRun
@@ -74,40 +67,34 @@ def _rows(understanding: Understanding, runs: Sequence[AdoptedRun]) -> RunTableR
         stamps=_STAMPS if has_stamps else (),
         extras=tuple(headings[name] for name in roles.extras),
     )
-    statuses = StatusColumn(0)
-    statuses.extend([run.status.value for run in understanding.runs], {each.value: each for each in RunStatus})
-    texts: dict[str, list[str | None]] = {
-        headings[name]: [run.extras[name] or None for run in understanding.runs] for name in roles.extras
-    }
-    if has_stamps:
-        texts |= {stamp: [_stamps(run)[stamp] for run in runs] for stamp in _STAMPS}
-    return RunTableRows(
-        layout,
-        RunIdColumn([run.run_id for run in understanding.runs], len(runs)),
-        statuses,
-        [*(_factor(understanding, name) for name in roles.factors), *_repetition(understanding, has=has_repetition)],
-        texts=texts,
-        measures={headings[name]: _values(understanding, runs, name) for name in measures},
-    )
+    places = factor_places(layout.factor_names)
+    stamps = _STAMPS if has_stamps else ()
+    rows = [
+        RunRow(
+            PlannedRun(run.run_id, number, Combination(places, _treatments(run, roles.factors)), run.repetition or 1),
+            run.status,
+            tuple(_stamps(adopted)[stamp] for stamp in stamps),
+            tuple(_value(run, adopted, name, roles.measures) for name in measures),
+            _kept(understanding, run) or None,
+        )
+        for number, (run, adopted) in enumerate(zip(understanding.runs, runs, strict=True), start=1)
+    ]
+    return RunTableRows(layout, rows)
 
 
-def _values(understanding: Understanding, runs: Sequence[AdoptedRun], name: str) -> list[CellValue]:
-    if name in understanding.roles.measures:
-        return [run.measures[name] for run in understanding.runs]
-    return [run.recomputed.get(name) for run in runs]
+def _treatments(run: ForeignRun, factors: Sequence[str]) -> tuple[CellValue, ...]:
+    return tuple(typed_value(run.treatments[name], None) for name in factors)
 
 
-def _factor(understanding: Understanding, name: str) -> CodedColumn:
-    texts = understanding.treatments(name)
-    places = array("I", (texts.index(run.treatments[name]) for run in understanding.runs))
-    return CodedColumn(understanding.headings[name], [typed_value(text, None) for text in texts], texts, places)
+def _value(run: ForeignRun, adopted: AdoptedRun, name: str, written: Collection[str]) -> CellValue:
+    return run.measures[name] if name in written else adopted.recomputed.get(name)
 
 
-def _repetition(understanding: Understanding, *, has: bool) -> Iterator[CodedColumn]:
-    if has:
-        numbers = array("I", (run.repetition or 0 for run in understanding.runs))
-        values = range(max(numbers) + 1)
-        yield CodedColumn(REPETITION, values, [*map(str, values)], numbers)
+def _kept(understanding: Understanding, run: ForeignRun) -> dict[str, str]:
+    """Return the text that the table keeps as it is: the columns without a role, and treatments as they were written."""
+    kept = {name: run.extras[name] for name in understanding.roles.extras if run.extras[name]}
+    kept |= {name: run.treatments[name] for name in understanding.roles.factors}
+    return {understanding.headings[name]: text for name, text in kept.items()}
 
 
 def _stamps(run: AdoptedRun) -> dict[str, str | None]:

@@ -1,57 +1,117 @@
-"""The commands, one module each; a module is imported when its command is called."""
+"""The commands that are installed: the core's, those of the rooms beside it, and those of other packages, all alike.
+
+Each is a module, announced in the group `robot_runner.commands` and imported when its command is called. Its docstring
+is the command's help, `add_arguments(parser)` says what it takes, and `execute(arguments)` returns the exit code.
+"""
 
 from __future__ import annotations
 
-from keyword import iskeyword
+import sys
 
-__all__ = ["COMMANDS", "module_of"]
+from robot_runner.core.entry_points import entry_points
 
-#: What each command does, in the order in which a user meets them.
-COMMANDS = {
-    "demo": "Execute the paper's experiment on the embedded robot.",
-    "new": "Write a commented config that runs as it is.",
-    "check": "Say everything that is wrong with a config, and touch nothing.",
-    "plan": "Show the run table before anything is executed.",
-    "run": "Execute an experiment, or resume it.",
-    "status": "Show how far an experiment is, also while it is executed.",
-    "continue": "Let an experiment that waits between two runs go on.",
-    "convert": "Write a config of an earlier tool in our own spelling.",
-    "export": "Write an experiment's results for other tools: Parquet and a data package.",
-    "import": "Adopt results of an earlier tool, or made by hand.",
-    "report": "Write the report of an experiment: tables, figures, tests, threats to validity.",
-    "compare": "Compare two experiments, and say whether they are equivalent.",
-    "pack": "Seal an experiment as one file that anyone can check and execute again.",
-    "verify": "Check whether a package is intact.",
-    "replicate": "Execute a package again, and say whether the results agree.",
-    "explain": "Say where the values of a run come from.",
-    "fit-power-model": "Fit a software power model to the measured runs of an experiment.",
-    "plugins": "List the installed plugins, with their measures and parameters.",
-    "simulate": "Offer the embedded robot on a ROS graph, as if it were a real one.",
-    "try": "Try a profiler without an experiment.",
-}
+TYPE_CHECKING = False  # `typing` takes long to import, and `--help` is to be quick
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from importlib.machinery import ModuleSpec
+    from typing import Any, Protocol
 
-#: The rooms of the commands that are not the core's own.
-_ROOMS = {
-    "compare": "analysis",
-    "convert": "legacy",
-    "explain": "replication",
-    "export": "analysis",
-    "fit-power-model": "meters",
-    "import": "analysis",
-    "pack": "replication",
-    "replicate": "replication",
-    "report": "analysis",
-    "simulate": "simulator",
-    "verify": "replication",
-}
+    from robot_runner.cli.parser import Parser
+    from robot_runner.core.entry_points import EntryPoint
+
+    class CommandModule(Protocol):
+        """The module of a command."""
+
+        def add_arguments(self, parser: Parser) -> None:
+            """Add what the command takes."""
+
+        def execute(self, arguments: Namespace) -> int:
+            """Do what the arguments say, and return the exit code."""
+            ...
 
 
-def module_of(command: str) -> str:
-    """Return the module that implements a command.
+__all__ = ["command_module", "installed_commands", "summary_of"]
 
-    Example:
-        >>> module_of("continue")  # a word of Python, so its module has another name
-        'robot_runner.cli.commands.continue_'
+#: The core's own commands, in the order in which a user meets them.
+_CORE = ("demo", "new", "check", "plan", "run", "status", "continue", "plugins", "try")
+_QUOTES = '"""'
+_ONLY_AST = 0x400  # ast.PyCF_ONLY_AST
+
+
+def installed_commands() -> dict[str, EntryPoint]:
+    """Return the commands by name: the core's, then those of each room together, then those of other packages."""
+    found: dict[str, EntryPoint] = {}
+    for point in entry_points("commands"):
+        found.setdefault(point.name, point)  # no package can take the name of a command of ours
+    core = [name for name in _CORE if name in found]
+    others = sorted(found.keys() - _CORE, key=lambda name: (not found[name].is_own, found[name].value))
+    return {name: found[name] for name in (*core, *others)}
+
+
+def command_module(point: EntryPoint) -> CommandModule:
+    """Import the module of a command.
+
+    Raises:
+        PluginError: it cannot be imported, or lacks a function that a command has.
     """
-    room = _ROOMS.get(command, "cli")
-    return f"robot_runner.{room}.commands.{command.replace('-', '_')}{'_' if iskeyword(command) else ''}"
+    module: CommandModule = point.load()
+    for function in ("add_arguments", "execute"):
+        if not callable(getattr(module, function, None)):
+            raise point.refusal(f"has no function {function}")
+    return module
+
+
+def summary_of(point: EntryPoint) -> str:
+    """Return what a command does: the first line of its module's docstring, which is read and not imported."""
+    try:
+        line = _first_line(_source_of(point.module))
+    except (OSError, ImportError, SyntaxError, ValueError) as error:
+        line = f"cannot be used ({type(error).__name__}: {error}); install or repair the package {point.package}"
+    return line if line.isprintable() else ascii(line)
+
+
+def _source_of(module: str) -> str:
+    """Return the text of a module; neither it nor a package that it is in is imported.
+
+    Raises:
+        OSError, ImportError, ValueError: it is not there, or cannot be read.
+    """
+    top, *rest = module.split(".")
+    spec = getattr(sys.modules.get(top), "__spec__", None) or _found(top)
+    if not rest:
+        return _read(spec.loader, spec.origin or "")
+    for folder in spec.submodule_search_locations or ():
+        stem = "/".join([folder, *rest])
+        for path in (f"{stem}.py", f"{stem}/__init__.py"):
+            try:
+                return _read(spec.loader, path)
+            except OSError:
+                continue
+    raise ModuleNotFoundError(f"there is no module {module}")
+
+
+def _found(top: str) -> ModuleSpec:
+    for finder in sys.meta_path:
+        spec = finder.find_spec(top, None)
+        if spec is not None:
+            return spec
+    raise ModuleNotFoundError(f"there is no module {top}")
+
+
+def _read(loader: Any, path: str) -> str:
+    if hasattr(loader, "get_data"):  # of a zip file, too
+        return str(loader.get_data(path), "utf-8")
+    with open(path, encoding="utf-8") as file:  # noqa: PTH123 - `pathlib` takes too long to import
+        return file.read()
+
+
+def _first_line(source: str) -> str:
+    if source.startswith(_QUOTES):
+        line = source.removeprefix(_QUOTES).partition("\n")[0].partition(_QUOTES)[0].strip()
+        if line and "\\" not in line:
+            return line
+    # Spelt otherwise, so it takes Python to read it; the flag is that of `ast.parse`, whose module is slow to import.
+    tree = compile(source, "command", "exec", _ONLY_AST, dont_inherit=True)
+    first = getattr(tree.body[0], "value", None) if tree.body else None
+    text = getattr(first, "value", None)
+    return text.strip().partition("\n")[0] if isinstance(text, str) else ""

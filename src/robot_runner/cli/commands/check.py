@@ -1,6 +1,6 @@
-"""Say everything that is wrong with a config: each finding with its place and its fix.
+"""Say everything that is wrong with a config, and touch nothing.
 
-Nothing on disk is touched. Exit code 0: it can be executed; 2: it is refused.
+Each finding has its place and its fix. Exit code 0: the config can be executed; 2: it is refused.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from robot_runner.cli.design_words import columns_as_json, design_as_json, in_wo
 from robot_runner.cli.findings import as_json, print_findings, tally
 from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.parser import add_config, add_json, add_set
+from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.loader import parse_assignments
-from robot_runner.legacy.loading import prepare
 
 if TYPE_CHECKING:
     from argparse import Namespace

@@ -1,4 +1,7 @@
-"""Let an experiment that waits between two runs (SEMI) go on: the same as ENTER in its own terminal."""
+"""Let an experiment that waits between two runs go on.
+
+An experiment in SEMI mode waits so; the command does the same as ENTER in its own terminal.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""Execute the paper's experiment on the embedded robot: 3 tasks x 5 repetitions, with energy, CPU and memory.
+"""Execute the paper's experiment on the embedded robot.
 
-The config file is written beside the results, to be read, changed and executed again.
+It has 3 tasks x 5 repetitions, with energy, CPU and memory. The config file is written beside the results, to be read,
+changed and executed again.
 """
 
 from __future__ import annotations

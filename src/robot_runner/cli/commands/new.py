@@ -1,4 +1,7 @@
-"""Write a commented config that runs as it is: a short experiment on the embedded robot, to be changed."""
+"""Write a commented config that runs as it is.
+
+It describes a short experiment on the embedded robot, to be changed.
+"""
 
 from __future__ import annotations
 

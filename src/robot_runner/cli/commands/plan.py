@@ -1,4 +1,7 @@
-"""Show the run table before anything is executed: every run in its order, and what the order comes from."""
+"""Show the run table before anything is executed.
+
+It has every run in its order, and tells what the order comes from.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""List the installed plugins: what they measure, what they need, and what they can be given.
+"""List the installed plugins, with their measures and parameters.
 
-Plugins of other packages are found through their entry points, as our own are.
+Each plugin says what it measures, what it needs, and what it can be given. Plugins of other packages are found through
+their entry points, as our own are.
 """
 
 from __future__ import annotations

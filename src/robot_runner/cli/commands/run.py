@@ -1,6 +1,7 @@
-"""Execute an experiment, or resume it: runs that are done are not executed again.
+"""Execute an experiment, or resume it.
 
-Exit code 0: all runs are done; 1: some run failed; 2: refused; 130: interrupted.
+Runs that are done are not executed again. Exit code 0: all runs are done; 1: some run failed; 2: refused;
+130: interrupted.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.parser import add_config, add_set
 from robot_runner.cli.screens.ending import print_outcome
 from robot_runner.cli.screens.plain import terminal_input
+from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.execution.recovery import Resumption, config_changes
-from robot_runner.legacy.loading import prepare
 
 if TYPE_CHECKING:
     from argparse import Namespace

@@ -1,4 +1,7 @@
-"""Show how far an experiment is, from what is on disk alone: also while it is executed, and from any terminal."""
+"""Show how far an experiment is, also while it is executed.
+
+It is told from what is on disk alone, so from any terminal.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""Try a profiler without an experiment: one run of it alone, and everything that the framework sees of it.
+"""Try a profiler without an experiment.
 
-PROFILER is the name of an installed one (`robot-runner plugins` lists them), a class as `module:Class`, or a file that
-holds one, as `my_meter.py` or `my_meter.py:Meter`.
+One run of it alone is executed, and everything that the framework sees of it is shown. PROFILER is the name of an
+installed one (`robot-runner plugins` lists them), a class as `module:Class`, or a file that holds one, as `my_meter.py`
+or `my_meter.py:Meter`.
 """
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ from robot_runner.core.config.parameters import (
 )
 from robot_runner.core.design.run_table import RunTable
 from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.core.plugin import Circumstances, Plugin
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from robot_runner.core.events.measure import MeasureColumns
 
 __all__ = [
+    "announced_checks",
     "check_analysis",
     "check_disk_space",
     "check_names",
@@ -158,7 +160,26 @@ def check_plugins(plugins: Iterable[Plugin], model: RunTableModel | None, robot:
         try:
             findings += plugin.check(circumstances)
         except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
-            findings.append(_failed_check(plugin, error))
+            findings.append(_failed_check(plugin.name, error))
+    return findings
+
+
+def announced_checks(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> list[Finding]:
+    """Return what the checks find that installed packages announce in the group `robot_runner.checks`.
+
+    Each is a function that takes these arguments and returns findings.
+
+    Args:
+        where: the config's file and class.
+        parameters: of the experiment.
+        plugins: all of the experiment.
+    """
+    findings: list[Finding] = []
+    for point in entry_points("checks"):
+        try:
+            findings += point.load()(where, parameters, plugins)
+        except Exception as error:  # noqa: BLE001 - a stranger's code, as above
+            findings.append(_failed_check(point.where, error))
     return findings
 
 
@@ -207,11 +228,11 @@ def _equal_names(loaded: LoadedConfig, plugins: list[Plugin]) -> list[Finding]:
     ]
 
 
-def _failed_check(plugin: Plugin, error: Exception) -> Finding:
+def _failed_check(where: str, error: Exception) -> Finding:
     if isinstance(error, RobotRunnerError):
-        return Finding.error(error.where or plugin.name, error.problem, error.fix)
+        return Finding.error(error.where or where, error.problem, error.fix)
     problem = f"its check raised {type(error).__name__}: {error}"
-    return Finding.error(plugin.name, problem, "Tell the plugin's author; update or leave out the plugin.")
+    return Finding.error(where, problem, "Tell the plugin's author; update or leave out the plugin.")
 
 
 # The results folder: that it can be made or written, found out without touching it.

@@ -1,4 +1,4 @@
-"""The robot link, and the ROS that the experiment requires."""
+"""From a config file to an experiment, or to everything that stands in its way; nothing is touched."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from robot_runner.core.config.checks import (
+    announced_checks,
     check_analysis,
     check_disk_space,
     check_names,
@@ -24,11 +25,7 @@ from robot_runner.core.config.loader import LoadedConfig, load_config
 from robot_runner.core.errors import ConfigError, Finding, LinkError
 from robot_runner.core.events.manager import EventManager
 from robot_runner.core.events.measure import MeasureColumns, resolve_columns
-from robot_runner.core.links.connect import is_simulated, link_findings
-from robot_runner.core.links.host import LOCAL
-from robot_runner.core.links.robot import RobotName
-from robot_runner.ros.required_ros import check_required_ros
-from robot_runner.ros.ros_environment import AUTO, find_ros, found_robot
+from robot_runner.core.links.connect import found_robot, link_findings, looks_for_robot
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -40,60 +37,30 @@ if TYPE_CHECKING:
 __all__ = ["Loader", "Preparation", "check_robot", "choose_robot", "prepare", "prepare_or_refuse"]
 
 
-_CLIENTS = {"ros1": 1, "ros2": 2}
-
-
 def choose_robot(loaded: LoadedConfig) -> list[Finding]:
     """Put what is found in the place of `robot = "auto"`, so that every run and the manifest name the same.
 
     Returns:
         what was chosen and why, or that nothing is there to choose.
     """
-    if getattr(loaded.config, "robot", None) != AUTO:
-        return []
+    robot = getattr(loaded.config, "robot", None)
     try:
-        found = found_robot()
+        found = found_robot(robot if isinstance(robot, str) else None)
     except LinkError as error:
         return [Finding.error(f"{loaded.where}.robot", error.problem, error.fix)]
+    if found is None:
+        return []
     loaded.config.robot = found.name
-    problem = f"robot is 'auto', and {found.name!r} was chosen: {found.reason}"
+    problem = f"robot is {robot!r}, and {found.name!r} was chosen: {found.reason}"
     return [Finding.warning(f"{loaded.where}.robot", problem, f"Write robot = {found.name!r} to be sure of it.")]
 
 
 def check_robot(loaded: LoadedConfig, parameters: Parameters, plugins: Sequence[Plugin] = ()) -> list[Finding]:
-    """Return what stands between the experiment and its robot."""
-    if parameters.robot == AUTO:
+    """Return what stands between the experiment and its robot, and what the checks of installed packages find."""
+    if looks_for_robot(parameters.robot):
         return []  # nothing was found, which is a finding already
-    findings = list(link_findings(parameters.robot))
-    if is_simulated(parameters.robot):
-        return findings  # the embedded robot needs no ROS
-    try:
-        name = None if parameters.robot is None else RobotName.parse(parameters.robot)
-    except LinkError:
-        return findings
-    findings += _other_generation(name)
-    return [*findings, *check_required_ros(loaded.where, parameters, name, sorted(set(_hosts(plugins)), key=str))]
+    return [*link_findings(parameters.robot), *announced_checks(loaded.where, parameters, plugins)]
 
-
-def _other_generation(name: RobotName | None) -> list[Finding]:
-    """Return that the other generation's packages stand in the way: both call their message packages the same."""
-    sourced, needed = find_ros(), None if name is None else _CLIENTS.get(name.link)
-    if sourced is None or needed is None or sourced.version == needed:
-        return []
-    problem = f"robot is {name.link!r}, and ROS {sourced.version} is sourced in this shell" if name else ""
-    fix = f"Start robot-runner from a shell in which ROS {needed} is sourced, and no other."
-    return [Finding.error("robot", problem, fix)]
-
-
-def _hosts(plugins: Sequence[Plugin]) -> Iterator[tuple[str, Path | None]]:
-    """Yield the robot's computers that plugins name, each with its ssh config."""
-    for plugin in plugins:
-        host = getattr(plugin, "host", None)
-        if isinstance(host, str) and host != LOCAL:
-            yield host, getattr(plugin, "ssh_config", None)
-
-
-# From a config file to an experiment, or to everything that stands in its way; nothing is touched.
 
 #: From a config file and what is set from outside to a config object; raises ConfigError.
 Loader = Callable[[Path, Mapping[str, str]], LoadedConfig]

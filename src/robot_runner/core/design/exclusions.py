@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from operator import and_, or_
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.factor import Combination, Factor, combinations_of
+from robot_runner.core.design.factor import Combination, Factor
 from robot_runner.core.errors import Finding, did_you_mean
 
 if TYPE_CHECKING:
-    from array import array
     from collections.abc import Iterator
 
 __all__ = ["Exclusion", "Exclusions", "apply_exclusions"]
@@ -21,7 +20,9 @@ __all__ = ["Exclusion", "Exclusions", "apply_exclusions"]
 Exclusion = Mapping[Any, Any] | Callable[[Combination], bool]
 
 _WHERE = "exclude_combinations"
-_OPPOSITE = bytes([1, 0]) + bytes(254)
+
+#: For each combination of a design, in order, whether something holds for it.
+_Flags = list[bool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,13 +30,13 @@ class Exclusions:
     """What the exclusions of a design come to.
 
     Attributes:
-        keep: for each combination of the full factorial, 1 where it is executed and 0 where it is left out.
+        kept: the combinations that are executed, in order.
         errors: exclusions that name what there is not, or that raised.
         warnings: exclusions that remove nothing.
         cause: what a predicate raised.
     """
 
-    keep: bytes
+    kept: list[Combination]
     errors: tuple[Finding, ...] = ()
     warnings: tuple[Finding, ...] = ()
     cause: Exception | None = None
@@ -43,87 +44,94 @@ class Exclusions:
 
 @dataclass(frozen=True, slots=True)
 class _Matching:
-    """For each combination, 1 where one exclusion matches; or what is wrong with that exclusion."""
+    """For each combination, whether one exclusion matches; or what is wrong with that exclusion."""
 
-    flags: bytes = b""
+    flags: _Flags
     errors: tuple[Finding, ...] = ()
     cause: Exception | None = None
 
 
-def apply_exclusions(factors: Sequence[Factor], columns: Sequence[array[int]], exclusions: object) -> Exclusions:
-    """Find out which combinations of the full factorial are left out.
+def apply_exclusions(
+    factors: Sequence[Factor], combinations: Sequence[Combination], exclusions: object
+) -> Exclusions:
+    """Find out which combinations are left out.
 
     Args:
         factors: the factors of the design.
-        columns: for each factor, the place of its treatment in each combination.
+        combinations: every combination of the factors' treatments.
         exclusions: mappings and predicates, see `Exclusion`.
     """
-    left_out = bytes(len(columns[0]))
     if not isinstance(exclusions, Sequence) or isinstance(exclusions, str | bytes):
         problem = f"it is {exclusions!r}, which is of type {type(exclusions).__name__}"
-        return Exclusions(left_out, (Finding.error(_WHERE, problem, "Give a list of exclusions."),))
+        return Exclusions([], (Finding.error(_WHERE, problem, "Give a list of exclusions."),))
+    left_out = [False] * len(combinations)
     errors: list[Finding] = []
     warnings: list[Finding] = []
     cause = None
     for place, exclusion in enumerate(exclusions):
         where = f"{_WHERE}[{place}]"
-        matching = _matching(where, factors, columns, exclusion)
+        matching = _matching(where, factors, combinations, exclusion)
         if matching.errors:
             errors += matching.errors
             cause = cause or matching.cause
             continue
         warnings += _idle(where, matching.flags, left_out)
-        left_out = bytes(map(or_, left_out, matching.flags))
-    if 0 not in left_out:
+        left_out = list(map(or_, left_out, matching.flags))
+    if all(left_out):
         errors.append(Finding.error(_WHERE, "every combination is excluded", "Exclude fewer."))
-    return Exclusions(left_out.translate(_OPPOSITE), tuple(errors), tuple(warnings), cause)
+    kept = [combination for combination, is_out in zip(combinations, left_out, strict=True) if not is_out]
+    return Exclusions(kept, tuple(errors), tuple(warnings), cause)
 
 
-def _matching(where: str, factors: Sequence[Factor], columns: Sequence[array[int]], exclusion: object) -> _Matching:
+def _matching(
+    where: str, factors: Sequence[Factor], combinations: Sequence[Combination], exclusion: object
+) -> _Matching:
     if isinstance(exclusion, Mapping):
-        return _matching_treatments(where, factors, columns, exclusion)
+        return _matching_treatments(where, factors, combinations, exclusion)
     if callable(exclusion):
-        return _matching_predicate(where, factors, columns, exclusion)
+        return _matching_predicate(where, combinations, exclusion)
     problem = f"it is {exclusion!r}, which is of type {type(exclusion).__name__}"
     fix = "Give a mapping from factors to treatments, or a function of a combination."
-    return _Matching(errors=(Finding.error(where, problem, fix),))
+    return _Matching([], (Finding.error(where, problem, fix),))
 
 
 def _matching_treatments(
-    where: str, factors: Sequence[Factor], columns: Sequence[array[int]], exclusion: Mapping[Any, Any]
+    where: str, factors: Sequence[Factor], combinations: Sequence[Combination], exclusion: Mapping[Any, Any]
 ) -> _Matching:
     if not exclusion:
         fix = "Name a factor and its treatments, or remove it."
-        return _Matching(errors=(Finding.error(where, "it names no factor", fix),))
-    by_name = {factor.name: (factor, column) for factor, column in zip(factors, columns, strict=True)}
+        return _Matching([], (Finding.error(where, "it names no factor", fix),))
+    by_name = {factor.name: factor for factor in factors}
     errors: list[Finding] = []
-    matching = bytes([1]) * len(columns[0])
+    flags = [True] * len(combinations)
     for key, wanted in exclusion.items():
         name = key.name if isinstance(key, Factor) else key
         if name not in by_name:
             errors.append(Finding.error(where, f"there is no factor {name!r}", did_you_mean(str(name), by_name)))
             continue
-        factor, column = by_name[name]
-        flags, unknown = _flags(factor, wanted)
+        chosen, unknown = _chosen(by_name[name], wanted)
         errors += [
-            Finding.error(where, f"{value!r} is no treatment of factor {name!r}", factor.suggestion(value))
+            Finding.error(where, f"{value!r} is no treatment of factor {name!r}", by_name[name].suggestion(value))
             for value in unknown
         ]
-        matching = bytes(map(and_, matching, map(flags.__getitem__, column)))
-    return _Matching(matching, tuple(errors))
+        flags = list(map(and_, flags, [id(combination[name]) in chosen for combination in combinations]))
+    return _Matching(flags, tuple(errors))
 
 
-def _flags(factor: Factor, wanted: Any) -> tuple[bytearray, list[Any]]:
-    """Mark the treatments of `factor` that are wanted, and return what is no treatment of it."""
-    flags = bytearray(len(factor.treatments))
+def _chosen(factor: Factor, wanted: Any) -> tuple[set[int], list[Any]]:
+    """Return the identities of the treatments of `factor` that are wanted, and what is no treatment of it.
+
+    By identity, as combinations hold the factor's own objects: by equality, True would be 1, and some objects have none.
+    """
+    chosen: set[int] = set()
     unknown = []
     for value in _values(factor, wanted):
         place = factor.position_of(value)
         if place is None:
             unknown.append(value)
         else:
-            flags[place] = 1
-    return flags, unknown
+            chosen.add(id(factor.treatments[place]))
+    return chosen, unknown
 
 
 def _values(factor: Factor, wanted: Any) -> Sequence[Any]:
@@ -137,15 +145,15 @@ def _values(factor: Factor, wanted: Any) -> Sequence[Any]:
 
 
 def _matching_predicate(
-    where: str, factors: Sequence[Factor], columns: Sequence[array[int]], predicate: Callable[[Combination], object]
+    where: str, combinations: Sequence[Combination], predicate: Callable[[Combination], object]
 ) -> _Matching:
-    flags = bytearray()
-    for combination in combinations_of(factors, columns):
+    flags = []
+    for combination in combinations:
         try:
             flags.append(bool(predicate(combination)))
         except Exception as error:  # noqa: BLE001 - a user's predicate may raise anything
-            return _Matching(errors=(_predicate_failed(where, combination, error),), cause=error)
-    return _Matching(bytes(flags))
+            return _Matching([], (_predicate_failed(where, combination, error),), error)
+    return _Matching(flags)
 
 
 def _predicate_failed(where: str, combination: Combination, error: Exception) -> Finding:
@@ -155,9 +163,8 @@ def _predicate_failed(where: str, combination: Combination, error: Exception) ->
     return Finding.error(where, problem, did_you_mean(str(name), combination) if is_unknown_factor else "Mend it.")
 
 
-def _idle(where: str, matching: bytes, left_out: bytes) -> Iterator[Finding]:
-    matched = matching.count(1)
-    if not matched:
+def _idle(where: str, flags: _Flags, left_out: _Flags) -> Iterator[Finding]:
+    if not any(flags):
         yield Finding.warning(where, "it matches no combination", "Remove it, or mend what it names.")
-    elif bytes(map(and_, matching, left_out)).count(1) == matched:
+    elif not any(matches and not is_out for matches, is_out in zip(flags, left_out, strict=True)):
         yield Finding.warning(where, "it removes nothing: what it matches is excluded already", "Remove it.")

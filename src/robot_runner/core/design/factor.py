@@ -1,13 +1,11 @@
-"""One treatment for each factor, and all of them together: the full factorial, held in columns."""
+"""What is varied: factors with their treatments, and combinations with one treatment for each factor."""
 
 from __future__ import annotations
 
 import re
-from array import array
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from itertools import chain, islice, repeat
-from math import prod
+from itertools import islice, product, repeat
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import name_findings
@@ -20,9 +18,8 @@ __all__ = [
     "MAX_TREATMENTS",
     "Combination",
     "Factor",
-    "combinations_of",
+    "factor_places",
     "full_factorial",
-    "index_array",
     "treatment_findings",
     "treatment_text",
     "treatments_are_equal",
@@ -216,19 +213,21 @@ def _listed(where: str, treatments: object) -> tuple[tuple[Any, ...], list[Findi
 class Combination(Mapping[str, Any]):
     """One treatment for each factor, by the factor's name. Read-only.
 
+    The treatments are the factors' own objects; the names are shared by all combinations of a design.
+
     Example:
         >>> Combination({"Task": 0, "Speed": 1}, ("Video", 0.2))["Speed"]
         0.2
     """
 
-    __slots__ = ("_places", "_treatments")
+    __slots__ = ("_places", "treatments")
 
     def __init__(self, places: Mapping[str, int], treatments: tuple[Any, ...]) -> None:
         self._places = places
-        self._treatments = treatments
+        self.treatments = treatments
 
     def __getitem__(self, factor: str) -> Any:
-        return self._treatments[self._places[factor]]
+        return self.treatments[self._places[factor]]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._places)
@@ -243,27 +242,12 @@ class Combination(Mapping[str, Any]):
         return ", ".join(f"{name}={treatment!r}" for name, treatment in self.items())
 
 
-def index_array(largest: int, values: Any = ()) -> array[int]:
-    """Return an array of whole numbers from 0 to `largest`, in as few bytes each as that takes."""
-    code = next(code for code, bits in (("B", 8), ("H", 16), ("I", 32), ("Q", 64)) if largest < 1 << bits)
-    return array(code, values)
+def factor_places(names: Iterable[str]) -> dict[str, int]:
+    """Return the place of each factor's treatment in a combination, counted from 0."""
+    return {name: place for place, name in enumerate(names)}
 
 
-def full_factorial(factors: Sequence[Factor]) -> tuple[array[int], ...]:
-    """Return, for each factor, the place of its treatment in each combination; the first factor is the slowest."""
-    columns = []
-    for place, factor in enumerate(factors):
-        count = len(factor.treatments)
-        stretch = prod(len(faster.treatments) for faster in factors[place + 1 :])
-        times = prod(len(slower.treatments) for slower in factors[:place])
-        once = index_array(count - 1, chain.from_iterable(map(repeat, range(count), repeat(stretch))))
-        columns.append(once * times)
-    return tuple(columns)
-
-
-def combinations_of(factors: Sequence[Factor], columns: Sequence[array[int]]) -> Iterator[Combination]:
-    """Yield the combination of each row of `columns`, which hold the places of treatments."""
-    places = {factor.name: place for place, factor in enumerate(factors)}
-    treatments = [map(factor.treatments.__getitem__, column) for factor, column in zip(factors, columns, strict=True)]
-    for row in zip(*treatments, strict=True):
-        yield Combination(places, row)
+def full_factorial(factors: Sequence[Factor]) -> list[Combination]:
+    """Return every combination of the factors' treatments; the first factor changes slowest."""
+    places = factor_places(factor.name for factor in factors)
+    return list(map(Combination, repeat(places), product(*(factor.treatments for factor in factors))))

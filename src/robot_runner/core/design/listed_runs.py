@@ -5,15 +5,15 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import dataclass
+from itertools import repeat
 from typing import TYPE_CHECKING, Any, Final
 
-from robot_runner.core.design.factor import Combination, index_array
+from robot_runner.core.design.factor import Combination, factor_places
 from robot_runner.core.design.run_table import PlannedRun, RunOrder, RunTable
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import DesignError, Finding
 
 if TYPE_CHECKING:
-    from array import array
     from collections.abc import Iterator, Mapping, Sequence
 
     from robot_runner.core.design.factor import Factor
@@ -81,59 +81,35 @@ class ListedRunTableModel(RunTableModel):
             factors=tuple(factors), repetitions=1, data_columns=tuple(data_columns), warnings=tuple(warnings)
         )
         self.runs: Final = tuple(runs)
-        self._combinations = tuple(_places(factor, runs) for factor in factors)
         self._order = order or RunOrder()
-        self._planned = None
+        self._listed = RunTable(self, _planned(self.factors, runs), self._order)
 
     def plan(self, seed: int | None = None) -> RunTable:
         """Return the run table; the order is as listed, whatever the seed."""
         del seed
-        if self._planned is None:
-            self._planned = _ListedRunTable(self, self._combinations, self._order)
-        return self._planned
+        return self._listed
 
 
-class _ListedRunTable(RunTable):
-    def __init__(self, model: ListedRunTableModel, combinations: tuple[array[int], ...], order: RunOrder) -> None:
-        counted = combinations or (index_array(0, [0] * len(model.runs)),)  # without factors, all runs are the same
-        super().__init__(model, counted, RunOrder(seed=order.seed))
-        self._combinations = combinations
-        self.order = order
-        self._runs = model.runs
-
-    @property
-    def run_ids(self) -> Sequence[str]:
-        """The ids of the runs."""
-        return [run.run_id for run in self._runs]
-
-    def repetition_numbers(self) -> array[int]:
-        """Return which repetition of its combination each run is, from 1."""
-        return index_array(max(run.repetition for run in self._runs), (run.repetition for run in self._runs))
-
-    def _run(self, place: int) -> PlannedRun:
-        listed = self._runs[place]
-        treatments = tuple(
-            factor.treatments[column[place]]
-            for factor, column in zip(self.model.factors, self._combinations, strict=True)
-        )
-        return PlannedRun(listed.run_id, place + 1, Combination(self._places, treatments), listed.repetition)
+def _planned(factors: Sequence[Factor], runs: Sequence[ListedRun]) -> Iterator[PlannedRun]:
+    places = factor_places(factor.name for factor in factors)
+    columns = [_own_treatments(factor, [run.treatments[factor.name] for run in runs]) for factor in factors]
+    # Without factors, all runs have the same, empty combination.
+    combinations = zip(*columns, strict=True) if columns else repeat(())
+    for number, (run, treatments) in enumerate(zip(runs, combinations, strict=False), start=1):
+        yield PlannedRun(run.run_id, number, Combination(places, treatments), run.repetition)
 
 
-def _places(factor: Factor, runs: Sequence[ListedRun]) -> array[int]:
-    # Runs share the objects that the factor has: what is the same object needs no comparing.
-    known = {id(treatment): place for place, treatment in enumerate(factor.treatments)}
+def _own_treatments(factor: Factor, values: Sequence[Any]) -> list[Any]:
+    known = set(map(id, factor.treatments))  # most are the factor's own objects: these need no comparing
+    return [value if id(value) in known else _own(factor, value) for value in values]
 
-    def place_of(value: Any) -> int:
-        place = known.get(id(value))
-        if place is None:
-            place = factor.position_of(value)
-        if place is None:
-            raise DesignError(
-                f"{value!r} is no treatment", where=f"factor {factor.name!r}", fix=factor.suggestion(value)
-            )
-        return place
 
-    return index_array(len(factor.treatments) - 1, (place_of(run.treatments[factor.name]) for run in runs))
+def _own(factor: Factor, value: Any) -> Any:
+    """Return the factor's own object for a treatment."""
+    place = factor.position_of(value)
+    if place is None:
+        raise DesignError(f"{value!r} is no treatment", where=f"factor {factor.name!r}", fix=factor.suggestion(value))
+    return factor.treatments[place]
 
 
 def _run_findings(runs: Sequence[ListedRun]) -> Iterator[Finding]:

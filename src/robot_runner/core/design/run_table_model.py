@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import compress
+from functools import cached_property
 from math import prod
 from typing import TYPE_CHECKING, Any, Final
 
 from robot_runner.core.design.columns import REPETITION, name_findings
 from robot_runner.core.design.exclusions import apply_exclusions
 from robot_runner.core.design.factor import Factor, full_factorial
-from robot_runner.core.design.run_table import RunOrder, RunTable
+from robot_runner.core.design.run_table import RunOrder, RunTable, garbage_collection_paused, planned_runs
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from robot_runner.core.design.exclusions import Exclusion
+    from robot_runner.core.design.exclusions import Exclusion, Exclusions
+    from robot_runner.core.design.factor import Combination
 
 __all__ = ["MAX_RUNS", "RunTableModel", "design_findings", "order_findings"]
 
@@ -180,16 +180,15 @@ class RunTableModel:
         findings = list(design_findings(listed, repetitions, data_columns, shuffle, seed, blocks))
         if any(finding.where.startswith("factors") for finding in findings):
             raise DesignError.of_findings(findings)  # without factors there is nothing to exclude from
-        columns = full_factorial(listed)
-        exclusions = apply_exclusions(listed, columns, exclude_combinations)
-        findings += exclusions.errors
+        exclusions = _applied(listed, exclude_combinations)
+        findings += exclusions.errors if exclusions else ()
         if findings:
-            raise DesignError.of_findings(findings) from exclusions.cause
+            raise DesignError.of_findings(findings) from (exclusions.cause if exclusions else None)
         self.factors: Final = listed
         self.repetitions: Final = repetitions
         self.data_columns: Final = None if data_columns is None else tuple(data_columns)
-        self.warnings: Final[tuple[Finding, ...]] = exclusions.warnings
-        self._combinations = tuple(array(column.typecode, compress(column, exclusions.keep)) for column in columns)
+        self.warnings: Final[tuple[Finding, ...]] = exclusions.warnings if exclusions else ()
+        self._kept = exclusions.kept if exclusions else None
         self._order = _ordered(RunOrder(shuffle=shuffle), seed, blocks)
         self._planned: RunTable | None = None
 
@@ -243,13 +242,40 @@ class RunTableModel:
         """
         order = self._order if seed is None or self.seed_is_given else replace(self._order, seed=seed)
         if self._planned is None or self._planned.order != order:
-            self._planned = RunTable(self, self._combinations, order)
+            with garbage_collection_paused():
+                runs = planned_runs(self._combinations, self.repetitions, self._block_of(order.blocks), order)
+                self._planned = RunTable(self, runs, order)
         return self._planned
+
+    @cached_property
+    def _combinations(self) -> list[Combination]:
+        """The combinations that are executed; made when they are first asked for, as a table on disk needs none."""
+        return full_factorial(self.factors) if self._kept is None else self._kept
+
+    def _block_of(self, blocks: str | None) -> list[int] | None:
+        """Return the number of each run's block in the order as written, from 0 without gaps."""
+        if blocks is None:
+            return None
+        if blocks == REPETITION and self.repetitions > 1:
+            return [number for number in range(self.repetitions) for _ in self._combinations]
+        factor = next(factor for factor in self.factors if factor.name == blocks)
+        present = {id(combination[blocks]) for combination in self._combinations}  # they hold the factor's own objects
+        left = [id(treatment) for treatment in factor.treatments if id(treatment) in present]
+        number_of = {treatment: number for number, treatment in enumerate(left)}
+        return [number_of[id(combination[blocks])] for combination in self._combinations] * self.repetitions
 
 
 def _as_tuple(factors: Any) -> Any:
     """Return the factors as a tuple, or what was given where the checks are to refuse it."""
     return tuple(factors) if isinstance(factors, Iterable) and not isinstance(factors, str | bytes) else factors
+
+
+def _applied(factors: Sequence[Factor], exclusions: Any) -> Exclusions | None:
+    """Apply what is to be excluded; None where that is nothing."""
+    if isinstance(exclusions, list | tuple) and not exclusions:
+        return None
+    with garbage_collection_paused():
+        return apply_exclusions(factors, full_factorial(factors), exclusions)
 
 
 def _ordered(order: RunOrder, seed: int | None, blocks: str | Factor | None) -> RunOrder:

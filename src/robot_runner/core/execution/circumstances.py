@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.recovery import config_files
-from robot_runner.core.plugin import installed_plugins
+from robot_runner.core.plugin import described_circumstances, installed_plugins
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.manifest import describe_host, describe_software
 from robot_runner.core.storage.safe_write import storage_error
-from robot_runner.ros.ros_environment import describe_ros
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -32,6 +31,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
     model = experiment.model
     by_hand = experiment.folder.run_table.exists()
     return {
+        **described_circumstances(),  # first, so that none of them takes the place of what follows
         "experiment_name": experiment.parameters.experiment_name,
         "config": {"file": experiment.config_path.name, "class": experiment.class_name},
         # What was set from outside the config file: whoever repeats the experiment has to know.
@@ -55,7 +55,6 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "replication": dict(experiment.replication) if experiment.replication else None,
         "plugins": [_described(plugin) for plugin in experiment.plugins],
         "host": describe_host(),
-        "ros": describe_ros(),
         "software": describe_software(),
         "executions": [_execution(experiment)],
     }

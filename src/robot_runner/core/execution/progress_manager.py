@@ -170,7 +170,7 @@ class ProgressManager:
             note_clock(self._manifest, fields)
         if kind == "refused":
             keep_refused(self._folder, task.run_id, fields)
-        if kind == "event" and fields["event"] == "continue" and "continue_at" in self._rows.stamps:
+        if kind == "event" and fields["event"] == "continue" and "continue_at" in self._rows.layout.stamps:
             self._rows.record(task.run_id, stamps={"continue_at": fields["at"]})
             self._refresh_table()
 

@@ -74,7 +74,7 @@ def selected_places(rows: RunTableRows, resumption: Resumption) -> list[int]:
 
 
 def _refuse_unknown(rows: RunTableRows, option: str, run_ids: Iterable[str]) -> None:
-    unknown = [run_id for run_id in run_ids if rows.run_ids.place_of(run_id) is None]
+    unknown = [run_id for run_id in run_ids if rows.place_of(run_id) is None]
     if unknown:
         known = [rows.run_id(place) for place in range(min(len(rows), 1000))]
         raise ExecutionError.of_findings(
@@ -125,26 +125,24 @@ def config_changes(experiment: Experiment) -> list[Finding]:
 def table_differences(path: Path, plan: RunTable, rows: RunTableRows) -> Iterator[Finding]:
     """Yield each cell in which the run table on disk differs from the plan, and each run that only one of them has."""
     planned = {run.run_id: run for run in plan}
-    for place in range(len(rows)):
-        run_id = rows.run_id(place)
-        run = planned.pop(run_id, None)
+    for found in rows.planned:
+        run = planned.pop(found.run_id, None)
         if run is None:
-            yield Finding.error(f"{path}, run {run_id}", "the plan has no such run", _TABLE_FIX)
+            yield Finding.error(f"{path}, run {found.run_id}", "the plan has no such run", _TABLE_FIX)
         else:
-            yield from _different_cells(path, run, rows, place)
+            yield from _different_cells(path, run, found, has_repetition=rows.layout.has_repetition)
     for run_id in planned:
         yield Finding.error(f"{path}, run {run_id}", "the table lacks this run of the plan", _TABLE_FIX)
 
 
-def _different_cells(path: Path, run: PlannedRun, rows: RunTableRows, place: int) -> Iterator[Finding]:
-    expected: dict[str, Any] = dict(run.combination)
-    if rows.layout.has_repetition:
-        expected[REPETITION] = run.repetition
-    for name, value in expected.items():
-        found = rows.factors[name].value(place)
-        if found is not value and str(found) != str(value):
+def _different_cells(path: Path, run: PlannedRun, found: PlannedRun, *, has_repetition: bool) -> Iterator[Finding]:
+    pairs = [(name, found.combination[name], value) for name, value in run.combination.items()]
+    if has_repetition:
+        pairs.append((REPETITION, found.repetition, run.repetition))
+    for name, is_now, value in pairs:
+        if is_now is not value and str(is_now) != str(value):
             where = f"{path}, run {run.run_id}, column {name!r}"
-            yield Finding.error(where, f"the table has {found!r}, the plan {value!r}", _TABLE_FIX)
+            yield Finding.error(where, f"the table has {is_now!r}, the plan {value!r}", _TABLE_FIX)
 
 
 def _changed_lines(source: Path, before: str, now: str) -> Iterator[Finding]:
@@ -238,8 +236,8 @@ class RecoveredTable:
         self.rows.record(
             run_id,
             status=_ENDS[status],
-            stamps={name: stamp for event, stamp in stamps.items() if (name := f"{event}_at") in self.rows.stamps},
-            measures={name: value for name, value in measures.items() if name in self.rows.measures},
+            stamps={name: stamp for event, stamp in stamps.items() if (name := f"{event}_at") in self.rows.layout.stamps},
+            measures={name: value for name, value in measures.items() if name in self.rows.layout.measures},
         )
 
     def _known(self) -> dict[str, ColumnDescription]:

@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from robot_runner.core.config.dialects import prepare_or_refuse
 from robot_runner.core.execution.interruption import STOP_SIGNALS, InterruptGate
 from robot_runner.core.execution.processes import leave_after, settle_streams
 from robot_runner.core.execution.run import execute_run
@@ -68,8 +69,6 @@ def _print_to_log(experiment: Experiment) -> None:
 
 
 def _execute_described(description: Mapping[str, Any], report: RecordWriter) -> None:
-    from robot_runner.legacy.loading import prepare_or_refuse  # noqa: PLC0415 - forked runs have their config
-
     experiment = prepare_or_refuse(Path(description["config"]), description["set"])
     _execute(experiment, _task_of(experiment, description["task"]), report)
 

@@ -73,7 +73,7 @@ def estimate_offset(exchanges: Sequence[ClockExchange]) -> ClockOffset:
         exchanges: with one computer, shortly after one another.
 
     Raises:
-        LinkError: there are none.
+        LinkError: there are no exchanges.
 
     Example:
         >>> slow = ClockExchange(sent=10.0, received=10.5, steady=110.0, wall=3.0, own_wall=0.0)

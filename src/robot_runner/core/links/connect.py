@@ -1,63 +1,48 @@
-"""By what a simulated robot on a real graph is told from a real one, so that its values are labelled."""
+"""Opens the links of a run by the name of its robot, once a run; which kinds of link there are, entry points say."""
 
 from __future__ import annotations
 
-import importlib.util
 from functools import partial
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from robot_runner.core.errors import Finding, LinkError, nearest
+from robot_runner.core.errors import Finding, LinkError, PluginError, nearest
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.host import LOCAL
-from robot_runner.core.links.robot import RobotName, simulation_options
-from robot_runner.ros.graph_clock import GraphClock
-from robot_runner.ros.graph_links import GRAPH_LINKS, follows_graph_clock, full_name, graph_findings, open_graph_link
-from robot_runner.ros.ros_environment import AUTO, found_robot
+from robot_runner.core.links.kinds import BringsDevices, FindsRobot, RobotLinkKind, installed_links, link_key, link_kind
+from robot_runner.core.links.robot import RobotName
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.events.context import Clock, Resources, RobotRunnerContext
     from robot_runner.core.links.host import HostLink
+    from robot_runner.core.links.kinds import FoundRobot
     from robot_runner.core.links.robot import RobotLink
     from robot_runner.core.links.serial_line import SerialLine
-    from robot_runner.simulator.simulated_turtlebot3 import Simulation
 
 __all__ = [
-    "ROBOT_LINKS",
     "SIMULATED",
     "SIMULATION_TOPIC",
     "connect_host",
     "connect_robot",
+    "found_robot",
     "is_simulated",
     "is_simulation",
     "link_findings",
     "lives_by_simulation",
+    "looks_for_robot",
     "open_clock",
     "open_serial_line",
 ]
 
-
-# Opens the links of a run by the name of its robot, and says which names there are.
-
+#: The name of the embedded robot, which messages offer as a way out; nothing here depends on it.
 SIMULATED = "simulated"
 
-#: How a robot can be reached, by the name that a config gives in `robot`.
-ROBOT_LINKS = MappingProxyType(
-    {
-        SIMULATED: "the embedded TurtleBot3 Burger: a physics simulation with a clock of its own",
-        **{name: link.description for name, link in GRAPH_LINKS.items()},
-        AUTO: "what is found: a ROS that is sourced, a ROS 1 master, a rosbridge, ROS 2 over DDS; never the simulation",
-    }
-)
-
-_SIMULATOR_PACKAGES = ("mujoco", "numpy")
-_INSTALL = "Install the simulator: pip install 'robot-runner[sim]'."
-_SIMULATE = "Execute it on the embedded robot: --set robot=simulated."
+_SIMULATE = f"Execute it on the embedded robot: --set robot={SIMULATED}."
 _NAME_IT = (
     "Name the port or the host in the plugin, as in Ina219(port='/dev/ttyUSB0') or PsUtil(host='pi@robot'). "
-    "Or: --set robot=simulated."
+    f"Or: --set robot={SIMULATED}."
 )
 
 
@@ -71,10 +56,25 @@ def link_findings(robot: str | None) -> list[Finding]:
     if robot is None:
         return []
     try:
-        name = _known(robot)
-        return _simulator_findings(name) if name.link == SIMULATED else graph_findings(name)
-    except LinkError as error:
+        kind, name = _resolved(robot)
+        return kind.findings(name)
+    except (LinkError, PluginError) as error:
         return [error.as_finding()]
+
+
+def looks_for_robot(robot: str | None) -> bool:
+    """Whether a name stands for whichever robot is found (`auto`)."""
+    return robot is not None and isinstance(_kind_or_none(robot), FindsRobot)
+
+
+def found_robot(robot: str | None) -> FoundRobot | None:
+    """Return which robot is found by the name of one that is looked for (`auto`); None where the name is another.
+
+    Raises:
+        LinkError: it is to be looked for, and none is there.
+    """
+    kind = None if robot is None else _kind_or_none(robot)
+    return kind.found_robot() if isinstance(kind, FindsRobot) else None
 
 
 def is_simulated(robot: str | None) -> bool:
@@ -84,12 +84,13 @@ def is_simulated(robot: str | None) -> bool:
         >>> is_simulated("simulated:task_power_factor=1.1")
         True
     """
-    return robot is not None and robot.partition(":")[0].strip() == SIMULATED
+    kind = None if robot is None else _kind_or_none(robot)
+    return isinstance(kind, RobotLinkKind) and kind.is_simulated
 
 
 def lives_by_simulation(context: RobotRunnerContext) -> bool:
     """Whether the run's clock is that of a simulation: of the embedded robot, or of one on a graph."""
-    return is_simulated(context.robot) or isinstance(context.clock, GraphClock)
+    return is_simulated(context.robot) or getattr(context.clock, "is_simulated", False)
 
 
 def open_clock(robot: str | None, resources: Resources, seed: int) -> Clock:
@@ -97,7 +98,7 @@ def open_clock(robot: str | None, resources: Resources, seed: int) -> Clock:
 
     Args:
         robot: how the robot is reached, or None where the experiment has none; an option such as
-            `simulated:initial_charge=40` sets a figure of `Turtlebot3Parameters`.
+            `simulated:initial_charge=40` sets a figure of the simulated robot.
         resources: the run's, with which the simulation is closed.
         seed: the run's seed.
 
@@ -106,14 +107,8 @@ def open_clock(robot: str | None, resources: Resources, seed: int) -> Clock:
     """
     if robot is None:
         return SystemClock()
-    name = _known(robot)
-    if name.link == SIMULATED:
-        return _simulation(resources, seed, name).clock
-    return (
-        resources.open("graph clock", partial(_graph_clock, name, resources))
-        if follows_graph_clock(name)
-        else SystemClock()
-    )
+    kind, name = _resolved(robot)
+    return kind.open_clock(name, resources=resources, seed=seed)
 
 
 def connect_robot(context: RobotRunnerContext, *, namespace: str = "") -> RobotLink:
@@ -122,17 +117,16 @@ def connect_robot(context: RobotRunnerContext, *, namespace: str = "") -> RobotL
     Raises:
         LinkError: the run has no robot, or it cannot be reached.
     """
-    name = _named(context.robot)
-    if name.link != SIMULATED:
-        return _graph_link(name, context.resources, context.clock, namespace)
-    simulation = _simulation_of(context)
-
-    def opener() -> RobotLink:
-        from robot_runner.simulator.simulated_link import SimulatedRobotLink  # noqa: PLC0415  # it imports MuJoCo
-
-        return SimulatedRobotLink(simulation, namespace=namespace)
-
-    return context.resources.open(f"robot {_key(namespace)}", opener)
+    kind, name = _robot_of(context)
+    opener = partial(
+        kind.open_robot,
+        name,
+        resources=context.resources,
+        clock=context.clock,
+        seed=context.run_seed,
+        namespace=namespace,
+    )
+    return context.resources.open(link_key("robot", namespace), opener)
 
 
 def open_serial_line(
@@ -152,15 +146,17 @@ def open_serial_line(
     """
     if port is not None and not is_simulated(context.robot):
         return _port_line(context, port, baud)
-    simulation = _simulation_of(context)
-    _check_own("serial port", port)
-
-    def opener() -> SerialLine:
-        from robot_runner.simulator.simulated_devices import SimulatedSerialLine  # noqa: PLC0415  # it imports MuJoCo
-
-        return SimulatedSerialLine(simulation, namespace=namespace)
-
-    return context.resources.open(f"serial {_key(namespace)}", opener)
+    devices, name = _own_devices(context)
+    if port is not None:
+        raise LinkError(
+            f"a simulated robot has no serial port {port!r}",
+            where=f"robot = {context.robot!r}",
+            fix="Leave the serial port out: it is the robot's own.",
+        )
+    opener = partial(
+        devices.open_serial_line, name, resources=context.resources, seed=context.run_seed, namespace=namespace
+    )
+    return context.resources.open(link_key("serial", namespace), opener)
 
 
 def _port_line(context: RobotRunnerContext, port: str, baud: int) -> SerialLine:
@@ -195,14 +191,9 @@ def connect_host(
     """
     if host is not None:
         return _named_host(context, host, ssh_config, form)
-    simulation = _simulation_of(context)
-
-    def opener() -> HostLink:
-        from robot_runner.simulator.simulated_devices import SimulatedHost  # noqa: PLC0415  # it imports MuJoCo
-
-        return SimulatedHost(simulation, namespace=namespace)
-
-    return context.resources.open(f"host {_key(namespace)}", opener)
+    devices, name = _own_devices(context)
+    opener = partial(devices.open_host, name, resources=context.resources, seed=context.run_seed, namespace=namespace)
+    return context.resources.open(link_key("host", namespace), opener)
 
 
 def _named_host(context: RobotRunnerContext, host: str, config: Path | None, form: str | None) -> HostLink:
@@ -221,101 +212,51 @@ def _named_host(context: RobotRunnerContext, host: str, config: Path | None, for
     return context.resources.open(f"computer {host} {config} {form}", opener)
 
 
-def _simulation_of(context: RobotRunnerContext) -> Simulation:
-    return _simulation(context.resources, context.run_seed, _simulated(context.robot))
+def _own_devices(context: RobotRunnerContext) -> tuple[BringsDevices, RobotName]:
+    """Return what opens the devices that a simulated robot brings."""
+    kind, name = _robot_of(context)
+    if isinstance(kind, BringsDevices):
+        return kind, name
+    raise LinkError(
+        f"robot is {context.robot!r}, which is not simulated, and what measures it is not named",
+        where="robot",
+        fix=_NAME_IT,
+    )
 
 
-def _simulation(resources: Resources, seed: int, name: RobotName) -> Simulation:
-    """Return the run's one simulation, whoever asks for it first."""
-
-    def opener() -> Simulation:
-        try:
-            from robot_runner.simulator.simulated_turtlebot3 import Simulation  # noqa: PLC0415  # it imports MuJoCo
-        except ModuleNotFoundError as error:
-            raise _not_installed([error.name or "mujoco"]) from error
-        options = simulation_options(name.options)
-        return Simulation(seed, parameters=options.parameters, real_time_factor=options.real_time_factor)
-
-    return resources.open("simulation", opener)
-
-
-def _graph_link(name: RobotName, resources: Resources, clock: Clock, namespace: str) -> RobotLink:
-    return resources.open(f"robot {_key(namespace)}", partial(open_graph_link, name, clock, namespace))
-
-
-def _graph_clock(name: RobotName, resources: Resources) -> GraphClock:
-    clock = GraphClock(_graph_link(name, resources, SystemClock(), ""))
-    clock.start()
-    return clock
-
-
-def _simulated(robot: str | None) -> RobotName:
-    name = _named(robot)
-    if name.link != SIMULATED:
-        raise LinkError(
-            f"robot is {robot!r}, which is not simulated, and what measures it is not named",
-            where="robot",
-            fix=_NAME_IT,
-        )
-    return name
-
-
-def _named(robot: str | None) -> RobotName:
-    if robot is None:
+def _robot_of(context: RobotRunnerContext) -> tuple[RobotLinkKind, RobotName]:
+    if context.robot is None:
         raise LinkError(
             "the experiment names no robot",
             where="robot",
             fix=f"Name one in the config: robot = {SIMULATED!r}. Or: --set robot={SIMULATED}.",
         )
-    return _known(robot)
+    return _resolved(context.robot)
 
 
-def _known(robot: str) -> RobotName:
+def _resolved(robot: str) -> tuple[RobotLinkKind, RobotName]:
+    """Return the kind of link of a robot's name, and the name; what is to be looked for is found."""
     name = RobotName.parse(robot)
-    if name.link not in ROBOT_LINKS or (name.address is not None and name.link != "rosbridge"):
-        raise _unknown(robot)
-    return RobotName.parse(found_robot().name) if name.link == AUTO else name
-
-
-def _simulator_findings(name: RobotName) -> list[Finding]:
-    missing = [package for package in _SIMULATOR_PACKAGES if importlib.util.find_spec(package) is None]
-    if missing:
-        return [_not_installed(missing).as_finding()]
-    if name.options:
-        simulation_options(name.options)
-    return []
-
-
-def _check_own(kind: str, name: str | None) -> None:
-    if name is not None:
-        raise LinkError(
-            f"a simulated robot has no {kind} {name!r}",
-            where=f"robot = {SIMULATED!r}",
-            fix=f"Leave the {kind} out: it is the robot's own.",
-        )
-
-
-def _key(namespace: str) -> str:
-    # With `robot`, `serial` or `host` before it, the key under which a run keeps the link; the fakes of
-    # `robot_runner.testing` are put in place under the same keys.
-    return namespace.strip("/") or "/"
-
-
-def _unknown(robot: str) -> LinkError:
-    near = nearest(robot.partition(":")[0], ROBOT_LINKS)
-    return LinkError(
+    kind = link_kind(name.link)
+    if isinstance(kind, FindsRobot):
+        if name.address is None:
+            return _resolved(kind.found_robot().name)
+    elif kind is not None and (name.address is None or kind.takes_address):
+        return kind, name
+    near = nearest(robot.partition(":")[0], installed_links())
+    raise LinkError(
         f"robot is {robot!r}, which is no link of this version",
         where="robot",
         fix=f"Did you mean {near!r}?" if near else _SIMULATE,
     )
 
 
-def _not_installed(missing: list[str]) -> LinkError:
-    return LinkError(
-        f"robot is {SIMULATED!r}, but {' and '.join(missing)} cannot be imported",
-        where="robot",
-        fix=_INSTALL,
-    )
+def _kind_or_none(robot: str) -> RobotLinkKind | FindsRobot | None:
+    """Return the kind of link of a robot's name; one that cannot be imported is left to `link_findings`."""
+    try:
+        return link_kind(robot.partition(":")[0].strip())
+    except PluginError:
+        return None
 
 
 #: Published once, by who puts a simulated robot on a graph, in the robot's namespace.

@@ -32,8 +32,6 @@ __all__ = [
 ]
 
 
-# What a link to a computer can do: sample its utilisation or its files on board, and hand the samples over.
-
 #: The name of this machine as a host.
 LOCAL = "localhost"
 

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 __all__ = ["LocalHost", "LocalProcesses", "LocalSampler", "matches"]
 
 
-# The processes of this machine that selectors match, through psutil.
-
 #: Seconds between two looks for new processes.
 _RESCAN = 1.0
 #: Looks during which a process may still turn into another program.
@@ -37,7 +35,7 @@ class LocalProcesses:
     """Finds processes and reads their counters.
 
     Args:
-        psutil: the library, imported by whoever needs it.
+        psutil: the library, imported by the caller.
         selectors: as `process_selector` makes them.
     """
 
@@ -253,7 +251,7 @@ class _Counters:
         self.cores = int(self._psutil.cpu_count() or 1)
 
     def read(self) -> CounterSample:
-        """Return the counters of this moment; their time is put in by whoever took it."""
+        """Return the counters of this moment; the caller adds their time."""
         cores = tuple(map(_core, self._psutil.cpu_times(percpu=True)))
         memory = self._psutil.virtual_memory()
         return CounterSample(

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 __all__ = ["FileLines", "OnBoardSampler", "UtilisationCounters", "counter_sample", "file_line", "file_sample"]
 
 
-# The lines that the on-board loop sends, understood; `on_board/loop.py` describes them.
-
 _KILOBYTE = 1024.0
 
 
@@ -132,7 +130,7 @@ class OnBoardSampler(Generic[S_co]):
     """Samples from the moment that it is made until `stop`.
 
     Args:
-        session: with the computer; it samples for nobody else meanwhile.
+        session: with the computer; it takes no other samples meanwhile.
         quantity: what is sampled.
         rate: samples a second.
         is_streamed: whether samples are sent at once. Otherwise they are kept in a file on the computer until they are
@@ -172,7 +170,7 @@ class OnBoardSampler(Generic[S_co]):
 
     @property
     def is_stopped(self) -> bool:
-        """Whether it was stopped, so that its session can sample for somebody else."""
+        """Whether it was stopped, so that its session is free for another."""
         return self._samples is not None
 
     def end(self) -> None:

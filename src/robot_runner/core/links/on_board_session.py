@@ -77,7 +77,7 @@ class OnBoardSession:
         explain: says from the stderr of the command what mends it.
 
     Raises:
-        LinkError: the command cannot be started, nobody answers, or the computer cannot be sampled.
+        LinkError: the command cannot be started, there is no answer, or the computer cannot be sampled.
     """
 
     def __init__(
@@ -211,7 +211,9 @@ class OnBoardSession:
         form = wanted or next((form for form in FORMS if form in offered), None)
         if form is None or form not in offered:
             raise LinkError(
-                f"it cannot be sampled by {wanted}" if wanted else "it has neither Linux's /proc nor a usable ps",
+                f"the computer cannot be sampled by {wanted}"
+                if wanted
+                else "the computer has neither Linux's /proc nor a usable ps",
                 where=self.where,
                 fix=f"Choose among what it can: {', '.join(offered)}." if offered else "Install python3 there.",
             )
@@ -248,13 +250,17 @@ class OnBoardSession:
             except queue.Empty:
                 break
             if not words:
-                self._answers.put(([], at))  # whoever asks next is told the same
+                self._answers.put(([], at))  # the next call is told the same
                 raise self.lost()
             if words[0] == kind:
                 return words[1:], at
             if words[0] == "error":
-                raise LinkError(f"it cannot do it: {' '.join(words[1:])}", where=self.where, fix="Look at it by hand.")
-        raise LinkError(f"it did not answer within {patience:g} s", where=self.where, fix="Look at the network.")
+                raise LinkError(
+                    f"the computer cannot do this: {' '.join(words[1:])}", where=self.where, fix="Look at it by hand."
+                )
+        raise LinkError(
+            f"the computer did not answer within {patience:g} s", where=self.where, fix="Look at the network."
+        )
 
     def _listen(self) -> None:
         for line in self._lines():

@@ -1,19 +1,16 @@
-"""The name of a robot as a config gives it: how it is reached, and options of that way."""
+"""What a link to a robot can do, whatever stands behind it, and the name of a robot as a config gives it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from enum import StrEnum
-from math import inf
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.core.errors import LinkError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-
-    from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
 __all__ = [
     "Encoding",
@@ -22,13 +19,9 @@ __all__ = [
     "RawMessage",
     "RobotLink",
     "RobotName",
-    "SimulationOptions",
     "Subscription",
-    "simulation_options",
 ]
 
-
-# What a link to a robot can do, whatever stands behind it: ROS 1, ROS 2, DDS, rosbridge or the embedded simulator.
 
 #: A ROS message as a plain mapping that follows its definition: `{"linear": {"x": 0.2, ...}, "angular": {...}}`.
 #: Times and durations are `{"sec": …, "nanosec": …}` in both generations of ROS, arrays are lists, byte arrays `bytes`.
@@ -189,7 +182,6 @@ class RobotLink(Protocol):
 
 
 _WHERE = "robot"
-_REAL_TIME_FACTOR = "real_time_factor"
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,48 +225,3 @@ class RobotName:
                 raise LinkError(f"{text!r} sets {name!r} twice", where=_WHERE, fix="Leave one of them out.")
             options[name] = value
         return cls(link.strip(), options)
-
-
-@dataclass(frozen=True, slots=True)
-class SimulationOptions:
-    """What `robot = "simulated:name=value,..."` says of the simulation.
-
-    Attributes:
-        parameters: what its robots are made of.
-        real_time_factor: simulated seconds a real second (1.0: real time); None for as fast as the physics goes.
-    """
-
-    parameters: Turtlebot3Parameters
-    real_time_factor: float | None
-
-
-def simulation_options(options: Mapping[str, str]) -> SimulationOptions:
-    """Return what a simulated robot with these options is made of, and how fast its time goes by.
-
-    Example:
-        >>> simulation_options({"initial_charge": "40", "real_time_factor": "1"}).real_time_factor
-        1.0
-
-    Raises:
-        LinkError: there is no such parameter, or it cannot have this value.
-    """
-    from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters  # noqa: PLC0415  # only where there is a simulator
-
-    kinds = {each.name: int if each.type == "int" else float for each in fields(Turtlebot3Parameters)}
-    kinds[_REAL_TIME_FACTOR] = float
-    values: dict[str, Any] = {}
-    for name, text in options.items():
-        if name not in kinds:
-            fix = did_you_mean(name, kinds)
-            raise LinkError(f"the simulated robot has no parameter {name!r}", where=_WHERE, fix=fix)
-        try:
-            values[name] = kinds[name](text)
-        except ValueError as error:
-            kind = "a whole number" if kinds[name] is int else "a number"
-            problem = f"the simulated robot's {name} is {text!r}, which is not {kind}"
-            raise LinkError(problem, where=_WHERE, fix=f"Give {kind}, as in {name}=1.") from error
-    pace = values.pop(_REAL_TIME_FACTOR, None)
-    if pace is not None and not 0 < pace < inf:
-        problem = f"the simulated robot's {_REAL_TIME_FACTOR} is {pace:g}, which no clock can keep"
-        raise LinkError(problem, where=_WHERE, fix="Give 1 for real time, 2 for twice as fast.")
-    return SimulationOptions(Turtlebot3Parameters(**values), pace)

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 __all__ = ["DEFAULT_BAUD", "SIMULATED_PORT", "Chunk", "SerialLine", "SerialPort", "found_ports", "port_problem"]
 
 
-# What a serial line can do, whether a device or a simulated one is at its other end.
-
 #: The name of the link to a port at whose other end is a simulated meter; it tells who opens it so.
 SIMULATED_PORT = "simulated-ina219"
 
@@ -109,14 +107,14 @@ def port_problem(port: str) -> LinkError | None:
     if not stat.S_ISCHR(Path(port).stat().st_mode):
         return LinkError(f"{port!r} is no serial port", where=f"serial port {port}", fix=_choice(port))
     if not os.access(port, os.R_OK | os.W_OK):
-        return LinkError("it may not be opened by this user", where=f"serial port {port}", fix=_PERMIT)
+        return LinkError("this user may not open the port", where=f"serial port {port}", fix=_PERMIT)
     return None
 
 
 class SerialPort:
     """A serial line that is read by a thread of the run's process, which stamps what arrives on the run's clock.
 
-    It is 8N1 without flow control, and nobody else can open the port meanwhile.
+    It is 8N1 without flow control, and opened exclusively.
 
     Args:
         port: a device file such as `/dev/ttyUSB0`, or a URL of pyserial's such as `rfc2217://robot.local:4000`.
@@ -225,10 +223,10 @@ def _open(port: str, baud: int) -> Any:
 def _refusal(port: str, error: Exception) -> LinkError:
     where, number = f"serial port {port}", getattr(error, "errno", None)
     if number in {errno.EACCES, errno.EPERM}:
-        return LinkError("it may not be opened by this user", where=where, fix=_PERMIT)
+        return LinkError("this user may not open the port", where=where, fix=_PERMIT)
     if number in {errno.EBUSY, errno.EAGAIN} or "exclusively lock" in str(error):
         return LinkError("another program has it open", where=where, fix=_SHARE)
-    return LinkError(f"it cannot be opened: {error}", where=where, fix=_choice(port))
+    return LinkError(f"the port cannot be opened: {error}", where=where, fix=_choice(port))
 
 
 def _missing(port: str) -> LinkError:

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 __all__ = ["SshHost", "checked_destination", "complaint", "execute", "remedy", "ssh_command", "ssh_findings"]
 
 
-# The system's own OpenSSH client: how it is called, and what its complaints ask for.
-
 #: Never ask a person; notice within 15 s that the other end is gone; leave out what the user's config may forward.
 _OPTIONS = (
     *("-T", "-x", "-a"),
@@ -275,7 +273,7 @@ class SshHost:
         return sampler
 
     def _session(self) -> OnBoardSession:
-        """Return a session on which nobody samples."""
+        """Return a session that is free."""
         if self._is_closed:
             raise LinkError("the link was closed", where=self._host, fix="Use it before the run ends.")
         busy = [session for session, sampler in self._samplers if not sampler.is_stopped]

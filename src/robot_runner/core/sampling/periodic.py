@@ -31,7 +31,7 @@ _FIRST_PATIENCE = 1.0
 
 @runtime_checkable
 class TickingClock(Protocol):
-    """A clock that moves only while somebody sleeps on it, such as that of a simulated robot."""
+    """A clock whose time passes only during a sleep on it, such as that of a simulated robot."""
 
     def call_every(self, period: float, callback: Callable[[], None]) -> Closable:
         """Have `callback` called every `period` seconds of the clock, until the result is closed."""

@@ -29,9 +29,6 @@ __all__ = [
 ]
 
 
-# Raw samples on disk: columns of numbers as CSV, and what is known about them as JSON.
-
-
 @dataclass(frozen=True, slots=True)
 class Column:
     """One column of a file of samples.
@@ -86,8 +83,6 @@ def write_quality(path: Path, quality: SampleQuality | None, window: Window | No
     }
     path.write_text(json.dumps(facts, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
-
-# How good the samples of a window are, so that a value computed over gaps does not pass for a measured one.
 
 #: Percentage of the window that samples must cover for a value to be computed: power and utilisation that change
 #: by a third between phases bend a mean over the rest by less than 2 %.

@@ -17,9 +17,6 @@ if TYPE_CHECKING:
 __all__ = ["Series", "Window", "cut", "energy", "energy_from_mean_power", "integrate", "mean", "mean_of_intervals"]
 
 
-# Samples over time.
-
-
 @dataclass(frozen=True, slots=True)
 class Series:
     """Samples of one quantity, oldest first; any sequences do, such as lists or `array("d")`.
@@ -53,9 +50,6 @@ class Series:
 
     def __len__(self) -> int:
         return len(self.times)
-
-
-# The measured window, and samples cut to it.
 
 
 @dataclass(frozen=True, slots=True)

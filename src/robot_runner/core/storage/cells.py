@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import math
 import re
 from enum import Enum
@@ -19,11 +21,11 @@ __all__ = [
     "RunStatus",
     "are_stamps",
     "checked_measure",
+    "csv_text",
     "measure_text",
     "number_of",
     "plain_value",
     "quoted",
-    "quoted_all",
     "status_of_word",
     "treatment_position",
     "typed_value",
@@ -89,9 +91,14 @@ def quoted(text: str) -> str:
     return '"' + text.replace('"', '""') + '"' if _SPECIAL.search(text) else text
 
 
-def quoted_all(texts: list[str]) -> list[str]:
-    """Return many texts as cells; one look at all of them is faster than one at each."""
-    return list(map(quoted, texts)) if _SPECIAL.search("".join(texts)) else texts
+def csv_text(rows: Sequence[Sequence[Any]]) -> str:
+    r"""Return rows of a CSV file, with lines that end in `\n`; None is an empty cell, all else is written as its text."""
+    written = io.StringIO(newline="")
+    csv.writer(written, lineterminator="\n").writerows(rows)
+    text = written.getvalue()
+    if "\r" not in text:
+        return text
+    return "".join(",".join(quoted(measure_text(cell)) for cell in row) + "\n" for row in rows)
 
 
 def measure_text(value: CellValue) -> str:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import csv
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import islice
-from typing import TYPE_CHECKING, Protocol
+from itertools import islice, repeat
+from typing import TYPE_CHECKING, Any, Protocol
 
-from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
-from robot_runner.core.errors import Finding, Severity, StorageError, nearest
-from robot_runner.core.storage.run_table_rows import RunTableRows
+from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS, numbered_run_id
+from robot_runner.core.design.factor import Combination, factor_places
+from robot_runner.core.design.run_table import PlannedRun, garbage_collection_paused
+from robot_runner.core.errors import StorageError, nearest
+from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.run_table_rows import RunRow, RunTableRows
 from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.core.storage.table_decoders import (
     FactorDecoder,
@@ -19,87 +22,19 @@ from robot_runner.core.storage.table_decoders import (
     RowChunk,
     RunIdDecoder,
     StatusDecoder,
+    TableFindings,
     TextDecoder,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
     from typing import TextIO
 
     from robot_runner.core.storage.table_columns import TableLayout
     from robot_runner.core.storage.table_decoders import CellDecoder
 
-__all__ = ["Headings", "TableFindings", "delimiter_of", "match_headings", "read_run_table"]
-
-
-# What is wrong with a run table's file: every problem, with its line and column, up to a sensible number.
-
-#: Whoever saved a table wrongly gets one problem in each row: nobody reads a million.
-_MOST = 50
-
-
-class TableFindings:
-    """Gathers what is wrong with one file. A fix that takes long to find is asked for only where it is listed.
-
-    Example:
-        >>> from pathlib import Path
-        >>> findings = TableFindings(Path("run_table.csv"))
-        >>> findings.warning("'vidoe' is no treatment", "Did you mean 'Video'?", line=4, column="Task")
-        >>> print(*findings.warnings)
-        run_table.csv, line 4, column 'Task': 'vidoe' is no treatment → Did you mean 'Video'?
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._found: dict[Severity, list[Finding]] = {severity: [] for severity in Severity}
-        self._unlisted = dict.fromkeys(Severity, 0)
-
-    def error(
-        self, problem: str, fix: str | Callable[[], str], *, line: int | None = None, column: str | None = None
-    ) -> None:
-        """Note what keeps the table from being used."""
-        self._note(Severity.ERROR, problem, fix, line, column)
-
-    def warning(
-        self, problem: str, fix: str | Callable[[], str], *, line: int | None = None, column: str | None = None
-    ) -> None:
-        """Note what looks odd."""
-        self._note(Severity.WARNING, problem, fix, line, column)
-
-    @property
-    def warnings(self) -> tuple[Finding, ...]:
-        """What looks odd, and how much more of it there is than is listed."""
-        return self._listed(Severity.WARNING)
-
-    def raise_errors(self) -> None:
-        """Refuse the table if anything keeps it from being used.
-
-        Raises:
-            StorageError: it carries every error and every warning.
-        """
-        if self._found[Severity.ERROR]:
-            raise StorageError.of_findings((*self._listed(Severity.ERROR), *self.warnings))
-
-    def _note(
-        self, severity: Severity, problem: str, fix: str | Callable[[], str], line: int | None, column: str | None
-    ) -> None:
-        if len(self._found[severity]) >= _MOST:
-            self._unlisted[severity] += 1
-            return
-        where = str(self._path)
-        if line is not None:
-            where += f", line {line}"
-        if column is not None:
-            where += f", column {column!r}"
-        self._found[severity].append(Finding(severity, where, problem, fix if isinstance(fix, str) else fix()))
-
-    def _listed(self, severity: Severity) -> tuple[Finding, ...]:
-        found = tuple(self._found[severity])
-        if not self._unlisted[severity]:
-            return found
-        rest = Finding(severity, str(self._path), f"there are {self._unlisted[severity]:,} more of them", "")
-        return (*found, rest)
+__all__ = ["Headings", "delimiter_of", "match_headings", "read_run_table"]
 
 
 # The first line of a run table's file: which heading belongs to which column, in any order.
@@ -209,7 +144,7 @@ def read_run_table(path: Path, layout: TableLayout) -> RunTableRows:
         StorageError: it cannot be read, or is no run table of this layout; `findings` lists everything that is wrong.
     """
     findings = TableFindings(path)
-    with _opened(path) as file:
+    with _opened(path) as file, garbage_collection_paused():
         delimiter = delimiter_of(next((line for line in file if line.strip()), ""), layout)
         file.seek(0)
         return _Reading(layout, findings, decimal_comma=delimiter == ";").read(file, delimiter)
@@ -229,45 +164,100 @@ class _Reading:
     """One file being read: a decoder for each column that the layout can have."""
 
     def __init__(self, layout: TableLayout, findings: TableFindings, *, decimal_comma: bool) -> None:
-        types = layout.types
         self._layout = layout
         self._findings = findings
         self._run_ids = RunIdDecoder(findings)
-        self._statuses = StatusDecoder(findings)
         self._repetitions = RepetitionDecoder(findings)
-        self._factors = {
-            each.name: FactorDecoder(each, types.get(each.name), findings, decimal_comma=decimal_comma)
+        self._factors = [
+            FactorDecoder(each, layout.types.get(each.name), findings, decimal_comma=decimal_comma)
             for each in layout.factors
+        ]
+        blank_is_missing = layout.spelling.blank_is_missing
+        self._decoders: dict[str, CellDecoder] = {
+            RUN_ID: self._run_ids,
+            STATUS: StatusDecoder(findings),
+            **({REPETITION: self._repetitions} if layout.has_repetition else {}),
+            **{name: TextDecoder(name, findings, is_stamp=True) for name in layout.stamps},
+            **dict(zip(layout.factor_names, self._factors, strict=True)),
+            **{
+                name: MeasureDecoder(
+                    name,
+                    layout.types.get(name),
+                    findings,
+                    decimal_comma=decimal_comma,
+                    blank_is_missing=blank_is_missing,
+                )
+                for name in layout.measures
+            },
         }
-        self._measures = {
-            name: MeasureDecoder(
-                name,
-                types.get(name),
-                findings,
-                decimal_comma=decimal_comma,
-                blank_is_missing=layout.spelling.blank_is_missing,
-            )
-            for name in layout.measures
-        }
-        self._stamps = {name: TextDecoder(name, findings, is_stamp=True) for name in layout.stamps}
-        self._extras: dict[str, TextDecoder] = {}
+        self._extras: tuple[str, ...] = ()
 
     def read(self, file: TextIO, delimiter: str) -> RunTableRows:
         """Read the whole file, then refuse it with everything that is wrong, or return its rows."""
         lines = csv.reader(file, delimiter=delimiter, strict=True)
+        rows: list[RunRow] = []
         count = 0
         for headings, chunk in self._chunks(lines):
-            decoders = self._decoders(headings)
-            cells = list(zip(*chunk.rows, strict=True))
-            for name, place in headings.places.items() if cells else ():
-                decoders[name].take(cells[place], chunk)
-            count += len(chunk.rows)
+            if chunk.rows:
+                rows += self._rows(headings, chunk, first=count + 1)
+                count += len(chunk.rows)
         self._run_ids.check()
         if not count:
             fix = "Add a line for each run, or delete the file: it is planned anew then."
             self._findings.error("there are no runs in it", fix)
         self._findings.raise_errors()
-        return self._rows(count)
+        return RunTableRows(replace(self._layout, extras=self._extras), rows, self._findings.warnings)
+
+    def _rows(self, headings: Headings, chunk: RowChunk, *, first: int) -> Iterable[RunRow]:
+        """Return the rows of a chunk; `first` is the number of its first run."""
+        self._add_extras(headings.extras)
+        cells = list(zip(*chunk.rows, strict=True))
+        count = len(chunk.rows)
+        # In the order of the file, as its findings are.
+        found = {name: self._decoders[name].read(cells[place], chunk) for name, place in headings.places.items()}
+
+        def combined(names: Sequence[str]) -> list[tuple[Any, ...]]:
+            columns = [found.get(name) or [None] * count for name in names]
+            return list(zip(*columns, strict=True)) if columns else [()] * count
+
+        numbers = range(first, first + count)
+        treatments = combined(self._layout.factor_names)
+        runs = map(
+            PlannedRun,
+            found.get(RUN_ID) or map(numbered_run_id, numbers),
+            numbers,
+            map(Combination, repeat(factor_places(self._layout.factor_names)), treatments),
+            self._repetitions_of(found, treatments),
+        )
+        return map(
+            RunRow,
+            runs,
+            found.get(STATUS) or repeat(RunStatus.TODO),
+            _sharing_empty(combined(self._layout.stamps)),
+            _sharing_empty(combined(self._layout.measures)),
+            self._kept(headings, cells, count),
+        )
+
+    def _repetitions_of(self, found: Mapping[str, Sequence[Any]], treatments: Sequence[tuple[Any, ...]]) -> Iterable[int]:
+        if not self._layout.has_repetition:  # a column of that name is a factor or a user's own
+            return repeat(1)
+        return found.get(REPETITION) or self._repetitions.counted(treatments)
+
+    def _kept(self, headings: Headings, cells: Sequence[Sequence[str]], count: int) -> Iterable[Mapping[str, str] | None]:
+        """Return the text that each row keeps as it is: a user's own columns, and what no treatment is written as."""
+        odd = [factor for factor in self._factors if factor.kept]
+        if not headings.extras and not odd:
+            return repeat(None, count)
+        texts: list[dict[str, str]] = [{} for _ in range(count)]
+        for name in headings.extras:
+            for row, text in zip(texts, cells[headings.places[name]], strict=True):
+                if text:
+                    row[name] = text
+        for factor in odd if all(factor.name in headings.places for factor in odd) else ():
+            for row, text in zip(texts, cells[headings.places[factor.name]], strict=True):
+                if text in factor.kept:
+                    row[factor.name] = text
+        return [row or None for row in texts]
 
     def _chunks(self, lines: _Lines) -> Iterator[tuple[Headings, RowChunk]]:
         headings: Headings | None = None
@@ -311,33 +301,16 @@ class _Reading:
                 self._findings.error(problem, fix, line=chunk.lines[place])
         return chunk.only(fitting)
 
-    def _decoders(self, headings: Headings) -> Mapping[str, CellDecoder]:
-        for name in headings.extras:
-            self._extras.setdefault(name, TextDecoder(name, self._findings, is_stamp=False))
-        return {
-            RUN_ID: self._run_ids,
-            STATUS: self._statuses,
-            **({REPETITION: self._repetitions} if self._layout.has_repetition else {}),
-            **self._stamps,
-            **self._factors,
-            **self._measures,
-            **self._extras,
-        }
+    def _add_extras(self, names: Sequence[str]) -> None:
+        self._extras = tuple(names)
+        for name in names:
+            self._decoders.setdefault(name, TextDecoder(name, self._findings, is_stamp=False))
 
-    def _rows(self, count: int) -> RunTableRows:
-        factors = [factor.column() for factor in self._factors.values()]
-        if self._layout.has_repetition:
-            factors.append(self._repetitions.column(list(self._factors.values())))
-        texts = self._stamps | self._extras
-        return RunTableRows(
-            replace(self._layout, extras=tuple(self._extras)),
-            self._run_ids.column(count),
-            self._statuses.column(count),
-            factors,
-            texts={name: decoder.texts for name, decoder in texts.items()},
-            measures={name: decoder.values for name, decoder in self._measures.items()},
-            warnings=self._findings.warnings,
-        )
+
+def _sharing_empty(rows: list[tuple[Any, ...]]) -> Iterable[tuple[Any, ...]]:
+    """Return the rows; those without any value are one object, as most are before the experiment has ended."""
+    nothing = (None,) * len(rows[0])
+    return [nothing if row == nothing else row for row in rows]
 
 
 @contextmanager

@@ -1,42 +1,67 @@
-"""`run_table.csv`: the run table for people, R and pandas, readable without Robot Runner."""
+"""The run table in memory, a row for each run, and how it is written to `run_table.csv`."""
 
 from __future__ import annotations
 
+import re
+from collections import Counter
+from itertools import islice, repeat
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.columns import REPETITION, RUN_ID
-from robot_runner.core.design.factor import Combination
+from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
+from robot_runner.core.design.run_table import garbage_collection_paused
 from robot_runner.core.errors import MeasureError, StorageError, did_you_mean
-from robot_runner.core.storage.cells import RunStatus, checked_measure, quoted
+from robot_runner.core.storage.cells import RunStatus, checked_measure, csv_text
 from robot_runner.core.storage.safe_write import write_beside_and_rename
-from robot_runner.core.storage.table_columns import CodedColumn, MeasureColumn, RunIdColumn, StatusColumn, TextColumn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from robot_runner.core.design.run_table import RunTable
+    from robot_runner.core.design.factor import Combination
+    from robot_runner.core.design.run_table import PlannedRun
     from robot_runner.core.errors import Finding
     from robot_runner.core.storage.cells import CellValue
-    from robot_runner.core.storage.table_columns import TableColumn, TableLayout
+    from robot_runner.core.storage.table_columns import FactorColumn, TableLayout
 
-__all__ = ["RunTableRows", "table_text", "write_run_table"]
+__all__ = ["RunRow", "RunTableRows", "table_text", "write_run_table"]
+
+_NUMBERED = re.compile(r"r_([1-9][0-9]{0,17})")
 
 
-# The run table in memory: what is planned, how far it has come, and what was measured. One writer.
+class RunRow:
+    """One row of the run table: a planned run, how far it has come, and what was measured.
+
+    Attributes:
+        run: the run as planned.
+        status: how far it has come.
+        stamps: when its events were emitted, in the order of the layout's `stamps`; None where that is not known.
+        measures: its measures, in the order of the layout's `measures`; None where a value is missing.
+        kept: text that the file is to hold as it was read, by heading: a user's own columns, and cells of factors that
+            would be written in another way; None where there is none.
+    """
+
+    __slots__ = ("kept", "measures", "run", "stamps", "status")
+
+    def __init__(
+        self,
+        run: PlannedRun,
+        status: RunStatus,
+        stamps: tuple[str | None, ...],
+        measures: tuple[CellValue, ...],
+        kept: Mapping[str, str] | None = None,
+    ) -> None:
+        self.run = run
+        self.status = status
+        self.stamps = stamps
+        self.measures = measures
+        self.kept = kept
 
 
 class RunTableRows:
-    """All rows of a run table, held in columns. Rows are counted from 0, in the order of execution.
+    """All rows of a run table. They are counted from 0, in the order of execution. One writer.
 
     Attributes:
         layout: which columns there are.
-        run_ids: the column of the runs' ids.
-        statuses: the column of the runs' statuses.
-        stamps: the events' time stamps, by heading.
-        factors: the factors' columns (and that of the repetitions), by heading.
-        measures: the measures' columns, by heading.
-        extras: the columns that a user added, by heading.
         warnings: what looked odd when the table was read.
 
     Example:
@@ -50,73 +75,59 @@ class RunTableRows:
         (1, 719.0)
     """
 
-    def __init__(
-        self,
-        layout: TableLayout,
-        run_ids: RunIdColumn,
-        statuses: StatusColumn,
-        factors: Sequence[CodedColumn],
-        *,
-        texts: Mapping[str, list[str | None]] | None = None,
-        measures: Mapping[str, list[CellValue]] | None = None,
-        warnings: Sequence[Finding] = (),
-    ) -> None:
-        """Put the columns together.
+    def __init__(self, layout: TableLayout, rows: Iterable[RunRow], warnings: Sequence[Finding] = ()) -> None:
+        """Put rows together.
 
         Args:
             layout: which columns there are.
-            run_ids: the ids of the runs.
-            statuses: the statuses of the runs.
-            factors: the columns of the layout's factors and, where it has them, of the repetitions.
-            texts: time stamps and extras by heading; what is not there is empty.
-            measures: measures by heading; what is not there is empty.
+            rows: their stamps and measures are those of the layout.
             warnings: what looked odd when the table was read.
         """
-        count = len(run_ids)
-        texts, measures = texts or {}, measures or {}
         self.layout = layout
-        self.run_ids = run_ids
-        self.statuses = statuses
-        statuses.spell(layout.spelling.status_words)
-        self.stamps = {name: TextColumn(name, texts.get(name) or [None] * count) for name in layout.stamps}
-        self.factors = {column.name: column for column in factors}
-        self.measures = {name: MeasureColumn(name, measures.get(name) or [None] * count) for name in layout.measures}
-        self.extras = {name: TextColumn(name, texts.get(name) or [None] * count) for name in layout.extras}
         self.warnings = tuple(warnings)
-        self._places = {name: place for place, name in enumerate(layout.factor_names)}
+        self._rows = list(rows)
+        self._counts = Counter(row.status for row in self._rows)
+        self._places: dict[str, int] | None = None
+        self._values = _values_by_column(layout)
 
     @classmethod
-    def of_plan(cls, plan: RunTable, layout: TableLayout) -> RunTableRows:
+    def of_plan(cls, plan: Sequence[PlannedRun], layout: TableLayout) -> RunTableRows:
         """Return the rows of a planned run table, all of them still to be executed."""
-        factors = [
-            CodedColumn(factor.name, factor.treatments, factor.texts, plan.treatment_places(factor.name))
-            for factor in plan.model.factors
-        ]
-        if layout.has_repetition:
-            values = range(plan.model.repetitions + 1)
-            factors.append(CodedColumn(REPETITION, values, [*map(str, values)], plan.repetition_numbers()))
-        run_ids = RunIdColumn.numbered(len(plan)) if plan.run_ids is None else RunIdColumn(plan.run_ids, len(plan))
-        return cls(layout, run_ids, StatusColumn(len(plan)), factors)
+        with garbage_collection_paused():
+            return cls(layout, map(RunRow, plan, *map(repeat, (RunStatus.TODO, *_nothing(layout)))))
 
     def __len__(self) -> int:
-        return len(self.run_ids)
+        return len(self._rows)
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         return map(self.row, range(len(self)))
 
     @property
-    def columns(self) -> tuple[TableColumn, ...]:
-        """All columns, in the order of the file."""
-        parts = (self.stamps, self.factors, self.measures, self.extras)
-        return (self.run_ids, self.statuses, *(column for part in parts for column in part.values()))
+    def planned(self) -> Iterator[PlannedRun]:
+        """The runs as they are planned, in order."""
+        return (row.run for row in self._rows)
 
     def row(self, place: int) -> dict[str, Any]:
         """Return the row at `place`: the typed value of each column, by heading."""
-        return {column.name: column.value(place) for column in self.columns}
+        row = self._rows[place]
+        return {name: value(row) for name, value in self._values.items()}
+
+    def values(self, name: str) -> Iterator[Any]:
+        """Yield the value of a column in each row."""
+        return map(self._values[name], self._rows)
 
     def run_id(self, place: int) -> str:
         """Return the id of the run at `place`."""
-        return self.run_ids.value(place)
+        return self._rows[place].run.run_id
+
+    def place_of(self, run_id: str) -> int | None:
+        """Return the place of a run, or None where there is no such run."""
+        numbered = _NUMBERED.fullmatch(run_id)
+        if numbered and (place := int(numbered[1]) - 1) < len(self) and self.run_id(place) == run_id:
+            return place  # as in every planned table, which so needs no memory for an index
+        if self._places is None:
+            self._places = {row.run.run_id: place for place, row in enumerate(self._rows)}
+        return self._places.get(run_id)
 
     def index_of(self, run_id: str) -> int:
         """Return the place of a run.
@@ -124,7 +135,7 @@ class RunTableRows:
         Raises:
             StorageError: the run table has no such run.
         """
-        place = self.run_ids.place_of(run_id)
+        place = self.place_of(run_id)
         if place is None:
             fix = f"Name one from {self.run_id(0)!r} to {self.run_id(len(self) - 1)!r}."
             raise StorageError(f"there is no run {run_id!r}", where=RUN_ID, fix=fix)
@@ -132,19 +143,19 @@ class RunTableRows:
 
     def status(self, place: int) -> RunStatus:
         """Return how far the run at `place` has come."""
-        return self.statuses.value(place)
+        return self._rows[place].status
 
     def count(self, status: RunStatus) -> int:
         """Return how many runs have this status, at no cost that grows with the table."""
-        return self.statuses.count(status)
+        return self._counts[status]
 
     def combination(self, place: int) -> Combination:
         """Return the treatment of each factor in the run at `place`."""
-        return Combination(self._places, tuple(self.factors[name].value(place) for name in self._places))
+        return self._rows[place].run.combination
 
     def repetition(self, place: int) -> int:
         """Return which repetition of its combination the run at `place` is; 1 where the table has no such column."""
-        return int(self.factors[REPETITION].value(place)) if self.layout.has_repetition else 1
+        return self._rows[place].run.repetition if self.layout.has_repetition else 1
 
     def record(
         self,
@@ -166,19 +177,19 @@ class RunTableRows:
             StorageError: there is no such run or time-stamp column.
             MeasureError: there is no such measure, or its value is none that the run table can hold.
         """
-        place = self.index_of(run_id)
+        row = self._rows[self.index_of(run_id)]
         stamps, measures = stamps or {}, measures or {}
         for name in stamps:
-            if name not in self.stamps:
+            if name not in self.layout.stamps:
                 problem = f"there is no time-stamp column {name!r}"
-                raise StorageError(problem, where=f"run {run_id!r}", fix=did_you_mean(name, self.stamps))
+                raise StorageError(problem, where=f"run {run_id!r}", fix=did_you_mean(name, self.layout.stamps))
         values = {name: self._checked(run_id, name, value) for name, value in measures.items()}
-        for name, stamp in stamps.items():
-            self.stamps[name].texts[place] = stamp
-        for name, value in values.items():
-            self.measures[name].values[place] = value
+        if stamps:
+            row.stamps = _replaced(self.layout.stamps, row.stamps, stamps)
+        if values:
+            row.measures = _replaced(self.layout.measures, row.measures, values)
         if status is not None:
-            self.statuses.change(place, status)
+            self._change(row, status)
 
     def clear(self, run_id: str) -> None:
         """Forget what an attempt at a run left behind: it is to do again, without time stamps and measures.
@@ -186,14 +197,83 @@ class RunTableRows:
         Raises:
             StorageError: there is no such run.
         """
-        nothing = dict.fromkeys(self.measures)
-        self.record(run_id, status=RunStatus.TODO, stamps=dict.fromkeys(self.stamps), measures=nothing)
+        row = self._rows[self.index_of(run_id)]
+        row.stamps, row.measures = _nothing(self.layout)
+        self._change(row, RunStatus.TODO)
+
+    def cells(self) -> Iterator[list[Any]]:
+        """Yield the cells of each row in the order of the layout, as `csv_text` takes them."""
+        layout = self.layout
+        texts = [_texts_by_treatment(column) for column in layout.factors]
+        places = {name: place for place, name in enumerate(layout.columns)}
+        no_extras = [None] * len(layout.extras)
+        for row in self._rows:
+            run = row.run
+            treatments = [
+                known.get(id(treatment)) or str(treatment)
+                for known, treatment in zip(texts, run.combination.treatments, strict=True)
+            ]
+            cells = [run.run_id, layout.spelling.status_words[row.status], *row.stamps, *treatments]
+            if layout.has_repetition:
+                cells.append(run.repetition)
+            cells += row.measures
+            cells += no_extras
+            if row.kept is not None:
+                for name, text in row.kept.items():
+                    cells[places[name]] = text
+            yield cells
+
+    def _change(self, row: RunRow, status: RunStatus) -> None:
+        self._counts[row.status] -= 1
+        self._counts[status] += 1
+        row.status = status
 
     def _checked(self, run_id: str, name: str, value: object) -> CellValue:
-        if name not in self.measures:
+        if name not in self.layout.measures:
             problem = f"there is no measure column {name!r}"
-            raise MeasureError(problem, where=f"run {run_id!r}", fix=did_you_mean(name, self.measures))
+            raise MeasureError(problem, where=f"run {run_id!r}", fix=did_you_mean(name, self.layout.measures))
         return checked_measure(name, value)
+
+
+def _nothing(layout: TableLayout) -> tuple[tuple[None, ...], tuple[None, ...]]:
+    """Return the stamps and the measures of a run that has none; rows share them."""
+    return (None,) * len(layout.stamps), (None,) * len(layout.measures)
+
+
+def _replaced(names: Sequence[str], values: tuple[Any, ...], changed: Mapping[str, Any]) -> tuple[Any, ...]:
+    return tuple(changed.get(name, value) for name, value in zip(names, values, strict=True))
+
+
+def _values_by_column(layout: TableLayout) -> dict[str, Callable[[RunRow], Any]]:
+    """Return what takes the value of a column from a row, by heading, in the order of the layout."""
+
+    def stamp(place: int) -> Callable[[RunRow], Any]:
+        return lambda row: row.stamps[place]
+
+    def factor(place: int) -> Callable[[RunRow], Any]:
+        return lambda row: row.run.combination.treatments[place]
+
+    def measure(place: int) -> Callable[[RunRow], Any]:
+        return lambda row: row.measures[place]
+
+    def extra(name: str) -> Callable[[RunRow], Any]:
+        return lambda row: row.kept.get(name) if row.kept else None
+
+    return {
+        RUN_ID: lambda row: row.run.run_id,
+        STATUS: lambda row: row.status,
+        **{name: stamp(place) for place, name in enumerate(layout.stamps)},
+        **{name: factor(place) for place, name in enumerate(layout.factor_names)},
+        **({REPETITION: lambda row: row.run.repetition} if layout.has_repetition else {}),
+        **{name: measure(place) for place, name in enumerate(layout.measures)},
+        **{name: extra(name) for name in layout.extras},
+    }
+
+
+def _texts_by_treatment(column: FactorColumn) -> dict[int, str]:
+    """Return the text of each treatment by its identity: rows hold the factor's own objects, which need no hash."""
+    factor = column.factor
+    return {} if factor is None else dict(zip(map(id, factor.treatments), factor.texts, strict=True))
 
 
 _ROWS_AT_ONCE = 500  # what fits into a processor's cache
@@ -213,9 +293,7 @@ def table_text(rows: RunTableRows) -> Iterator[str]:
 
     The columns stand in the order of the layout, see `TableLayout`.
     """
-    columns = rows.columns
-    yield ",".join(quoted(rows.layout.spelling.heading(column.name)) for column in columns) + "\n"
-    for start in range(0, len(rows), _ROWS_AT_ONCE):
-        stop = min(start + _ROWS_AT_ONCE, len(rows))
-        cells = [column.cells(start, stop) for column in columns]
-        yield "\n".join(map(",".join, zip(*cells, strict=True))) + "\n"
+    yield csv_text([[rows.layout.spelling.heading(name) for name in rows.layout.columns]])
+    cells = rows.cells()
+    while piece := list(islice(cells, _ROWS_AT_ONCE)):
+        yield csv_text(piece)

@@ -1,15 +1,14 @@
-"""From the cells of a run table's file to the values of its columns: one decoder a kind of column."""
+"""From the cells of a run table's file to values: one decoder a kind of column, and what is wrong with the cells."""
 
 from __future__ import annotations
 
 import re
-from array import array
 from functools import cached_property, partial
 from itertools import accumulate
 from typing import TYPE_CHECKING, Any, Protocol
 
 from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS, numbered_run_id
-from robot_runner.core.errors import did_you_mean
+from robot_runner.core.errors import Finding, Severity, StorageError, did_you_mean
 from robot_runner.core.storage.cells import (
     RunStatus,
     are_stamps,
@@ -19,13 +18,12 @@ from robot_runner.core.storage.cells import (
     typed_value,
     typed_values,
 )
-from robot_runner.core.storage.table_columns import CodedColumn, RunIdColumn, StatusColumn
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     from robot_runner.core.storage.cells import CellValue
-    from robot_runner.core.storage.run_table_reading import TableFindings
     from robot_runner.core.storage.table_columns import FactorColumn
 
 __all__ = [
@@ -36,11 +34,81 @@ __all__ = [
     "RowChunk",
     "RunIdDecoder",
     "StatusDecoder",
+    "TableFindings",
     "TextDecoder",
 ]
 
+
+# What is wrong with a run table's file: every problem, with its line and column, up to a sensible number.
+
+#: Whoever saved a table wrongly gets one problem in each row: nobody reads a million.
+_MOST = 50
+
+
+class TableFindings:
+    """Gathers what is wrong with one file. A fix that takes long to find is asked for only where it is listed.
+
+    Example:
+        >>> from pathlib import Path
+        >>> findings = TableFindings(Path("run_table.csv"))
+        >>> findings.warning("'vidoe' is no treatment", "Did you mean 'Video'?", line=4, column="Task")
+        >>> print(*findings.warnings)
+        run_table.csv, line 4, column 'Task': 'vidoe' is no treatment → Did you mean 'Video'?
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._found: dict[Severity, list[Finding]] = {severity: [] for severity in Severity}
+        self._unlisted = dict.fromkeys(Severity, 0)
+
+    def error(
+        self, problem: str, fix: str | Callable[[], str], *, line: int | None = None, column: str | None = None
+    ) -> None:
+        """Note what keeps the table from being used."""
+        self._note(Severity.ERROR, problem, fix, line, column)
+
+    def warning(self, problem: str, fix: str | Callable[[], str], *, line: int, column: str) -> None:
+        """Note what looks odd."""
+        self._note(Severity.WARNING, problem, fix, line, column)
+
+    @property
+    def warnings(self) -> tuple[Finding, ...]:
+        """What looks odd, and how much more of it there is than is listed."""
+        return self._listed(Severity.WARNING)
+
+    def raise_errors(self) -> None:
+        """Refuse the table if anything keeps it from being used.
+
+        Raises:
+            StorageError: it carries every error and every warning.
+        """
+        if self._found[Severity.ERROR]:
+            raise StorageError.of_findings((*self._listed(Severity.ERROR), *self.warnings))
+
+    def _note(
+        self, severity: Severity, problem: str, fix: str | Callable[[], str], line: int | None, column: str | None
+    ) -> None:
+        if len(self._found[severity]) >= _MOST:
+            self._unlisted[severity] += 1
+            return
+        where = str(self._path)
+        if line is not None:
+            where += f", line {line}"
+        if column is not None:
+            where += f", column {column!r}"
+        self._found[severity].append(Finding(severity, where, problem, fix if isinstance(fix, str) else fix()))
+
+    def _listed(self, severity: Severity) -> tuple[Finding, ...]:
+        found = tuple(self._found[severity])
+        if not self._unlisted[severity]:
+            return found
+        rest = Finding(severity, str(self._path), f"there are {self._unlisted[severity]:,} more of them", "")
+        return (*found, rest)
+
+
 _LINE_END = re.compile(r"\r\n|\r|\n")
 _RUN_ID = re.compile(r"\w[\w.-]{0,59}")  # it names the run's folder
+_MOST_REPETITIONS = 1 << 32  # more are a slip
 # A whole number among floats is no mistake, and the schema of an experiment that broke off may be older than the table.
 _TYPES = {"number": (int, float), "integer": (int, float), "boolean": (bool,)}
 
@@ -72,10 +140,10 @@ class RowChunk:
 
 
 class CellDecoder(Protocol):
-    """Takes the cells of one column, chunk by chunk."""
+    """Reads the cells of one column, chunk by chunk: many cells at once take a tenth of the time of one by one."""
 
-    def take(self, cells: Sequence[str], chunk: RowChunk) -> None:
-        """Take the column's cells in the rows of `chunk`."""
+    def read(self, cells: Sequence[str], chunk: RowChunk) -> Sequence[Any]:
+        """Return the value of each of the column's cells in the rows of `chunk`."""
         ...
 
 
@@ -84,25 +152,26 @@ class RunIdDecoder:
 
     def __init__(self, findings: TableFindings) -> None:
         self._findings = findings
-        self._run_ids: list[str] = []
+        self._count = 0
+        self._is_numbered = True
         self._seen: set[str] = set()  # in one case of letters: some file systems know no other
         self._empty: list[int] = []
 
-    def take(self, cells: Sequence[str], chunk: RowChunk) -> None:
-        """Take ids; those of a planned table (`r_1`, `r_2`, ...) need no further look."""
-        count = len(self._run_ids)
-        if not self._seen and not self._empty:
-            expected = list(map(numbered_run_id, range(count + 1, count + len(cells) + 1)))
-            if list(cells) == expected:
-                self._run_ids += expected
-                return
-            self._seen.update(self._run_ids)
-        for place, cell in enumerate(cells):
-            self._take_one(cell.strip(), chunk, place)
+    def read(self, cells: Sequence[str], chunk: RowChunk) -> list[str]:
+        """Return ids; those of a planned table (`r_1`, `r_2`, ...) need no further look.
 
-    def column(self, count: int) -> RunIdColumn:
-        """Return the column; runs are numbered where no row has an id."""
-        return RunIdColumn(self._run_ids, count) if self._seen else RunIdColumn.numbered(count)
+        Runs without one are numbered: that holds where no run has one, else `check` refuses them.
+        """
+        before, self._count = self._count, self._count + len(cells)
+        numbered = list(map(numbered_run_id, range(before + 1, self._count + 1)))
+        if self._is_numbered and list(cells) == numbered:
+            return numbered
+        if self._is_numbered:
+            self._is_numbered = False
+            self._seen.update(map(numbered_run_id, range(1, before + 1)))
+        for place, cell in enumerate(cells):
+            self._check_one(cell.strip(), chunk, place)
+        return [cell.strip() or number for cell, number in zip(cells, numbered, strict=True)]
 
     def check(self) -> None:
         """Say which runs have no id where others have one."""
@@ -110,8 +179,7 @@ class RunIdDecoder:
             fix = "Give it an id, or leave the whole column empty: runs are numbered then."
             self._findings.error("the run has no id", fix, line=line, column=RUN_ID)
 
-    def _take_one(self, run_id: str, chunk: RowChunk, place: int) -> None:
-        self._run_ids.append(run_id)
+    def _check_one(self, run_id: str, chunk: RowChunk, place: int) -> None:
         folded = run_id.casefold()
         if not run_id:
             self._empty.append(chunk.lines[place])
@@ -131,22 +199,17 @@ class StatusDecoder:
         self._findings = findings
         self._known: dict[str, RunStatus] = {}
         self._unknown: set[str] = set()
-        self._column = StatusColumn(0)
 
-    def take(self, cells: Sequence[str], chunk: RowChunk) -> None:
-        """Take words for statuses."""
+    def read(self, cells: Sequence[str], chunk: RowChunk) -> list[RunStatus]:
+        """Return statuses; a word that is none is an error."""
         for word in dict.fromkeys(cells):
             if word not in self._known:
                 self._learn(word)
-        self._column.extend(cells, self._known)
         for place, word in () if self._unknown.isdisjoint(cells) else enumerate(cells):
             if word in self._unknown:
                 fix = partial(did_you_mean, word, [status.value for status in RunStatus])
                 self._findings.error(f"{word!r} is no status", fix, line=chunk.lines[place], column=STATUS)
-
-    def column(self, count: int) -> StatusColumn:
-        """Return the column; where the file has none, all runs are to do."""
-        return self._column if len(self._column) else StatusColumn(count)
+        return list(map(self._known.__getitem__, cells))
 
     def _learn(self, word: str) -> None:
         status = status_of_word(word)
@@ -156,46 +219,44 @@ class StatusDecoder:
 
 
 class FactorDecoder:
-    """The treatments of one factor; a value that is none of them is kept, with a warning."""
+    """The treatments of one factor; a value that is none of them is kept, with a warning.
+
+    Attributes:
+        name: the heading.
+        kept: texts that the file is to hold on, as their values would be written in another way.
+    """
 
     def __init__(self, column: FactorColumn, kind: str | None, findings: TableFindings, *, decimal_comma: bool) -> None:
-        self._name = column.name
+        self.name = column.name
+        self.kept: set[str] = set()
         self._factor = column.factor
         self._findings = findings
         self._decimal_comma = decimal_comma
         self._kind = kind
-        self._values: list[Any] = list(column.factor.treatments) if column.factor else []
-        self._texts: list[str] = list(column.factor.texts) if column.factor else []
-        self._known: dict[str, int] = {}
-        self.places = array("I")
+        self._known: dict[str, Any] = {}
 
-    def take(self, cells: Sequence[str], chunk: RowChunk) -> None:
-        """Take treatments."""
+    def read(self, cells: Sequence[str], chunk: RowChunk) -> list[Any]:
+        """Return treatments: the factor's own objects."""
         strange = [text for text in dict.fromkeys(cells) if text not in self._known and not self._is_treatment(text)]
-        self.places.extend(map(self._known.__getitem__, cells))
         if strange and self._factor is not None:
             first = dict(zip(reversed(cells), range(len(cells) - 1, -1, -1), strict=True))
             for text in strange:
-                problem = f"{text!r} is no treatment of factor {self._name!r}" if text else "the cell is empty"
+                problem = f"{text!r} is no treatment of factor {self.name!r}" if text else "the cell is empty"
                 fix = partial(self._factor.suggestion, text)
-                self._findings.warning(problem, fix, line=chunk.lines[first[text]], column=self._name)
-
-    def column(self) -> CodedColumn:
-        """Return the column."""
-        return CodedColumn(self._name, self._values, self._texts, self.places)
+                self._findings.warning(problem, fix, line=chunk.lines[first[text]], column=self.name)
+        return list(map(self._known.__getitem__, cells))
 
     def _is_treatment(self, text: str) -> bool:
         """Return whether `text` stands for a treatment; remember it as one or as what it is by its looks."""
-        place = None
         if self._factor is not None:
             place = treatment_position(self._factor, text, decimal_comma=self._decimal_comma)
-        if place is None:
-            self._known[text] = len(self._values)
-            self._values.append(typed_value(text, self._kind, decimal_comma=self._decimal_comma))
-            self._texts.append(text)
-            return False
-        self._known[text] = place
-        return True
+            if place is not None:
+                self._known[text] = self._factor.treatments[place]
+                return True
+        self._known[text] = value = typed_value(text, self._kind, decimal_comma=self._decimal_comma)
+        if value is None or str(value) != text:
+            self.kept.add(text)
+        return False
 
 
 class RepetitionDecoder:
@@ -204,63 +265,57 @@ class RepetitionDecoder:
     def __init__(self, findings: TableFindings) -> None:
         self._findings = findings
         self._known: dict[str, int] = {}
-        self._numbers = array("I")
+        self._seen: dict[tuple[int, ...], int] = {}
 
-    def take(self, cells: Sequence[str], chunk: RowChunk) -> None:
-        """Take numbers of repetitions."""
+    def read(self, cells: Sequence[str], chunk: RowChunk) -> list[int]:
+        """Return numbers of repetitions; another cell is an error."""
         for text in dict.fromkeys(cells):
             number = number_of(text)
-            if number is not None and number == int(number) and 1 <= number < 1 << 32:
+            if number is not None and number == int(number) and 1 <= number < _MOST_REPETITIONS:
                 self._known[text] = int(number)
-        try:
-            self._numbers.extend(map(self._known.__getitem__, cells))
-        except KeyError:
-            for place, text in enumerate(cells):
-                if text not in self._known:
-                    fix = "Write which repetition it is: a whole number from 1."
-                    problem = f"{text!r} is no number of a repetition"
-                    self._findings.error(problem, fix, line=chunk.lines[place], column=REPETITION)
+        for place, text in () if self._known.keys() >= set(cells) else enumerate(cells):
+            if text not in self._known:
+                fix = "Write which repetition it is: a whole number from 1."
+                problem = f"{text!r} is no number of a repetition"
+                self._findings.error(problem, fix, line=chunk.lines[place], column=REPETITION)
+        return [self._known.get(text, 1) for text in cells]
 
-    def column(self, factors: Sequence[FactorDecoder]) -> CodedColumn:
-        """Return the column; where the file has none, the runs of each combination are counted."""
-        numbers = self._numbers or _occurrences(factors)
-        values = range(max(numbers, default=0) + 1)
-        return CodedColumn(REPETITION, values, [*map(str, values)], numbers)
+    def counted(self, combinations: Sequence[tuple[Any, ...]]) -> list[int]:
+        """Return the number of each run among those of its combination, where the file has no such column."""
+        numbers = []
+        for treatments in combinations:
+            which = tuple(map(id, treatments))  # a treatment need not be hashable; each is one object
+            self._seen[which] = number = self._seen.get(which, 0) + 1
+            numbers.append(number)
+        return numbers
 
 
 class MeasureDecoder:
     """The values of one measure."""
 
     def __init__(
-        self,
-        name: str,
-        kind: str | None,
-        findings: TableFindings,
-        *,
-        decimal_comma: bool,
-        blank_is_missing: bool = False,
+        self, name: str, kind: str | None, findings: TableFindings, *, decimal_comma: bool, blank_is_missing: bool
     ) -> None:
         self._name = name
         self._kind = kind
         self._findings = findings
         self._blank_is_missing = blank_is_missing
         self._typed = partial(typed_values, kind=kind, decimal_comma=decimal_comma)
-        self.values: list[CellValue] = []
 
-    def take(self, cells: Sequence[str], chunk: RowChunk) -> None:
-        """Take values, and say which are not of the column's type."""
+    def read(self, cells: Sequence[str], chunk: RowChunk) -> list[CellValue]:
+        """Return values, and say which are not of the column's type."""
         if self._blank_is_missing:
             cells = ["" if cell.isspace() else cell for cell in cells]
         values = self._typed(cells)
-        self.values += values
         fitting = _TYPES.get(self._kind or "")
         if fitting is None or {*map(type, values)} <= {*fitting, type(None)}:
-            return
+            return values
         for place, value in enumerate(values):
             if value is not None and type(value) not in fitting:
                 problem = f"{cells[place]!r} is no {self._kind}, as the column's other values"
                 fix = "Mend the cell, or leave it empty where there is no value."
                 self._findings.warning(problem, fix, line=chunk.lines[place], column=self._name)
+        return values
 
 
 class TextDecoder:
@@ -270,25 +325,17 @@ class TextDecoder:
         self._name = name
         self._findings = findings
         self._is_stamp = is_stamp
-        self.texts: list[str | None] = []
 
-    def take(self, cells: Sequence[str], chunk: RowChunk) -> None:
-        """Take text, and say which is no time stamp where all are to be."""
-        is_empty = not any(cells)
-        self.texts += [None] * len(cells) if is_empty else [cell or None for cell in cells]
-        if is_empty or not self._is_stamp or are_stamps([cell for cell in cells if cell]):
-            return
-        for place, cell in enumerate(cells):
+    def read(self, cells: Sequence[str], chunk: RowChunk) -> list[str | None]:
+        """Return text, and say which is no time stamp where all are to be."""
+        if not any(cells):
+            return [None] * len(cells)
+        for place, cell in enumerate(cells) if self._has_odd(cells) else ():
             if cell and not are_stamps([cell]):
                 fix = "Write it as in 2026-01-31T12:00:00.250Z."
                 problem = f"{cell!r} is no time stamp"
                 self._findings.warning(problem, fix, line=chunk.lines[place], column=self._name)
+        return [cell or None for cell in cells]
 
-
-def _occurrences(factors: Sequence[FactorDecoder]) -> array[int]:
-    seen: dict[tuple[int, ...], int] = {}
-    numbers = array("I")
-    for combination in zip(*(factor.places for factor in factors), strict=True):
-        seen[combination] = number = seen.get(combination, 0) + 1
-        numbers.append(number)
-    return numbers
+    def _has_odd(self, cells: Sequence[str]) -> bool:
+        return self._is_stamp and not are_stamps([cell for cell in cells if cell])

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from numbers import Integral
 from typing import TYPE_CHECKING, Any
 
@@ -16,13 +16,14 @@ from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.cells import RunStatus, are_stamps
 from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
-from robot_runner.core.storage.table_columns import ColumnRole
+from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.core.storage.run_table_rows import RunTableRows
+    from robot_runner.core.storage.table_columns import FactorColumn
 
 __all__ = [
     "ColumnDescription",
@@ -41,39 +42,6 @@ __all__ = [
 _OWN = "robot_runner:"
 _PROFILE = "https://specs.frictionlessdata.io/schemas/table-schema.json"
 _STAMP_FORMAT = "%Y-%m-%dT%H:%M:%S.%fZ"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ColumnDescription:
-    """What one column of the run table holds.
-
-    Attributes:
-        name: the heading.
-        role: what the column is for.
-        type: `string`, `integer`, `number`, `boolean`, `datetime`, or `any` where it holds several or none yet.
-        title: what it is, in a few words.
-        description: what it is, in a sentence.
-        unit: SI symbol, `%` for percentages, `1` for counts and ratios, empty where there is none.
-        owner: the plugin that yields it, or `config`; empty for what Robot Runner itself fills.
-        origin: `measured`, `simulated`, `estimated`, several of them with `, ` between, or None.
-        findings: what is odd about its values.
-        heading: what stands at its head in the file, where that is not its name.
-
-    Example:
-        >>> ColumnDescription(name="Energy", role=ColumnRole.MEASURE, type="number", unit="J").unit
-        'J'
-    """
-
-    name: str
-    role: ColumnRole
-    type: str = "any"
-    title: str = ""
-    description: str = ""
-    unit: str = ""
-    owner: str = ""
-    origin: str | None = None
-    findings: tuple[str, ...] = ()
-    heading: str = ""
 
 
 def write_schema(path: Path, fields: Sequence[ColumnDescription]) -> None:
@@ -183,11 +151,11 @@ def describe_columns(
             title="Status",
             description=f"How far the run has come: {', '.join(dict.fromkeys(words.values()))}.",
         ),
-        *(_stamp(name, column.texts) for name, column in rows.stamps.items()),
-        *(_factor(name, column.values) for name, column in rows.factors.items() if name in rows.layout.factor_names),
+        *(_stamp(name, rows.values(name)) for name in rows.layout.stamps),
+        *(_factor(column, rows) for column in rows.layout.factors),
         *(_repetition(name) for name in rows.layout.repetition),
-        *(_measure(name, column.values) for name, column in rows.measures.items()),
-        *(ColumnDescription(name=name, role=ColumnRole.EXTRA, type="string", title=name) for name in rows.extras),
+        *(_measure(name, rows.values(name)) for name in rows.layout.measures),
+        *(ColumnDescription(name=name, role=ColumnRole.EXTRA, type="string", title=name) for name in rows.layout.extras),
     ]
     spelled = (replace(column, heading=_other_heading(rows, column.name)) for column in described)
     return tuple(_merged(column, (known or {}).get(column.name)) for column in spelled)
@@ -223,7 +191,7 @@ def _plain_kind(value: Any) -> type | None:
     return int if isinstance(value, Integral) else str  # an object stands in the table as its text
 
 
-def _stamp(name: str, texts: list[str | None]) -> ColumnDescription:
+def _stamp(name: str, texts: Iterable[str | None]) -> ColumnDescription:
     event = name.removesuffix("_at")
     return ColumnDescription(
         name=name,
@@ -234,7 +202,10 @@ def _stamp(name: str, texts: list[str | None]) -> ColumnDescription:
     )
 
 
-def _factor(name: str, treatments: Iterable[Any]) -> ColumnDescription:
+def _factor(column: FactorColumn, rows: RunTableRows) -> ColumnDescription:
+    name = column.name
+    # Treatments that are known and in no row count as well: so the type is the same in every order.
+    treatments = (*(column.factor.treatments if column.factor else ()), *rows.values(name))
     kind = type_of_values("None" if treatment is None else treatment for treatment in treatments)
     return ColumnDescription(name=name, role=ColumnRole.FACTOR, type=kind, title=name, description="A factor.")
 

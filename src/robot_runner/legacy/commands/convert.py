@@ -1,6 +1,7 @@
-"""Write a config file of Robot Runner's or Experiment Runner's earlier versions in our own spelling.
+"""Write a config of an earlier tool in our own spelling.
 
-The old file stays as it is. The new one is loaded, and its run table compared with that of the old one.
+The earlier tools are Experiment Runner and the first versions of Robot Runner. The old file stays as it is. The new one
+is loaded, and its run table compared with that of the old one.
 
 Exit code 0: both plan the same runs; 2: the old file is refused, or the new one has to be mended by hand.
 """

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.source import CONFIG_CLASS
 from robot_runner.core.errors import ConfigError, Finding
 from robot_runner.legacy.conversion.callbacks import (
@@ -24,7 +25,6 @@ from robot_runner.legacy.conversion.callbacks import (
 from robot_runner.legacy.conversion.edits import Edits
 from robot_runner.legacy.conversion.imports import ConvertedImports, convert_imports, convert_parameters
 from robot_runner.legacy.conversion.run_table_calls import ONLY_FACTOR, convert_run_tables
-from robot_runner.legacy.loading import prepare
 from robot_runner.legacy.recognition import Recognised, is_earlier_import, recognise
 from robot_runner.legacy.session import active_session
 from robot_runner.legacy.syntax import classes_of, imports_of

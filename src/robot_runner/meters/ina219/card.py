@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 __all__ = ["CardMeter", "CardRecording", "read_card"]
 
 
-# Recordings that were copied from the meter's SD card (`docs/ina219-protocol.md`, "On a card").
-
 _BLOCK = 512
 _HELLO_BEGINS, _HELLO_SIZE = b"\xa5\x5a\x12\x0c", 20
 #: The device says its first hello within this time after it was switched on, µs.
@@ -94,12 +92,12 @@ def read_card(path: Path | str) -> list[CardRecording]:
     try:
         data = file.read_bytes()
     except OSError as error:
-        problem = f"it cannot be read: {error.strerror or error}"
+        problem = f"the recording cannot be read: {error.strerror or error}"
         raise LinkError(problem, where=str(file), fix="Name the file copied from the card.") from error
     found = [CardRecording(stream) for stream in map(_stream_of, _recordings(data)) if len(stream) or stream.hello]
     if not found:
         fix = "Copy INA219.BIN again, and see that the lamp at D5 was lit."
-        raise LinkError("it holds no recording", where=str(file), fix=fix)
+        raise LinkError("the file holds no recording", where=str(file), fix=fix)
     return found
 
 

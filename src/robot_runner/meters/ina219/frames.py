@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 __all__ = ["DecoderCounts", "Frame", "FrameDecoder", "Hello", "Mark", "SampleFrame", "SampleStream", "StampedMark"]
 
 
-# Frames of the power meter's serial protocol (`docs/ina219-protocol.md`), found among whatever else arrives.
-
 _SYNC = b"\xa5\x5a"
 _VERSION = 1
 _HEADER_SIZE = 6
@@ -71,7 +69,7 @@ class Hello:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """The meter's mark was set or taken back: somebody pulled its input low or let it go.
+    """The meter's mark was set or taken back: its input was pulled low or released.
 
     Attributes:
         next_sequence: the number that the next sample will carry.

@@ -16,9 +16,6 @@ if TYPE_CHECKING:
 __all__ = ["LineMeter", "Meter"]
 
 
-# What every way to the sensor can do: a serial line, a recording on a card, a kernel driver.
-
-
 class Meter(Protocol):
     """The sensor during one run.
 

@@ -31,9 +31,6 @@ if TYPE_CHECKING:
 __all__ = ["Ina219", "Way", "way_findings"]
 
 
-# What stands in the way of the INA219, found before anything is executed.
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Way:
     """Which sensor a profiler reads, and how: by one of the three that is not None, else the simulated robot's.
@@ -133,7 +130,7 @@ def _sysfs_findings(where: str, folder: str) -> list[Finding]:
 
 
 _REMEDY = "Look at the sensor, its cable and samples.csv before you use this run."
-#: What one row of samples.csv takes, and how long a mission is taken to be where nobody knows: the paper's, s.
+#: What one row of samples.csv takes, and how long a mission is taken to be where it is unknown: the paper's, s.
 _BYTES_PER_ROW, _USUAL_SECONDS = 55, 95
 
 
@@ -284,5 +281,5 @@ class Ina219(Profiler):
             if other is self:
                 return
             if isinstance(other, Ina219) and self.way.clashes_with(other.way):
-                problem = f"it would share one line with plugin {other.name}, and each would get some of the samples"
+                problem = f"plugin {other.name} has the same serial line, and each would get some of the samples"
                 yield Finding.error(self._where, problem, "Give each a port of its own, or leave one of them out.")

@@ -31,7 +31,7 @@ __all__ = [
 ]
 
 
-# From the INA219's registers to volts, amperes and watts, on the host, so that raw data stay raw.
+# Registers become volts, amperes and watts here, on the host, so that raw data stay raw.
 
 #: One step of the shunt voltage register (0x01), V.
 SHUNT_VOLT_PER_STEP = 10e-6
@@ -152,8 +152,6 @@ class Evaluation:
         details = {"is_simulated": self.is_simulated, **self.details}
         write_quality(folder / "quality.json", self.quality, self.window, details)
 
-
-# The evaluation of the sensor's raw registers, as they come up a serial line or from an SD card.
 
 #: What holds where neither the user nor the device says otherwise: the paper's 200 Hz, and the shunt of the common
 #: breakout boards.

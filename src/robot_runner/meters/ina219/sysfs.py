@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 __all__ = ["AUTO", "DEFAULT_SYSFS_RATE", "Reading", "SysfsMeter", "SysfsSensor", "find_sensor"]
 
 
-# The INA219 behind a driver of the Linux kernel: what its files in /sys are called and what they mean.
-
 #: The name under which the one sensor of a computer is taken, wherever its driver put it.
 AUTO = "auto"
 

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 __all__ = ["MeasuredRun", "Sources", "fit_model", "read_runs", "terms_of"]
 
 
-# What a model is fitted on: pieces of time in which the robot did one thing, and the power that was measured then.
-
 #: A piece shorter than this, s, holds too few samples of a 200 Hz meter for its mean power to mean much.
 _SHORTEST = 0.02
 

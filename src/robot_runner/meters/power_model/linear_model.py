@@ -190,6 +190,6 @@ def read_model(path: Path) -> LinearModel:
     try:
         return LinearModel.of_json(json.loads(path.read_text(encoding="utf-8")))
     except OSError as error:
-        raise PluginError(f"it cannot be read: {error.strerror}", where=str(path), fix=fix) from error
+        raise PluginError(f"the file cannot be read: {error.strerror}", where=str(path), fix=fix) from error
     except (ValueError, TypeError, KeyError, AttributeError) as error:
-        raise PluginError(f"it holds no power model: {error}", where=str(path), fix=fix) from error
+        raise PluginError(f"the file holds no power model: {error}", where=str(path), fix=fix) from error

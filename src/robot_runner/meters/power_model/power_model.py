@@ -168,7 +168,9 @@ class PowerModel(Profiler):
         names = [plugin.name for plugin in circumstances.plugins]
         wanted = [each for each in self._sources(linear) if each is not None and names and each not in names]
         return [
-            Finding.error(where, f"it reads the samples of {each!r}, which is not among the plugins", _add(each, names))
+            Finding.error(
+                where, f"the model reads the samples of {each!r}, which is not among the plugins", _add(each, names)
+            )
             for each in wanted
         ]
 
@@ -255,7 +257,9 @@ def _checked(function: PowerFunction, state: RobotState) -> float | None:
     try:
         watts = function(state)
     except Exception as error:
-        raise PluginError(f"it raised {type(error).__name__}: {error}, given {state}", where=where, fix=fix) from error
+        raise PluginError(
+            f"the function raised {type(error).__name__}: {error}, given {state}", where=where, fix=fix
+        ) from error
     if watts is not None and not (isinstance(watts, int | float) and math.isfinite(watts)):
         raise PluginError(f"it returned {watts!r}, given {state}", where=where, fix=fix)
     return watts

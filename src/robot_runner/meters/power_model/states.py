@@ -164,7 +164,7 @@ def _rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
         raise AnalysisError("there is no such file", where=str(path), fix=fix) from error
     if missing:
         fix = "Name a plugin whose raw data hold it."
-        raise AnalysisError(f"it has no column {missing[0]!r}", where=str(path), fix=fix)
+        raise AnalysisError(f"the file has no column {missing[0]!r}", where=str(path), fix=fix)
     return rows
 
 

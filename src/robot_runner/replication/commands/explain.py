@@ -1,4 +1,7 @@
-"""Say where the values of a run come from: plugin, raw file, aggregation, config line, attempt, host."""
+"""Say where the values of a run come from.
+
+For each value: plugin, raw file, aggregation, config line, attempt and host.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Seal an experiment's folder as one file that anyone can check and execute again.
+"""Seal an experiment as one file that anyone can check and execute again.
 
 The package is a zip file and an RO-Crate: config, run table, raw data, circumstances, environment, checksums. Secrets
 and home paths are replaced or left out, and listed. Packing twice gives the same bytes.

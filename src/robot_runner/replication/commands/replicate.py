@@ -1,8 +1,9 @@
-"""Execute a package again: the same runs in the same order from the same seed, and say whether the results agree.
+"""Execute a package again, and say whether the results agree.
 
-The package is verified first, and what differs between its environment and this machine is shown; nothing of it is
-executed before you have said yes. The same command goes on with a replication that was interrupted. Exit code 0: all
-runs are done, whatever the verdict; 1: some run failed; 2: refused; 130: interrupted.
+The same runs are executed in the same order from the same seed. The package is verified first, and what differs between
+its environment and this machine is shown; nothing of it is executed before you have said yes. The same command goes on
+with a replication that was interrupted. Exit code 0: all runs are done, whatever the verdict; 1: some run failed; 2:
+refused; 130: interrupted.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
+from robot_runner.analysis.libraries import MissingLibraryError, require_libraries
 from robot_runner.cli.console import (
     Column,
     UserConsole,
@@ -111,6 +113,7 @@ def print_verdicts(console: UserConsole, replication: Replication, target: Path,
     """
     same = identical_values(replication.original, replication.experiment.folder.root)
     _print_identical(console, same)
+    require_libraries()
     from robot_runner.analysis.comparison.comparing import compare  # noqa: PLC0415 - slow, and an extra
     from robot_runner.analysis.comparison.comparison_document import (  # noqa: PLC0415
         json_of_comparison,
@@ -255,11 +258,13 @@ def _refuse_bound(bound: list[str]) -> None:
         AnalysisError: one of them cannot be.
     """
     try:
-        from robot_runner.analysis.comparison.equivalence import Bounds  # noqa: PLC0415 - an extra
-    except ImportError as error:
+        require_libraries()
+    except MissingLibraryError as error:
         fix = "Install it to have the results compared: pip install 'robot-runner[analysis]'"
         show_findings([Finding.warning("verdict", f"there will be none: {error}", fix)])
         return
+    from robot_runner.analysis.comparison.equivalence import Bounds  # noqa: PLC0415 - slow, and an extra
+
     Bounds.parse(bound)
 
 

@@ -1,6 +1,6 @@
-"""Check whether a package is intact; nothing is unpacked and nothing is executed.
+"""Check whether a package is intact.
 
-Exit code 0: intact; 2: refused.
+Nothing is unpacked and nothing is executed. Exit code 0: intact; 2: refused.
 """
 
 from __future__ import annotations

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.cli.console import output
 from robot_runner.cli.parser import UsageError
-from robot_runner.core.errors import did_you_mean
+from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.core.links.connect import SIMULATED, link_findings
 from robot_runner.core.words import counted, shown_duration
-from robot_runner.simulator.graph_simulation import SimulatedPlace, check_pace, on_graph
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -54,10 +54,15 @@ def add_arguments(parser: Parser) -> None:
 
 
 def execute(arguments: Namespace) -> int:
-    """Let the robot live on the graph until somebody ends it."""
+    """Let the robot live on the graph until it is stopped."""
     if arguments.robot not in _ROBOTS:
         fix = did_you_mean(arguments.robot, _ROBOTS)
         raise UsageError(f"there is no simulated {arguments.robot!r}", where="robot-runner simulate", fix=fix)
+    findings = link_findings(SIMULATED)
+    if findings:
+        raise LinkError.of_findings(findings)
+    from robot_runner.simulator.graph_simulation import SimulatedPlace, check_pace, on_graph  # noqa: PLC0415 - an extra
+
     place = SimulatedPlace(
         link=arguments.link,
         namespace=arguments.namespace,

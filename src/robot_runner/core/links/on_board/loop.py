@@ -175,7 +175,7 @@ class Loop:
         self.period = self.due = self.cpu = self.flushed = 0.0
 
     def run(self) -> None:
-        """Go on until there is nobody to listen to."""
+        """Go on until the input ends."""
         while True:
             wait = None if self.source is None else max(0.0, self.due - time.monotonic())
             if select.select([0], [], [], wait)[0]:
@@ -301,7 +301,7 @@ def leave(number: int, _: object) -> None:
 
 
 def main() -> None:
-    """Sample until the input ends; what was kept stays for whoever comes to recover it."""
+    """Sample until the input ends; what was kept stays, to be recovered later."""
     signal.signal(signal.SIGTERM, leave)
     signal.signal(signal.SIGHUP, leave)
     loop = Loop()

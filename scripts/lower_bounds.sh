@@ -1,0 +1,11 @@
+#!/bin/sh
+# Execute the tests with the oldest releases that pyproject.toml allows, in an environment of their own.
+#
+# An old library's warnings of what is to come are no failures here; those of the locked ones are, in `make test`.
+set -eu
+cd "$(dirname "$0")/.."
+old=.make/lower-bounds
+
+.venv/bin/uv venv --quiet --clear --seed --python .venv/bin/python "$old"
+.venv/bin/uv pip install --quiet --python "$old/bin/python" --resolution lowest-direct --editable '.[dev]'
+"$old/bin/pytest" -q -n 2 -m "not soak" --override-ini filterwarnings=default "$@"

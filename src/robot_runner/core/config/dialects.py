@@ -1,0 +1,98 @@
+"""From a config file of any dialect to an experiment: the one entry for whoever loads config files.
+
+Our own dialect is the core's; others are announced in the group `robot_runner.dialects`, each by an object that keeps
+to the protocol `Dialect`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Protocol
+
+from robot_runner.core.config import loader, preparation
+from robot_runner.core.entry_points import entry_points
+from robot_runner.core.errors import Finding, PluginError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.config.loader import LoadedConfig
+    from robot_runner.core.config.preparation import Preparation
+
+__all__ = ["Dialect", "load_config", "prepare", "prepare_or_refuse", "stand_in_modules"]
+
+
+class Dialect(Protocol):
+    """How another tool, or an earlier version, spells a config file. Importing it must be cheap."""
+
+    def recognise(self, path: Path) -> Callable[[Mapping[str, str]], LoadedConfig] | None:
+        """Return what loads this file, given the static parameters to set; None where it is not of this dialect.
+
+        The file is read, and nothing of it is executed.
+
+        Raises:
+            ConfigError: it cannot be read or parsed, or is neither of this dialect nor of another.
+        """
+        ...
+
+    def stand_in_modules(self) -> frozenset[str]:
+        """Return the top-level modules that files of this dialect import and that are there while one is loaded."""
+        ...
+
+
+def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({})) -> LoadedConfig:
+    """Execute a config file and instantiate its config class; one of another dialect is brought to ours.
+
+    Raises:
+        ConfigError: the file cannot be read, parsed or executed, mixes dialects, has no config class, or a parameter
+            that is to be set does not exist.
+    """
+    dialects, unusable = _installed()
+    for dialect in dialects:
+        load = dialect.recognise(path)
+        if load is not None:
+            return load(overrides)
+    loaded = loader.load_config(path, overrides)
+    return replace(loaded, findings=(*loaded.findings, *unusable)) if unusable else loaded
+
+
+def prepare(
+    path: Path, overrides: Mapping[str, str] = MappingProxyType({}), *, is_for_here: bool = True
+) -> Preparation:
+    """Load and validate a config file of any dialect; all findings at once, and nothing on disk is touched.
+
+    Args:
+        path: the config file.
+        overrides: static parameters to set, by name.
+        is_for_here: whether it is to be executed on this machine; if not, nobody asks what the machine has.
+    """
+    return preparation.prepare(path, overrides, load_config, is_for_here=is_for_here)
+
+
+def prepare_or_refuse(path: Path, overrides: Mapping[str, str] = MappingProxyType({})) -> Experiment:
+    """Load and validate a config file of any dialect.
+
+    Raises:
+        ConfigError: it is refused; carries every finding.
+    """
+    return preparation.prepare_or_refuse(path, overrides, load_config)
+
+
+def stand_in_modules() -> frozenset[str]:
+    """Return the top-level modules that config files of some dialect may import though no package brings them."""
+    return frozenset().union(*(dialect.stand_in_modules() for dialect in _installed()[0]))
+
+
+def _installed() -> tuple[list[Dialect], tuple[Finding, ...]]:
+    """Return the dialects that can be used, and a warning for each other: our own configs go without it."""
+    dialects: list[Dialect] = []
+    unusable: list[Finding] = []
+    for point in entry_points("dialects"):
+        try:
+            dialects.append(point.load())
+        except PluginError as error:
+            unusable.append(Finding.warning(error.where, error.problem, error.fix))
+    return dialects, tuple(unusable)

@@ -1,0 +1,181 @@
+"""What installed packages announce to Robot Runner by entry points, read without importing any of them.
+
+`importlib.metadata` answers the same question in some 100 ms, which `robot-runner --help` has not. So the folders of
+metadata on `sys.path` are read here, and it is asked only for what is no folder, such as a zip file.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib import import_module
+
+TYPE_CHECKING = False  # `typing` takes longer to import than all of this
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from typing import Any
+
+    from robot_runner.core.errors import PluginError
+
+__all__ = ["EntryPoint", "entry_points", "named_entry_point"]
+
+_PREFIX = "robot_runner."
+_METADATA = (".dist-info", ".egg-info")
+
+
+class EntryPoint:
+    """One thing that an installed package brings; nothing of the package is imported before `load`.
+
+    Args:
+        name: what it is called there: a link's name, a command's, a plugin's.
+        group: such as `robot_runner.links`.
+        value: where it is: `module:object`, or `module` alone.
+        distribution: tells the name and version of the package.
+
+    Example:
+        >>> EntryPoint("sqrt", "robot_runner.links", "math:sqrt", lambda: ("stdlib", "3")).load()(9)
+        3.0
+    """
+
+    __slots__ = ("_distribution", "group", "name", "value")
+
+    def __init__(self, name: str, group: str, value: str, distribution: Callable[[], tuple[str, str]]) -> None:
+        self.name = name
+        self.group = group
+        self.value = value
+        self._distribution = distribution
+
+    @property
+    def package(self) -> str:
+        """The distribution that brings it."""
+        return self._distribution()[0]
+
+    @property
+    def version(self) -> str:
+        """The version of that distribution."""
+        return self._distribution()[1]
+
+    @property
+    def module(self) -> str:
+        """The module that it is in."""
+        return self.value.partition(":")[0].strip()
+
+    @property
+    def is_own(self) -> bool:
+        """Whether Robot Runner itself brings it."""
+        return self.value.startswith(_PREFIX)
+
+    @property
+    def where(self) -> str:
+        """What it is and which package brings it, for errors."""
+        kind = self.group.removeprefix(_PREFIX).removesuffix("s")
+        return f"{kind} {self.name} ({self.value}, of {self.package} {self.version})"
+
+    def load(self) -> Any:
+        """Import what it names.
+
+        Raises:
+            PluginError: this fails; names the package.
+        """
+        try:
+            found: Any = import_module(self.module)
+            for attribute in filter(None, self.value.partition(":")[2].partition("[")[0].strip().split(".")):
+                found = getattr(found, attribute)
+        except Exception as error:
+            raise self.refusal(f"cannot be imported: {type(error).__name__}: {error}") from error
+        return found
+
+    def refusal(self, problem: str) -> PluginError:
+        """Return the error that this entry point cannot be used; `problem` goes on after its kind."""
+        from robot_runner.core.errors import PluginError  # noqa: PLC0415 - for a quick --help
+
+        kind = self.group.removeprefix(_PREFIX).removesuffix("s")
+        fix = f"Install or repair the package {self.package}."
+        return PluginError(f"the {kind} {problem}", where=self.where, fix=fix)
+
+
+#: What each entry of `sys.path` announces: the packages, by the name that makes them one, with their entry points.
+_read_before: dict[str, list[tuple[str, list[EntryPoint]]]] = {}
+
+
+def entry_points(group: str) -> list[EntryPoint]:
+    """Return what is announced in a group, by name; what Robot Runner itself brings comes first.
+
+    Of a package that is on `sys.path` twice the first counts, as for an import.
+
+    Args:
+        group: its name after `robot_runner.`: `links`, `commands`, `profilers` and so on.
+    """
+    full, seen, found = f"{_PREFIX}{group}", set(), []
+    for entry in sys.path:
+        if entry not in _read_before:
+            _read_before[entry] = list(_packages_at(entry))
+        for package, announced in _read_before[entry]:
+            if package not in seen:
+                seen.add(package)
+                found += [point for point in announced if point.group == full]
+    return sorted(found, key=lambda point: (not point.is_own, point.name))
+
+
+def named_entry_point(group: str, name: str) -> EntryPoint | None:
+    """Return the first of this name in a group, so that no package can take a name of Robot Runner's own."""
+    return next((point for point in entry_points(group) if point.name == name), None)
+
+
+def _packages_at(entry: str) -> Iterator[tuple[str, list[EntryPoint]]]:
+    folder = entry or os.curdir
+    if os.path.isfile(folder) or folder.endswith(".egg"):  # noqa: PTH113 - `pathlib` takes too long to import
+        yield from _packages_in_archive(folder)
+        return
+    try:
+        names = sorted(os.listdir(folder))  # noqa: PTH208 - as above
+    except OSError:
+        return
+    for name in names:
+        if name.endswith(_METADATA) and not name.startswith("~"):  # which pip leaves of what it could not remove
+            path = os.path.join(folder, name)  # noqa: PTH118 - as above
+            yield _normalised(name.partition("-")[0].removesuffix(".egg")), _points_in(path)
+
+
+def _normalised(package: str) -> str:
+    return package.lower().replace("-", "_").replace(".", "_")
+
+
+def _points_in(metadata: str) -> list[EntryPoint]:
+    try:
+        with open(f"{metadata}/entry_points.txt", encoding="utf-8", errors="replace") as file:  # noqa: PTH123 - as above
+            text = file.read()
+    except OSError:  # most packages announce nothing
+        return []
+    return list(_parsed(text, lambda: _distribution_at(metadata))) if f"[{_PREFIX}" in text else []
+
+
+def _parsed(text: str, distribution: Callable[[], tuple[str, str]]) -> Iterator[EntryPoint]:
+    group = ""
+    for line in map(str.strip, text.splitlines()):
+        if line.startswith("[") and line.endswith("]"):
+            group = line[1:-1].strip()
+        elif group.startswith(_PREFIX) and not line.startswith("#"):
+            name, equals, value = line.partition("=")
+            if equals:
+                yield EntryPoint(name.strip(), group, value.strip(), distribution)
+
+
+def _distribution_at(metadata: str) -> tuple[str, str]:
+    from importlib.metadata import Distribution  # noqa: PLC0415 - only where it is shown
+
+    found = Distribution.at(metadata)
+    return _told(found.metadata["Name"]), _told(found.metadata["Version"])
+
+
+def _packages_in_archive(path: str) -> Iterator[tuple[str, list[EntryPoint]]]:
+    from importlib.metadata import distributions  # noqa: PLC0415 - archives on sys.path are rare
+
+    for found in distributions(path=[path]):
+        about = (_told(found.metadata["Name"]), _told(found.metadata["Version"]))
+        text = found.read_text("entry_points.txt") or ""
+        yield _normalised(about[0]), list(_parsed(text, lambda about=about: about))  # type: ignore[misc]
+
+
+def _told(text: str | None) -> str:
+    return text or "unknown"

@@ -1,0 +1,42 @@
+"""The dialect of the earlier tools, as an entry point announces it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from robot_runner.legacy.recognition import recognise
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from robot_runner.core.config.loader import LoadedConfig
+
+__all__ = ["EARLIER_TOOLS"]
+
+
+class _EarlierTools:
+    """Configs of Robot Runner's and Experiment Runner's earlier versions, told by their syntax tree."""
+
+    def recognise(self, path: Path) -> Callable[[Mapping[str, str]], LoadedConfig] | None:
+        """Return what loads this file, or None where it is no config of an earlier tool.
+
+        Raises:
+            ConfigError: it cannot be read or parsed, or mixes the spellings of several tools.
+        """
+        recognised = recognise(path)
+        if recognised is None:
+            return None
+        from robot_runner.legacy.lifting import lift  # noqa: PLC0415 - own configs need none of it
+
+        return lambda overrides: lift(recognised, overrides)
+
+    def stand_in_modules(self) -> frozenset[str]:
+        """Return the top-level packages of the earlier tools, which stand-ins take the place of."""
+        from robot_runner.legacy.stand_ins.catalogue import MODULES, PACKAGES  # noqa: PLC0415 - own configs need none
+
+        return frozenset(name.partition(".")[0] for name in (*MODULES, *PACKAGES))
+
+
+#: What the entry point names.
+EARLIER_TOOLS = _EarlierTools()

@@ -1,0 +1,147 @@
+"""How the embedded robot is reached by the name `simulated`: announced by an entry point, and imported in no time."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import dataclass, fields
+from math import inf
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import Finding, LinkError, did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from robot_runner.core.events.context import Clock, Resources
+    from robot_runner.core.links.host import HostLink
+    from robot_runner.core.links.robot import RobotLink, RobotName
+    from robot_runner.core.links.serial_line import SerialLine
+    from robot_runner.simulator.simulated_turtlebot3 import Simulation
+    from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
+
+__all__ = ["EMBEDDED_ROBOT", "SimulationOptions", "simulation_options"]
+
+_WHERE = "robot"
+_NAME = "simulated"
+_PACKAGES = ("mujoco", "numpy")
+_REAL_TIME_FACTOR = "real_time_factor"
+
+
+class _EmbeddedRobot:
+    """The kind of link `simulated`. MuJoCo is imported only where something is opened."""
+
+    description = "the embedded TurtleBot3 Burger: a physics simulation with a clock of its own"
+    takes_address = False
+    is_simulated = True
+
+    def findings(self, name: RobotName) -> list[Finding]:
+        """Return which packages are missing.
+
+        Raises:
+            LinkError: an option cannot be.
+        """
+        missing = [package for package in _PACKAGES if importlib.util.find_spec(package) is None]
+        if missing:
+            return [_not_installed(missing).as_finding()]
+        if name.options:
+            simulation_options(name.options)
+        return []
+
+    def open_robot(
+        self, name: RobotName, *, resources: Resources, clock: Clock, seed: int, namespace: str
+    ) -> RobotLink:
+        """Open a link to the robot of this namespace; it lives by the clock of its simulation."""
+        del clock
+        simulation = _simulation(name, resources, seed)
+        from robot_runner.simulator.simulated_link import SimulatedRobotLink  # noqa: PLC0415  # it imports MuJoCo
+
+        return SimulatedRobotLink(simulation, namespace=namespace)
+
+    def open_clock(self, name: RobotName, *, resources: Resources, seed: int) -> Clock:
+        """Return the simulation's clock."""
+        return _simulation(name, resources, seed).clock
+
+    def open_serial_line(self, name: RobotName, *, resources: Resources, seed: int, namespace: str) -> SerialLine:
+        """Open the serial line of the robot's power meter."""
+        simulation = _simulation(name, resources, seed)
+        from robot_runner.simulator.simulated_devices import SimulatedSerialLine  # noqa: PLC0415  # it imports MuJoCo
+
+        return SimulatedSerialLine(simulation, namespace=namespace)
+
+    def open_host(self, name: RobotName, *, resources: Resources, seed: int, namespace: str) -> HostLink:
+        """Open a link to the robot's on-board computer."""
+        simulation = _simulation(name, resources, seed)
+        from robot_runner.simulator.simulated_devices import SimulatedHost  # noqa: PLC0415  # it imports MuJoCo
+
+        return SimulatedHost(simulation, namespace=namespace)
+
+
+#: What the entry point `simulated` names.
+EMBEDDED_ROBOT = _EmbeddedRobot()
+
+
+def _simulation(name: RobotName, resources: Resources, seed: int) -> Simulation:
+    """Return the run's one simulation, whoever asks for it first."""
+
+    def opener() -> Simulation:
+        try:
+            from robot_runner.simulator.simulated_turtlebot3 import Simulation  # noqa: PLC0415  # it imports MuJoCo
+        except ModuleNotFoundError as error:
+            raise _not_installed([error.name or "mujoco"]) from error
+        options = simulation_options(name.options)
+        return Simulation(seed, parameters=options.parameters, real_time_factor=options.real_time_factor)
+
+    return resources.open("simulation", opener)
+
+
+def _not_installed(missing: list[str]) -> LinkError:
+    return LinkError(
+        f"robot is {_NAME!r}, but {' and '.join(missing)} cannot be imported",
+        where=_WHERE,
+        fix="Install the simulator: pip install 'robot-runner[sim]'.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationOptions:
+    """What `robot = "simulated:name=value,..."` says of the simulation.
+
+    Attributes:
+        parameters: what its robots are made of.
+        real_time_factor: simulated seconds a real second (1.0: real time); None for as fast as the physics goes.
+    """
+
+    parameters: Turtlebot3Parameters
+    real_time_factor: float | None
+
+
+def simulation_options(options: Mapping[str, str]) -> SimulationOptions:
+    """Return what a simulated robot with these options is made of, and how fast its time goes by.
+
+    Example:
+        >>> simulation_options({"initial_charge": "40", "real_time_factor": "1"}).real_time_factor
+        1.0
+
+    Raises:
+        LinkError: there is no such parameter, or it cannot have this value.
+    """
+    from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters  # noqa: PLC0415  # it imports NumPy
+
+    kinds = {each.name: int if each.type == "int" else float for each in fields(Turtlebot3Parameters)}
+    kinds[_REAL_TIME_FACTOR] = float
+    values: dict[str, Any] = {}
+    for name, text in options.items():
+        if name not in kinds:
+            fix = did_you_mean(name, kinds)
+            raise LinkError(f"the simulated robot has no parameter {name!r}", where=_WHERE, fix=fix)
+        try:
+            values[name] = kinds[name](text)
+        except ValueError as error:
+            kind = "a whole number" if kinds[name] is int else "a number"
+            problem = f"the simulated robot's {name} is {text!r}, which is not {kind}"
+            raise LinkError(problem, where=_WHERE, fix=f"Give {kind}, as in {name}=1.") from error
+    pace = values.pop(_REAL_TIME_FACTOR, None)
+    if pace is not None and not 0 < pace < inf:
+        problem = f"the simulated robot's {_REAL_TIME_FACTOR} is {pace:g}, which no clock can keep"
+        raise LinkError(problem, where=_WHERE, fix="Give 1 for real time, 2 for twice as fast.")
+    return SimulationOptions(Turtlebot3Parameters(**values), pace)
