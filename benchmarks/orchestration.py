@@ -209,13 +209,13 @@ def floor(runs: int) -> float:
 def rows_of_configs() -> Iterator[Row]:
     """Measure each config and the floor in turn, so that all see the same noise, and yield a row for each config."""
     for config in CONFIGS.values():
-        executed(config, 2)  # imports what it needs: the floor's process is as large as theirs
+        executed(config, 3)  # imports what it needs: the floor's process is as large as theirs
     floors: list[float] = []
     measured: dict[str, list[float]] = {name: [] for name in CONFIGS}
     for _ in range(ROUNDS):
         floors.append(floor(RUNS))
         for name, config in CONFIGS.items():
-            measured[name].append(executed(config, RUNS)[1])
+            measured[name].append(executed(config, RUNS)[0].seconds_per_run(1, RUNS))
     for name, seconds in measured.items():
         ratio = statistics.median(each / least for each, least in zip(seconds, floors, strict=True))
         yield Row(

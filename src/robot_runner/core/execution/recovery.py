@@ -233,11 +233,12 @@ class RecoveredTable:
         if status == AttemptStatus.INTERRUPTED.value:
             self.rows.clear(run_id)
             return
+        layout = self.rows.layout
         self.rows.record(
             run_id,
             status=_ENDS[status],
-            stamps={name: stamp for event, stamp in stamps.items() if (name := f"{event}_at") in self.rows.layout.stamps},
-            measures={name: value for name, value in measures.items() if name in self.rows.layout.measures},
+            stamps={name: stamp for event, stamp in stamps.items() if (name := f"{event}_at") in layout.stamps},
+            measures={name: value for name, value in measures.items() if name in layout.measures},
         )
 
     def _known(self) -> dict[str, ColumnDescription]:

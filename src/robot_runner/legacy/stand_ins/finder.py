@@ -36,8 +36,9 @@ class StandIns(MetaPathFinder, Loader):
         self._clone = clone_around(config)
         self._modules: dict[str, ModuleType] = {}
         self._depth = 0
-        #: Names of loaded modules that are no stand-in's: each event would look at hundreds of them again, twice.
-        self._foreign: set[str] = set()
+        #: How many modules there were when ours had been taken away, if no others had their names: as long as it is so
+        #: many, none of hundreds has to be looked at again, twice at each event.
+        self._without_ours = -1
 
     @contextmanager
     def present(self) -> Iterator[None]:
@@ -49,8 +50,9 @@ class StandIns(MetaPathFinder, Loader):
             finally:
                 self._depth -= 1
             return
-        others = self._taken_away()
+        others = {} if len(sys.modules) == self._without_ours else self._taken_away()
         sys.modules.update(self._modules)
+        with_ours = len(sys.modules)
         sys.meta_path.insert(0, self)
         self._depth = 1
         try:
@@ -58,7 +60,11 @@ class StandIns(MetaPathFinder, Loader):
         finally:
             self._depth = 0
             sys.meta_path.remove(self)
-            self._modules = self._taken_away()
+            nothing_is_new = len(sys.modules) == with_ours and sys.modules.keys() >= self._modules.keys()
+            self._modules = (
+                {name: sys.modules.pop(name) for name in self._modules} if nothing_is_new else self._taken_away()
+            )
+            self._without_ours = -1 if others else len(sys.modules)
             sys.modules.update(others)
 
     def find_spec(
@@ -124,11 +130,7 @@ class StandIns(MetaPathFinder, Loader):
         return spec
 
     def _taken_away(self) -> dict[str, ModuleType]:
-        unknown = sys.modules.keys() - self._foreign
-        self._foreign |= {
-            name for name in unknown if not is_earlier_import(name) and name.partition(".")[0] != _LOWER_CASE_ROOT
-        }
-        names = [name for name in unknown - self._foreign if is_earlier_import(name) or self._is_own(sys.modules[name])]
+        names = [name for name, module in sys.modules.items() if is_earlier_import(name) or self._is_own(module)]
         return {name: sys.modules.pop(name) for name in names}
 
     def _is_own(self, module: ModuleType | None) -> bool:
