@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from robot_runner.cli.commands import installed_commands
+from robot_runner.cli.commands import command_module, installed_commands
 from robot_runner.cli.parser import parser_of
 
 ROOT = Path(__file__).parents[2]
@@ -33,7 +33,8 @@ def _is_understood(words: list[str]) -> bool:
     command = words[0] if words[0] in installed_commands() else "run"
     if command != words[0] and not re.search(r"\.py$|^--(help|version)$|^[A-Z]+$|^<.*>$", words[0]):
         return False
-    known = {option for action in parser_of(command).documented for option in action.option_strings}
+    parser = parser_of(command, command_module(installed_commands()[command]))
+    known = {option for action in parser.documented for option in action.option_strings}
     return {word.partition("=")[0] for word in words if word.startswith("--")} <= {*known, "--version"}
 
 
