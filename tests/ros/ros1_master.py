@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from robot_runner.core.errors import LinkError
-from robot_runner.ros.ros1.master import Master
+from robot_runner.ros.ros1_master import Master
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -14,7 +14,7 @@ from robot_runner.core.links.kinds import FoundRobot
 from robot_runner.core.links.robot import RobotName
 from robot_runner.ros import ros_environment
 from robot_runner.ros.required_ros import check_required_ros
-from robot_runner.ros.ros1.master import Master
+from robot_runner.ros.ros1_master import Master
 from robot_runner.ros.ros_environment import (
     RosEnvironment,
     find_ros,

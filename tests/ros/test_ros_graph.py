@@ -88,7 +88,7 @@ def test_without_a_robot_the_check_says_how_to_name_one():
     ("arguments", "problem"),
     [
         ({"nodes": "/talker"}, "nodes is '/talker'"),
-        ({"nodes": ["talker"]}, "'talker' is no full name"),
+        ({"nodes": ["talker"]}, "'talker' is not the full name"),
         ({"nodes": ["/a/b", "/a_b"]}, "share a column"),
         ({"nodes": {"/a": ""}}, "selects no process"),
         ({"rate_hz": 0.0}, "rate_hz is 0"),

@@ -14,8 +14,8 @@ from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.ros1_master import quiet_about_rospy
 
 from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.dds.link import open_dds_link
-from robot_runner.ros.ros1.link import open_ros1_link
+from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.ros.ros1_link import open_ros1_link
 from robot_runner.ros.ros_bag import RosBag
 from robot_runner.ros.ros_graph import RosGraph
 from robot_runner.ros.ros_topics import RosTopics

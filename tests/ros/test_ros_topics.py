@@ -78,7 +78,7 @@ def test_a_topic_that_falls_silent_is_warned_of(measure):
 def test_a_topic_that_nobody_publishes_yields_no_value_and_a_warning(measure):
     context = measure(RosTopics({"scan": 5.0}, patience=1.0))
     assert set(context.measures.values()) == {None}
-    assert any("nobody publishes it within 1 s" in each.problem for each in context.broker.findings)
+    assert any("the topic is not published within 1 s" in each.problem for each in context.broker.findings)
 
 
 def test_stamps_of_the_future_yield_no_age_and_a_warning_about_clocks(measure):

@@ -1,4 +1,4 @@
-"""From a config file of an earlier tool to a config object of ours, with everything that is to be said about it."""
+"""From a config file of an earlier tool to a config object of ours, with all findings about it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from robot_runner.legacy.experiment import EarlierExperiment
 from robot_runner.legacy.profilers.self_measure import COLUMN, SelfMeasure
 from robot_runner.legacy.run_tables import EarlierDesign, design_of
 from robot_runner.legacy.session import Session, active_session
-from robot_runner.legacy.stand_ins.finder import StandIns
+from robot_runner.legacy.stand_ins.modules import StandIns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -48,9 +48,6 @@ if TYPE_CHECKING:
     from robot_runner.legacy.recognition import Recognised
 
 __all__ = ["exits_raised", "lift"]
-
-
-# Config files that end their program while they are loaded.
 
 
 @contextmanager
@@ -74,24 +71,16 @@ def exits_raised() -> Iterator[None]:
         os._exit = end
 
 
-#: What the earlier tools called a static parameter, where it has another name here.
-_EARLIER_NAMES = {"experiment_name": "name"}
-#: Parameters that the earlier tools did not have: an attribute of that name means something else in their configs.
-_NEW_PARAMETERS = frozenset(
-    {
-        "analysis",
-        "attempts",
-        "authors",
-        "citation",
-        "event_deadline_in_s",
-        "grace_in_s",
-        "licence",
-        "on_failure",
-        "robot",
-        "run_deadline_in_s",
-        "run_process",
-    }
-)
+#: The static parameters that the earlier tools had, by our names, and what they called them: an attribute that is
+#: called like another one of ours means something else in their configs.
+_EARLIER_NAMES = {
+    "experiment_name": "name",
+    "results_output_path": "results_output_path",
+    "operation_type": "operation_type",
+    "time_between_runs_in_ms": "time_between_runs_in_ms",
+    "required_ros_version": "required_ros_version",
+    "required_ros_distro": "required_ros_distro",
+}
 _TABLE_METHODS = ("create_run_table_model", "create_run_table")
 _UNFIT_FOR_NAME = re.compile(r"[^A-Za-z0-9 ._-]")
 
@@ -148,7 +137,7 @@ class _Lifting:
         config_class = getattr(module, class_name, None)
         if not isinstance(config_class, type):
             raise ConfigError(
-                f"it has no class named {class_name}",
+                f"the file has no class named {class_name}",
                 fix=f"Describe the experiment in a class {class_name}.",
             )
         self._apply(config_class)
@@ -161,7 +150,7 @@ class _Lifting:
         self._threads = threads_since(threads_before)
 
     def lacking(self, error: ConfigError) -> list[Finding]:
-        """Return what else is not here that a file needs which could not be loaded, so that all is said at once."""
+        """Return what else is missing for a file that could not be loaded, so that one report names everything."""
         said = {finding.where for finding in error.findings}
         found = [*check_packages(self._recognised), *check_plugins((self._recognised.path,))]
         return [finding for finding in found if finding.is_error and finding.where not in said]
@@ -206,12 +195,12 @@ class _Lifting:
         return (self._recognised.path, *self._local_modules)
 
     def _value(self, name: str, default: Any) -> Any:
-        if name in _NEW_PARAMETERS:
-            return self._set.get(name, default)
-        return getattr(self._config, _EARLIER_NAMES.get(name, name), default)
+        if name in _EARLIER_NAMES:
+            return getattr(self._config, _EARLIER_NAMES[name], default)
+        return self._set.get(name, default)
 
     def _parameters(self) -> dict[str, Any]:
-        values = {parameter.name: self._value(parameter.name, parameter.default) for parameter in PARAMETERS}
+        values = {parameter.name: self._value(parameter.name, parameter.default) for parameter in PARAMETERS.values()}
         if values["robot"] is None and is_robot_operated(self._files):
             values["robot"] = "auto"  # the earlier tools took the ROS that is sourced
         name = values["experiment_name"]
@@ -263,13 +252,13 @@ class _Lifting:
         )
 
     def _say_what_changes(self) -> None:
-        hears = {each.event.value for each in self.session.subscriptions}
-        if getattr(self._config, "operation_type", None) is OperationType.SEMI and "continue" not in hears:
+        subscribed = {each.event.value for each in self.session.subscriptions}
+        if getattr(self._config, "operation_type", None) is OperationType.SEMI and "continue" not in subscribed:
             self.session.warn(
                 "operation_type",
-                "it is SEMI and nothing hears CONTINUE: the earlier tool went on by itself, and now each run waits "
-                "until the user says to go on",
-                "Write OperationType.AUTO if nobody is to be waited for.",
+                "operation_type is SEMI and nothing subscribes to CONTINUE: the earlier tool went on by itself, and "
+                "now each run waits until the user says to go on",
+                "Write OperationType.AUTO if the runs are to follow each other.",
             )
 
 
@@ -277,5 +266,5 @@ def _recorded_seed(folder: ExperimentFolder) -> int:
     """Return the seed with which an experiment began, so that it goes on in its order; a new one where it did not."""
     try:
         return int(read_manifest(folder.manifest)["seed"]) if folder.manifest.exists() else randbits(32)
-    except (StorageError, KeyError, TypeError, ValueError):  # whoever executes it says what is wrong with it
+    except (StorageError, KeyError, TypeError, ValueError):  # reading the folder again to execute it says what is wrong
         return randbits(32)

@@ -1,4 +1,4 @@
-"""Records topics through a robot link, where the robot's own recorders are not to be had."""
+"""Bags of both generations of ROS, and a recorder that writes them from a robot link where ROS' own cannot be used."""
 
 from __future__ import annotations
 
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["BagFile", "LinkRecorder", "McapBag", "Ros1Bag", "messages_in", "new_bag"]
 
-
-# Bags on disk: MCAP for messages of ROS 2, and the bag format of ROS 1.
 
 _INSTALL = "Install it: pip install 'robot-runner[bag]'."
 
@@ -174,7 +172,7 @@ _PATIENCE = 60.0
 
 
 class LinkRecorder:
-    """Writes the bytes of what is heard into a bag, in a thread of its own: the disk holds up no callback.
+    """Writes what is received into a bag, in a thread of its own: the disk holds up no callback.
 
     Args:
         link: to the robot.
@@ -183,12 +181,12 @@ class LinkRecorder:
 
     Raises:
         PluginError: the library that writes bags is not installed.
-        LinkError: a topic cannot be heard.
+        LinkError: a topic cannot be subscribed.
     """
 
     def __init__(self, link: RobotLink, topics: Sequence[TypedTopic], folder: Path) -> None:
         self._bag = new_bag(folder, link.encoding)
-        self._heard: queue.SimpleQueue[tuple[int, RawMessage] | None] = queue.SimpleQueue()
+        self._received: queue.SimpleQueue[tuple[int, RawMessage] | None] = queue.SimpleQueue()
         self._is_recording = False
         self._fault: Exception | None = None
         self.messages = 0
@@ -219,7 +217,7 @@ class LinkRecorder:
         """Finish the bag, and say what went wrong, if anything did."""
         self.end()
         self._subscriptions.close()
-        self._heard.put(None)
+        self._received.put(None)
         self._writer.join(_PATIENCE)
         if self._writer.is_alive():
             return f"the disk did not take all messages within {_PATIENCE:g} s"
@@ -229,15 +227,15 @@ class LinkRecorder:
     def _subscribe(self, link: RobotLink, topic: TypedTopic) -> None:
         number = self._bag.add_topic(topic.full_name, topic.message_type, link.definition(topic.message_type))
 
-        def hear(message: RawMessage) -> None:
+        def receive(message: RawMessage) -> None:
             if self._is_recording:
-                self._heard.put((number, message))
+                self._received.put((number, message))
 
-        subscription = link.subscribe_raw(topic.name, topic.message_type, hear)
+        subscription = link.subscribe_raw(topic.name, topic.message_type, receive)
         self._subscriptions.callback(subscription.close)
 
     def _write(self) -> None:
-        while (item := self._heard.get()) is not None:
+        while (item := self._received.get()) is not None:
             number, message = item
             if self._fault is not None:
                 continue

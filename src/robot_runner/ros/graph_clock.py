@@ -43,13 +43,13 @@ class GraphClock:
         self._changed = threading.Condition()
         self._now = 0.0
         self._is_known = False
-        self._subscription = link.subscribe(_TOPIC, _TYPE, self._hear)
+        self._subscription = link.subscribe(_TOPIC, _TYPE, self._take)
 
     def start(self) -> None:
         """Return once it shows the graph's time.
 
         Raises:
-            LinkError: nobody publishes it.
+            LinkError: it is not published.
         """
         with self._changed:
             if not self._changed.wait_for(lambda: self._is_known, _PATIENCE):
@@ -83,10 +83,10 @@ class GraphClock:
                     )
 
     def close(self) -> None:
-        """Hear no more of the time; what it shows stays."""
+        """End the subscription; what it shows stays."""
         self._subscription.close()
 
-    def _hear(self, message: Message) -> None:
+    def _take(self, message: Message) -> None:
         stamp = message["clock"]
         with self._changed:
             self._now = max(self._now, stamp["sec"] + stamp["nanosec"] / 1e9)

@@ -13,6 +13,7 @@ from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.graph_names import full_name, missing, namespace_prefix
 from robot_runner.core.links.kinds import link_key
+from robot_runner.core.words import enumerated
 from robot_runner.ros.graph_clock import GraphClock
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def not_installed(missing: Sequence[str], *, way: str, extra: str) -> LinkError:
         Install it: pip install 'robot-runner[dds]'.
     """
     return LinkError(
-        f"robot is reached {way}, but {' and '.join(missing)} cannot be imported",
+        f"robot is reached {way}, but {enumerated(missing)} cannot be imported",
         where="robot",
         fix=f"Install it: pip install 'robot-runner[{extra}]'.",
     )
@@ -171,12 +172,12 @@ class _FoundRobot:
 
 
 # What the entry points of this room name.
-ROS1 = GraphLinkKind("ROS 1 with rospy", "robot_runner.ros.ros1.link", "open_ros1_link")
-ROS2 = GraphLinkKind("ROS 2 with rclpy", "robot_runner.ros.ros2.link", "open_ros2_link")
-DDS = GraphLinkKind("ROS 2 over DDS, with no ROS installed", "robot_runner.ros.dds.link", "open_dds_link")
+ROS1 = GraphLinkKind("ROS 1 with rospy", "robot_runner.ros.ros1_link", "open_ros1_link")
+ROS2 = GraphLinkKind("ROS 2 with rclpy", "robot_runner.ros.ros2_link", "open_ros2_link")
+DDS = GraphLinkKind("ROS 2 over DDS, with no ROS installed", "robot_runner.ros.dds_link", "open_dds_link")
 ROSBRIDGE = GraphLinkKind(
     "ROS 1 or 2 through a rosbridge, with no ROS installed",
-    "robot_runner.ros.rosbridge.link",
+    "robot_runner.ros.rosbridge_link",
     "open_rosbridge_link",
     takes_address=True,
 )

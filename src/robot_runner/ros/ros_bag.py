@@ -18,7 +18,7 @@ from robot_runner.core.links.host import LOCAL
 from robot_runner.core.links.robot import Encoding
 from robot_runner.core.links.ssh_host import remedy, ssh_command, ssh_findings
 from robot_runner.core.plugin import Profiler
-from robot_runner.meters.meter_process import MeterProcess
+from robot_runner.core.sampling.meter_process import MeterProcess
 from robot_runner.ros.bag_file import LinkRecorder, messages_in
 from robot_runner.ros.topic_statistics import found_topics, robot_findings, topic_label
 
@@ -32,14 +32,13 @@ if TYPE_CHECKING:
 __all__ = ["PROGRAMS", "BagProgram", "RosBag"]
 
 
-# Records topics with `rosbag record` or `ros2 bag record`, on this machine or on the robot's computer.
-
 #: The program that records messages of each generation of ROS.
 PROGRAMS = {Encoding.ROS1: "rosbag", Encoding.CDR: "ros2"}
 
-_STARTUP = 15.0
-_GRACE = 30.0
-_FETCH = 600.0
+#: How long a recorder may take to begin, to finish its bag, and to send it from the robot, s: a bag of a mission has
+#: some 20 MB, and Wi-Fi may carry less than 1 MB/s.
+_STARTUP, _GRACE, _FETCH = 15.0, 30.0, 600.0
+#: How often the folder is looked at until the bag is finished, s.
 _LOOK = 0.02
 
 #: What each takes for "finish your bag, and end". `rosbag` passes SIGTERM on to the program behind it as SIGINT, and
@@ -186,8 +185,8 @@ class RosBag(Profiler):
 
     `rosbag record` or `ros2 bag record` is used where it is there: on the robot's computer if a host is named, else on
     this machine; it begins when the run starts, because it takes a while to. Where it is not there, and on the
-    simulated robot, the plugin records itself what this machine hears in the measured window: an MCAP file of ROS 2's
-    profile, or a bag of ROS 1.
+    simulated robot, the plugin itself records what this machine receives in the measured window: an MCAP file of the
+    profile of ROS 2, or a bag of ROS 1.
 
     Args:
         topics: names, relative to the robot's namespace.
@@ -211,7 +210,7 @@ class RosBag(Profiler):
         Measure("BagMessages", "1", "Messages in the bag, all topics together."),
         Measure("BagSize", "B", "Size of the bag."),
     )
-    needs: ClassVar[str] = "A robot whose topics can be heard; the extra `bag`, or rosbag or ros2."
+    needs: ClassVar[str] = "A robot whose topics can be subscribed; the extra `bag`, or rosbag or ros2."
     bytes_per_run: int = 20_000_000  # 200 kB a second, as of odometry, laser and battery, for a mission of 95 s
 
     def __init__(
@@ -266,7 +265,7 @@ class RosBag(Profiler):
         link = connect_robot(context, namespace=self.namespace)
         self._is_simulated = is_simulation(link, self.namespace)
         found = found_topics(link, self.topics, self.namespace, context.clock, patience=self.patience)
-        self._problems = [f"nobody publishes {topic}" for topic, typed in found.items() if typed is None]
+        self._problems = [f"{topic} is not published" for topic, typed in found.items() if typed is None]
         topics = [typed for typed in found.values() if typed is not None]
         if not topics:
             fix = "Name topics that the robot publishes: " + ", ".join(sorted(link.topics())) + "."

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.kinds import FoundRobot
 from robot_runner.core.links.ssh_host import complaint, execute, ssh_command
-from robot_runner.ros.ros1.master import Master
+from robot_runner.ros.ros1_master import Master
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -186,7 +186,7 @@ _GRAPH_SECONDS = 8.0
 _LOOK_AT_GRAPH = """
 import sys, time
 from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.dds.link import open_dds_link
+from robot_runner.ros.dds_link import open_dds_link
 link = open_dds_link({}, SystemClock())
 deadline = time.monotonic() + 2.0
 while not (found := set(link.topics()) - {"/rosout", "/parameter_events"}) and time.monotonic() < deadline:

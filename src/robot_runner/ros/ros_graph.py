@@ -19,13 +19,12 @@ from robot_runner.core.links.host import (
     SamplingReport,
     process_selector,
 )
+from robot_runner.core.links.measured_machine import host_findings, machine_clock
 from robot_runner.core.links.robot import RobotName
+from robot_runner.core.links.utilisation import Selection, Utilisation
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.series import Window
-from robot_runner.meters.polled import machine_clock
-from robot_runner.meters.psutil import host_findings
-from robot_runner.meters.utilisation import Selection, Utilisation
-from robot_runner.ros.ros1.link import master_of
+from robot_runner.ros.ros1_link import master_of
 from robot_runner.ros.topic_statistics import robot_findings
 
 if TYPE_CHECKING:
@@ -115,11 +114,13 @@ class RosGraph(Profiler):
         if is_simulated(circumstances.robot):
             problem = "the computer of a simulated robot does not tell of the processes of nodes"
             return [*findings, Finding.error(f"plugin {self.name}", problem, "Leave nodes out.")]
-        reach = host_findings(self.name, circumstances, host=self.host, ssh_config=self.ssh_config, has_selection=True)
+        reach = host_findings(
+            self.name, circumstances.robot, host=self.host, ssh_config=self.ssh_config, has_selection=True
+        )
         return [*findings, *reach]
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Connect, before the robot moves and while nobody measures."""
+        """Connect, before the robot moves and before anything is measured."""
         self._sampler = self._utilisation = None
         self._graphs = {}
         self._is_simulated = is_simulation(connect_robot(context, namespace=self.namespace), self.namespace)
@@ -210,7 +211,7 @@ def _selectors(nodes: Sequence[str] | Mapping[str, str], where: str) -> dict[str
     for node in chosen:
         if not node.startswith("/"):
             fix = f"Give it as the graph lists it: '/{node}'."
-            raise PluginError(f"{node!r} is no full name of a node", where=where, fix=fix)
+            raise PluginError(f"{node!r} is not the full name of a node", where=where, fix=fix)
     try:
         return {node: process_selector(selector) for node, selector in chosen.items()}
     except LinkError as error:

@@ -16,7 +16,7 @@ from robot_runner.core.sampling.series import Window
 from robot_runner.ros.topic_statistics import (
     DROPPED,
     HeaderReader,
-    HeardTopic,
+    ReceivedTopic,
     found_topics,
     robot_findings,
     topic_label,
@@ -40,7 +40,7 @@ _MISSION_SECONDS = 95
 
 
 class RosTopics(Profiler):
-    """Measures topics as this machine hears them: rate, bandwidth, age by header stamps, jitter, and losses.
+    """Measures topics as this machine receives them: rate, bandwidth, age by header stamps, jitter, and losses.
 
     Messages are weighed as they come, not decoded. A topic without a header has no age.
 
@@ -59,7 +59,7 @@ class RosTopics(Profiler):
         ['OdomRate', 'OdomBandwidth', 'OdomAge', 'OdomMaxAge', 'OdomJitter']
     """
 
-    needs: ClassVar[str] = "A robot whose topics can be heard."
+    needs: ClassVar[str] = "A robot whose topics can be subscribed."
 
     def __init__(
         self,
@@ -84,7 +84,7 @@ class RosTopics(Profiler):
             round((rate or 50.0) * _MISSION_SECONDS * _LINE_BYTES) for rate in self.topics.values()
         )
         self._labels = labels
-        self._heard: dict[str, HeardTopic] = {}
+        self._received: dict[str, ReceivedTopic] = {}
         self._subscriptions: list[Subscription] = []
         self._is_measuring = False
         self._is_simulated = False
@@ -96,16 +96,18 @@ class RosTopics(Profiler):
         return robot_findings(self.name, circumstances)
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Subscribe, so that everybody has found each other when the measurement starts."""
+        """Subscribe, so that publishers and subscriptions have found each other when the measurement starts."""
         self._window, self._is_measuring = None, False
-        self._heard = {topic: HeardTopic(self._labels[topic], rate) for topic, rate in self.topics.items()}
+        self._received = {topic: ReceivedTopic(self._labels[topic], rate) for topic, rate in self.topics.items()}
         self._subscriptions = []
         link = connect_robot(context, namespace=self.namespace)
         self._is_simulated = is_simulation(link, self.namespace)
         found = found_topics(link, self.topics, self.namespace, context.clock, patience=self.patience)
         for topic, typed in found.items():
             if typed is None:
-                self._heard[topic].problem = f"nobody publishes it within {self.patience:g} s of the run's start"
+                self._received[
+                    topic
+                ].problem = f"the topic is not published within {self.patience:g} s of the run's start"
             else:
                 self._subscribe(link, topic, typed.message_type, context.clock)
 
@@ -121,44 +123,44 @@ class RosTopics(Profiler):
             self._window = Window(self._start, context.clock.now())
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """Unsubscribe, and write what was heard."""
+        """Unsubscribe, and write what was received."""
         subscriptions, self._subscriptions = self._subscriptions, []
         for subscription in subscriptions:
             subscription.close()
         if self._window is not None:
-            for heard in self._heard.values():
-                write_samples(context.raw_data_folder / f"{heard.label}.csv", heard.columns())
+            for received in self._received.values():
+                write_samples(context.raw_data_folder / f"{received.label}.csv", received.columns())
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
-        """Publish the measures; no value for a topic of which nothing was heard."""
+        """Publish the measures; no value for a topic of which nothing was received."""
         window = self._window
         if window is None:
             context.warn("nothing was measured: the measurement was never started", fix=_FIX)
         else:
             self._report(context, window)
         origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED
-        for heard in (self._heard[topic] for topic in self.topics if topic in self._heard):
-            values = {} if window is None or not heard.times else heard.values(window)
+        for received in (self._received[topic] for topic in self.topics if topic in self._received):
+            values = {} if window is None or not received.times else received.values(window)
             for kind in self._kinds:
-                context.publish(heard.label + kind, values.get(kind), origin=origin)
+                context.publish(received.label + kind, values.get(kind), origin=origin)
 
     def _subscribe(self, link: RobotLink, topic: str, message_type: str, clock: Clock) -> None:
-        heard = self._heard[topic]
+        received = self._received[topic]
         header = HeaderReader(link.definition(message_type), link.encoding)
 
-        def hear(message: RawMessage) -> None:
+        def receive(message: RawMessage) -> None:
             if self._is_measuring:
-                heard.take(clock.now(), message, header)
+                received.take(clock.now(), message, header)
 
-        self._subscriptions.append(link.subscribe_raw(topic, message_type, hear))
+        self._subscriptions.append(link.subscribe_raw(topic, message_type, receive))
 
     def _report(self, context: RobotRunnerContext, window: Window) -> None:
         facts: dict[str, Any] = {}
-        for topic, heard in self._heard.items():
-            quality = heard.quality(window)
+        for topic, received in self._received.items():
+            quality = received.quality(window)
             facts[topic] = asdict(quality)
-            for problem in heard.doubts(quality):
-                context.warn(f"topic {topic}: {problem}", fix=_CLOCKS_FIX if heard.is_ahead else _FIX)
+            for problem in received.doubts(quality):
+                context.warn(f"topic {topic}: {problem}", fix=_CLOCKS_FIX if received.is_ahead else _FIX)
         details = {"is_simulated": self._is_simulated, "topics": facts}
         write_quality(context.raw_data_folder / "quality.json", None, window, details)
 

@@ -135,7 +135,7 @@ def completed(shape: Shape, message: Mapping[str, Any], *, where: str) -> dict[s
             ...
         robot_runner.core.errors.LinkError: a (geometry_msgs/Vector3): the message has no field 'X' → Did you mean 'x'?
     """
-    # A command that is not a number would be carried out as who knows what.
+    # What a robot does on a command that is not a finite number is undefined.
     only_finite = shape.type_name in VELOCITY_COMMANDS
     try:
         return _message(shape, message, only_finite=only_finite)
@@ -311,7 +311,7 @@ def _misfit(given: object, fix: str) -> _MisfitError:
 
 
 def _elements(given: object) -> Sequence[object] | None:
-    """Return what an array, list or tuple holds, or None if it is none; bytes stay bytes."""
+    """Return what an array, list or tuple holds, or None for anything else; bytes stay bytes."""
     if isinstance(given, bytes | bytearray | memoryview):
         return bytes(given)
     tolist = getattr(given, "tolist", None)  # of arrays: numpy's and the standard library's

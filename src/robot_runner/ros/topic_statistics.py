@@ -1,4 +1,4 @@
-"""What was heard of one topic: its messages' times, sizes, ages and numbers, and the figures made of them."""
+"""What was received of one topic: times, sizes, ages and numbers of its messages, and the figures made of them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = [
     "DROPPED",
     "HeaderReader",
-    "HeardTopic",
+    "ReceivedTopic",
     "Stamp",
     "TypedTopic",
     "found_topics",
@@ -36,9 +36,8 @@ __all__ = [
 ]
 
 
-# What the profilers of a ROS graph share: finding topics and their types, and reading the header of raw messages.
-
 _HEADERS = frozenset({"Header", "std_msgs/Header", "std_msgs/msg/Header"})
+#: How often the graph is asked for topics that are not there yet, s.
 _LOOK = 0.1
 
 #: ROS 1: seq, secs, nsecs. ROS 2, after the four bytes of CDR's header: sec, nanosec.
@@ -75,11 +74,13 @@ class Stamp(NamedTuple):
 
 
 def robot_findings(name: str, circumstances: Circumstances) -> list[Finding]:
-    """Return the finding that the experiment names no robot to be heard, if so."""
+    """Return the finding that the experiment names no robot to subscribe to, if so."""
     if circumstances.robot is not None:
         return []
     fix = "Name one in the config: robot = 'simulated'. Or: --set robot=simulated."
-    return [Finding.error(f"plugin {name}", "it hears the robot, and the experiment names none", fix)]
+    return [
+        Finding.error(f"plugin {name}", "the plugin subscribes topics of a robot, and the experiment names none", fix)
+    ]
 
 
 def found_topics(
@@ -163,7 +164,7 @@ _AHEAD = 0.001
 
 
 def missed(sequence: Sequence[int]) -> int | None:
-    """Return how many numbers of a sequence are missing; None where nobody counts.
+    """Return how many numbers of a sequence are missing; None where no publisher counts.
 
     A publisher counts its messages, modulo 2^32. Where the numbers fall, it was started anew; where they fall time and
     again, several publishers count each for itself, and nothing can be told.
@@ -180,13 +181,13 @@ def missed(sequence: Sequence[int]) -> int | None:
 
 
 @dataclass(slots=True)
-class HeardTopic:
-    """What was heard of one topic while it was measured.
+class ReceivedTopic:
+    """What was received of one topic while it was measured.
 
     Attributes:
         label: the topic's part of the names of measures.
         rate: how many messages a second are expected, Hz; None for any number.
-        problem: why nothing can be heard; empty where something can.
+        problem: why nothing can be received; empty where something can.
         times: when each message arrived, s on the run's clock.
         sizes: of each, bytes.
         ages: of each at its arrival, s; NaN where it has no stamp.

@@ -1,4 +1,4 @@
-"""What a robot's watchdog hears, and how it decides that the robot must stand still.
+"""What a robot's watchdog receives, and how it decides that the robot must stand still.
 
 The watchdog's nodes for real robots (`robot/`) decide in the same way; they have code of their own because they keep to
 the robot's Python. The tests hold both to one suite.
@@ -27,10 +27,8 @@ __all__ = [
 ]
 
 
-# Velocity commands: the two types that robots hear them in.
-
 TWIST = "geometry_msgs/Twist"
-#: What a TurtleBot3 hears by default from ROS 2 Jazzy on.
+#: The type that a TurtleBot3 subscribes by default from ROS 2 Jazzy on.
 TWIST_STAMPED = "geometry_msgs/TwistStamped"
 #: A robot goes on carrying out such a command until the next one: a link on which one was published ends with zero.
 VELOCITY_COMMANDS = frozenset({TWIST, TWIST_STAMPED})
@@ -70,10 +68,10 @@ RELEASE_TYPE = "std_srvs/Trigger"
 
 
 class Watchdog:
-    """Decides when a robot must stand still because who drives it has fallen silent.
+    """Decides when a robot must stand still because the run that drives it has fallen silent.
 
     From the first heartbeat on, silence means that the link is lost: the robot must stand still until a heartbeat is
-    heard again, or a person releases it. Times are in seconds on one monotonic clock, given by whoever calls.
+    received again, or a person releases it. Times are in seconds on one monotonic clock, given by the caller.
 
     Args:
         heartbeat_timeout: how long the heartbeat may be silent, s; 0 for as long as it likes.
@@ -110,7 +108,7 @@ class Watchdog:
         self._moved_at = now if is_moving else None
 
     def release(self) -> None:
-        """Let the robot be moved by somebody else, until the next heartbeat."""
+        """Let a person move the robot, until the next heartbeat."""
         self._heartbeat_at = self._moved_at = None
 
     def must_stop(self, now: float) -> bool:

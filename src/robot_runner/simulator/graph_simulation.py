@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 __all__ = ["GraphRobot", "GraphSimulation", "SimulatedPlace", "check_pace", "on_graph"]
 
 
-# The embedded robot, offered on a ROS graph: what `robot-runner simulate` lets live there.
-
 #: How far the simulation moves on between two looks at the real world, simulated s.
 _TICK = 0.01
 #: How far, real s, it may be behind before it gives up to catch up.
@@ -60,7 +58,7 @@ class GraphRobot:
         lags: how often it could not keep up with its pace.
 
     Raises:
-        LinkError: the graph cannot be reached, or somebody there offers such a robot already.
+        LinkError: the graph cannot be reached, or such a robot is offered there already.
 
     Example:
         >>> from robot_runner.simulator.simulated_turtlebot3 import Simulation
@@ -93,7 +91,7 @@ class GraphRobot:
         with ExitStack() as undoing:
             undoing.callback(self.close)
             self._offer()
-            self._hear()
+            self._subscribe()
             self._publish_from_now_on()
             undoing.pop_all()
 
@@ -121,7 +119,7 @@ class GraphRobot:
                 self.lags += 1
 
     def close(self) -> None:
-        """Offer and hear nothing more; closing twice does nothing."""
+        """End all offers and subscriptions; closing twice does nothing."""
         self._closing.close()
 
     def _tick(self) -> None:
@@ -138,10 +136,10 @@ class GraphRobot:
             self._keep(self._link.offer(name, service_type, partial(self._call, name)))
         self._keep(self._link.offer(RELEASE_SERVICE, RELEASE_TYPE, self._release))
 
-    def _hear(self) -> None:
+    def _subscribe(self) -> None:
         for topic, message_type in COMMAND_TOPICS.items():
             self._keep(self._link.subscribe(topic, message_type, self._drive))
-        self._keep(self._link.subscribe(HEARTBEAT_TOPIC, HEARTBEAT_TYPE, self._hear_heartbeat))
+        self._keep(self._link.subscribe(HEARTBEAT_TOPIC, HEARTBEAT_TYPE, self._take_heartbeat))
 
     def _publish_from_now_on(self) -> None:
         self._link.publish(SIMULATION_TOPIC, "std_msgs/String", {"data": "turtlebot3"}, qos=Qos.TRANSIENT_LOCAL)
@@ -168,7 +166,7 @@ class GraphRobot:
             self._watchdog.hear_command(is_moving=bool(speed or rate), now=time.monotonic())
             self._robot.drive(speed, rate)
 
-    def _hear_heartbeat(self, message: Message) -> None:
+    def _take_heartbeat(self, message: Message) -> None:
         with self._lock:
             self._watchdog.hear_heartbeat(message["data"], time.monotonic())
 
@@ -256,7 +254,7 @@ def check_pace(place: SimulatedPlace) -> None:
         )
     if place.real_time_factor != 1.0 and not place.is_clock:
         raise LinkError(
-            f"the real-time factor is {place.real_time_factor:g}, and nobody on the graph is told the time",
+            f"the real-time factor is {place.real_time_factor:g}, and the graph is not told the time",
             where="the simulated robot",
             fix="Publish it as well: --use-sim-time.",
         )
@@ -267,7 +265,7 @@ def on_graph(place: SimulatedPlace) -> Iterator[GraphSimulation]:
     """Put the embedded robot on a graph for as long as the context lasts.
 
     Raises:
-        LinkError: the graph cannot be reached, somebody offers such a robot there, or a package is missing.
+        LinkError: the graph cannot be reached, such a robot is offered there already, or a package is missing.
     """
     check_pace(place)
     name = RobotName.parse(place.link)
@@ -304,7 +302,7 @@ def _announced_clock(name: RobotName) -> Iterator[None]:
     if name.link != "ros1":
         yield
         return
-    from robot_runner.ros.ros1.link import master_of  # noqa: PLC0415  # only where it is asked for
+    from robot_runner.ros.ros1_link import master_of  # noqa: PLC0415  # only where it is asked for
 
     master = master_of(name.options)
     before = master.parameter(_USE_SIM_TIME)

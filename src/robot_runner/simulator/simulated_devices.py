@@ -1,4 +1,4 @@
-"""The power meter of an embedded robot on a pseudo-terminal, where it is opened as a serial port is."""
+"""Links to the embedded robot beside its topics: its meter's serial line or terminal, and its on-board computer."""
 
 from __future__ import annotations
 
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["MeterTerminal", "SimulatedHost", "SimulatedSerialLine", "SimulatedUtilisationSampler"]
 
-
-# Links to the embedded robot beside its topics: its power meter's serial line and its on-board computer.
 
 _SECOND_NS = 1_000_000_000
 _HIGHEST_RATE = STEPS_PER_SECOND
@@ -158,16 +156,16 @@ _READ_SIZE = 4096
 
 
 class MeterTerminal:
-    """A pseudo-terminal behind which the meter is switched on whenever somebody opens it, as an Arduino is reset.
+    """A pseudo-terminal behind which the meter is switched on whenever it is opened, as an Arduino is reset.
 
-    What nobody reads in time is lost, as on a serial line.
+    What is not read in time is lost, as on a serial line.
 
     Args:
         simulation: whose robot's meter it is.
         namespace: of that robot.
 
     Attributes:
-        port: where to open it; its name tells who opens it that the meter is simulated.
+        port: where to open it; its name says that the meter is simulated.
 
     Example:
         >>> from robot_runner.simulator.simulated_turtlebot3 import Simulation
@@ -186,13 +184,13 @@ class MeterTerminal:
         tty.setraw(port)
         self.port = Path(self._folder.name) / SIMULATED_PORT
         self.port.symlink_to(os.ttyname(port))
-        os.close(port)  # from now on the device hears a hang-up while nobody has the port open
+        os.close(port)  # from now on the device sees a hang-up while the port is not open
         os.set_blocking(self._device, False)
         self._hang_up = select.poll()
         self._hang_up.register(self._device, 0)
 
     def exchange(self) -> None:
-        """Hand over what the meter has sent by now, and hear what was sent to it."""
+        """Hand over what the meter has sent by now, and take what was sent to it."""
         if self._hang_up.poll(0):
             self._line = None
             return
@@ -200,7 +198,7 @@ class MeterTerminal:
             self._line = SimulatedSerialLine(self._simulation, namespace=self._namespace)
         with suppress(OSError):  # there is nothing to read, or it was closed just now
             self._line.write(os.read(self._device, _READ_SIZE))
-        with suppress(OSError):  # nobody has read what came before
+        with suppress(OSError):  # what came before was not read
             for chunk in self._line.drain():
                 os.write(self._device, chunk.data)
 

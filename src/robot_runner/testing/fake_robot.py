@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.core.links.robot import Encoding, Qos, RawMessage
+from robot_runner.ros.graph_link import FirstMessage
 from robot_runner.ros.graph_links import full_name
 from robot_runner.ros.shapes import completed
 from robot_runner.ros.watchdog import VELOCITY_COMMANDS, velocity_of
@@ -22,6 +23,7 @@ __all__ = ["Answer", "FakeRobotLink", "Publication", "ServiceCall"]
 
 _WHERE = "FakeRobotLink"
 _ANY_TYPE = "*"
+_DELIVER = "Deliver one while the clock is slept on: clock.at(1.0, lambda: link.deliver(...))."
 #: How far a wait moves the clock on between two looks, s.
 _POLL = 0.01
 #: What a service answers: a response, an error to raise, or a function from the request to a response.
@@ -49,23 +51,32 @@ class ServiceCall:
     request: Message
 
 
-class _Listener:
+class _Subscription:
+    """A subscription of the fake link, until it is closed."""
+
     def __init__(self, message_type: str, callback: Callable[[Message], None]) -> None:
         self.message_type = message_type
         self.callback = callback
         self.is_closed = False
 
     def close(self) -> None:
+        """Receive no more; closing twice does nothing."""
         self.is_closed = True
 
 
 class _Offer:
+    """A service that is offered to the fake link, until it is closed."""
+
     def __init__(self, services: dict[str, Answer], service: str) -> None:
         self._services = services
         self._service = service
+        self._is_closed = False
 
     def close(self) -> None:
-        self._services.pop(self._service, None)
+        """Offer it no more; closing twice does nothing."""
+        if not self._is_closed:
+            self._is_closed = True
+            del self._services[self._service]
 
 
 class FakeRobotLink:
@@ -78,15 +89,15 @@ class FakeRobotLink:
         calls: the services that were called, oldest first.
         is_closed: whether it was closed.
         fault: raised by whatever is asked of the link, once it is set.
-        known_topics: what others publish or hear on the graph, by name, with their types.
+        known_topics: what others publish or subscribe on the graph, by name, with their types.
 
     Example:
         >>> from robot_runner.testing import FakeClock, FakeRobotLink
         >>> link = FakeRobotLink(FakeClock(), services={"lamp/on": {"success": True}})
-        >>> heard = []
-        >>> subscription = link.subscribe("battery_state", "sensor_msgs/BatteryState", heard.append)
+        >>> received = []
+        >>> subscription = link.subscribe("battery_state", "sensor_msgs/BatteryState", received.append)
         >>> link.deliver("battery_state", {"voltage": 11.1})
-        >>> heard, link.call("lamp/on", "std_srvs/Trigger")
+        >>> received, link.call("lamp/on", "std_srvs/Trigger")
         ([{'voltage': 11.1}], {'success': True})
     """
 
@@ -102,7 +113,7 @@ class FakeRobotLink:
         self._services = dict(services or {})
         self._service_types: dict[str, str] = {}
         self._is_simulated = is_simulated
-        self._listeners: defaultdict[str, list[_Listener]] = defaultdict(list)
+        self._subscriptions: defaultdict[str, list[_Subscription]] = defaultdict(list)
 
     @property
     def is_simulated(self) -> bool:
@@ -126,8 +137,12 @@ class FakeRobotLink:
 
     @property
     def topics_heard(self) -> set[str]:
-        """The topics that somebody is subscribed to."""
-        return {topic for topic, listeners in self._listeners.items() if not all(each.is_closed for each in listeners)}
+        """The topics that have a subscription which is not closed."""
+        return {
+            topic
+            for topic, subscriptions in self._subscriptions.items()
+            if not all(each.is_closed for each in subscriptions)
+        }
 
     def publish(self, topic: str, message_type: str, message: Message, *, qos: Qos = Qos.DEFAULT) -> None:
         """Record the message.
@@ -140,7 +155,7 @@ class FakeRobotLink:
 
     def subscribe(
         self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None
-    ) -> _Listener:
+    ) -> _Subscription:
         """Have `callback` called with what is delivered on the topic.
 
         Raises:
@@ -148,13 +163,13 @@ class FakeRobotLink:
         """
         del qos
         self._check()
-        listener = _Listener(message_type, callback)
-        self._listeners[topic].append(listener)
-        return listener
+        subscription = _Subscription(message_type, callback)
+        self._subscriptions[topic].append(subscription)
+        return subscription
 
     def subscribe_raw(
         self, topic: str, message_type: str, callback: Callable[[RawMessage], None], *, qos: Qos | None = None
-    ) -> _Listener:
+    ) -> _Subscription:
         """Have `callback` called with the bytes of what is delivered on the topic, completed as its type has it.
 
         Raises:
@@ -163,11 +178,11 @@ class FakeRobotLink:
         types = _standard_types()
         shape = types.shape(message_type)
 
-        def hear(message: Message) -> None:
+        def receive(message: Message) -> None:
             data = types.serialise(message_type, completed(shape, message, where=topic), Encoding.CDR)
             callback(RawMessage(data, round(self._clock.now() * 1e9)))
 
-        return self.subscribe(topic, message_type, hear, qos=qos)
+        return self.subscribe(topic, message_type, receive, qos=qos)
 
     def wait_for(
         self,
@@ -182,28 +197,20 @@ class FakeRobotLink:
         Raises:
             LinkError: nothing does within `timeout` seconds of the clock, or as `subscribe`.
         """
-        found: list[Message] = []
-
-        def hear(message: Message) -> None:
-            if condition is None or condition(message):
-                found.append(message)
-
-        listener, deadline = self.subscribe(topic, message_type, hear), self._clock.now() + timeout
+        first = FirstMessage(condition, timeout)
+        subscription, deadline = self.subscribe(topic, message_type, first.take), self._clock.now() + timeout
         try:
-            while not found and self._clock.now() < deadline:
+            while not first.is_over.is_set() and self._clock.now() < deadline:
                 self._clock.sleep(_POLL)
         finally:
-            listener.close()
-        if not found:
-            fix = "Deliver one while the clock is slept on: clock.at(1.0, lambda: link.deliver(...))."
-            raise LinkError(f"no message came within {timeout:g} s", where=topic, fix=fix)
-        return found[0]
+            subscription.close()
+        return first.result(topic, lambda: _DELIVER)
 
     def deliver(self, topic: str, message: Message) -> None:
-        """Hand a message to whoever subscribed to the topic."""
-        for listener in list(self._listeners[topic]):
-            if not listener.is_closed:
-                listener.callback(message)
+        """Hand a message to all subscriptions of the topic."""
+        for subscription in list(self._subscriptions[topic]):
+            if not subscription.is_closed:
+                subscription.callback(message)
 
     def call(self, service: str, service_type: str, request: Message | None = None, *, timeout: float = 5.0) -> Message:
         """Record the call and answer as scripted.
@@ -236,10 +243,14 @@ class FakeRobotLink:
         return _Offer(self._services, service)
 
     def topics(self) -> dict[str, str]:
-        """Return the types of what is published and heard here, and of what the test says is there."""
+        """Return the types of what is published and subscribed here, and of what the test says is there."""
         self._check()
         types = dict(self.known_topics)
-        types |= {topic: listeners[-1].message_type for topic, listeners in self._listeners.items() if listeners}
+        types |= {
+            topic: subscriptions[-1].message_type
+            for topic, subscriptions in self._subscriptions.items()
+            if subscriptions
+        }
         types |= {each.topic: each.message_type for each in self.publications}
         return {full_name("", topic): message_type for topic, message_type in types.items()}
 
@@ -262,9 +273,9 @@ class FakeRobotLink:
         return _standard_types().definition(message_type)
 
     def close(self) -> None:
-        """Hear and say no more; closing twice does nothing."""
+        """End all subscriptions; closing twice does nothing."""
         self.is_closed = True
-        self._listeners.clear()
+        self._subscriptions.clear()
 
     def _check(self) -> None:
         if self.fault is not None:

@@ -1,4 +1,4 @@
-"""What holds for every link to a graph on which everybody may publish, as tests for its author to inherit."""
+"""What holds for every link to a graph with publishers of any kind, as tests for its author to inherit."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ _MINUTE_NS = 60_000_000_000
 
 
 class GraphLinkContract(RobotLinkContract):
-    """The facts of `RobotLinkContract`, and those about two links of one graph that hear each other.
+    """The facts of `RobotLinkContract`, and those about two links of one graph that reach each other.
 
     Attributes:
         discovery: how long, s, a publisher and a subscriber may take to find each other.
-        keeps_last: whether what is published `TRANSIENT_LOCAL` is there for who comes later.
+        keeps_last: whether what is published `TRANSIENT_LOCAL` is there for later subscribers.
 
     Example:
         >>> from robot_runner.core.events.context import SystemClock
-        >>> from robot_runner.ros.ros1.link import open_ros1_link
+        >>> from robot_runner.ros.ros1_link import open_ros1_link
         >>> from robot_runner.testing import GraphLinkContract
         >>> class TestRos1Link(GraphLinkContract):
         ...     def make_link(self, namespace=""):
@@ -49,19 +49,19 @@ class GraphLinkContract(RobotLinkContract):
     discovery: ClassVar[float] = 60.0
     keeps_last: ClassVar[bool] = True
 
-    def heard_on(
-        self, link: RobotLink, topic: str, message_type: str, speaker: RobotLink, message: Message
+    def received_on(
+        self, link: RobotLink, topic: str, message_type: str, publisher: RobotLink, message: Message
     ) -> list[Message]:
-        """Subscribe, and publish until the first message is heard; return the list of what is heard from now on."""
-        heard: list[Message] = []
-        link.subscribe(topic, message_type, heard.append)
+        """Subscribe, and publish until the first message arrives; return the list of what arrives from now on."""
+        received: list[Message] = []
+        link.subscribe(topic, message_type, received.append)
 
-        def said() -> bool:
-            speaker.publish(topic, message_type, message, qos=Qos.RELIABLE)
-            return bool(heard)
+        def has_arrived() -> bool:
+            publisher.publish(topic, message_type, message, qos=Qos.RELIABLE)
+            return bool(received)
 
-        self.until(said, f"nothing is heard on {topic}", timeout=self.discovery)
-        return heard
+        self.until(has_arrived, f"nothing is received on {topic}", timeout=self.discovery)
+        return received
 
     def test_a_message_arrives_with_every_field(self) -> None:
         """Hold that texts, numbers, arrays, bytes, times and nested fields arrive as they were sent."""
@@ -74,18 +74,18 @@ class GraphLinkContract(RobotLinkContract):
             "data": b"\x00\xff",
         }
         with self.opened() as robot, self.opened() as link:
-            heard = self.heard_on(link, "image", _IMAGE, robot, image)[0]
-            header = heard["header"]
+            received = self.received_on(link, "image", _IMAGE, robot, image)[0]
+            header = received["header"]
             require(header["stamp"] == {"sec": 12, "nanosec": 345}, f"the stamp is {header['stamp']}")
             require(header["frame_id"] == "caméra", f"a text is {header['frame_id']!r}")
-            require(heard["data"] == b"\x00\xff", f"bytes are {heard['data']!r}")
-            require((heard["height"], heard["is_bigendian"]) == (2, 0), f"numbers are {heard}")
+            require(received["data"] == b"\x00\xff", f"bytes are {received['data']!r}")
+            require((received["height"], received["is_bigendian"]) == (2, 0), f"numbers are {received}")
 
     def test_floats_that_are_no_numbers_arrive(self) -> None:
         """Hold that a laser may say that it sees nothing."""
         with self.opened() as robot, self.opened() as link:
             scan = {"ranges": [1.5, math.inf, math.nan], "angle_max": 1.25}
-            ranges = self.heard_on(link, "scan", _SCAN, robot, scan)[0]["ranges"]
+            ranges = self.received_on(link, "scan", _SCAN, robot, scan)[0]["ranges"]
             require(isinstance(ranges, list), f"an array is {ranges!r}")
             require(ranges[:2] == [1.5, math.inf] and math.isnan(ranges[2]), f"the ranges are {ranges}")
 
@@ -96,53 +96,79 @@ class GraphLinkContract(RobotLinkContract):
         with self.opened() as robot, self.opened() as link:
             raw: list[RawMessage] = []
             link.subscribe_raw("chatter", _STRING, raw.append)
-            self.heard_on(link, "chatter", _STRING, robot, {"data": "hello"})
-            self.until(lambda: raw, "no bytes are heard")
+            self.received_on(link, "chatter", _STRING, robot, {"data": "hello"})
+            self.until(lambda: raw, "no bytes are received")
             catalogue = TypeCatalogue.of(1 if link.encoding is Encoding.ROS1 else 2)
             message = catalogue.deserialise(_STRING, raw[0].data, link.encoding)
             require(message == {"data": "hello"}, f"the bytes say {message}")
             require(abs(raw[0].received_ns - time.time_ns()) < _MINUTE_NS, "the time is not that of this machine")
 
-    def test_all_subscriptions_hear_until_they_are_closed(self) -> None:
+    def test_all_subscriptions_receive_until_they_are_closed(self) -> None:
         """Hold that one subscription's end is not another's."""
         with self.opened() as robot, self.opened() as link:
             first: list[Message] = []
             subscription = link.subscribe("chatter", _STRING, first.append)
-            heard = self.heard_on(link, "chatter", _STRING, robot, {"data": "a"})
-            self.until(lambda: first, "the first subscription hears nothing")
+            received = self.received_on(link, "chatter", _STRING, robot, {"data": "a"})
+            self.until(lambda: first, "the first subscription receives nothing")
             subscription.close()
             count = len(first)
             robot.publish("chatter", _STRING, {"data": "b"})
-            self.until(lambda: heard[-1] == {"data": "b"}, "the second subscription hears no more")
-            require(len(first) == count, "a closed subscription hears")
+            self.until(lambda: received[-1] == {"data": "b"}, "the second subscription receives no more")
+            require(len(first) == count, "a closed subscription receives")
 
     def test_a_fault_of_a_callback_does_not_end_the_subscription(self) -> None:
-        """Hold that the next message is heard all the same."""
-        heard: list[Message] = []
+        """Hold that the next message is received all the same, and that closing the link raises the fault."""
+        received: list[Message] = []
 
-        def hear(message: Message) -> None:
-            heard.append(message)
+        def receive(message: Message) -> None:
+            received.append(message)
             raise ValueError("a fault of the callback")
 
-        with self.opened() as robot, self.opened() as link:
-            link.subscribe("chatter", _STRING, hear)
+        with self.opened() as robot:
+            link = self.make_link()
+            try:
+                link.subscribe("chatter", _STRING, receive)
 
-            def said() -> bool:
-                robot.publish("chatter", _STRING, {"data": "a"})
-                return len(heard) > 1
+                def has_published() -> bool:
+                    robot.publish("chatter", _STRING, {"data": "a"})
+                    return len(received) > 1
 
-            self.until(said, "nothing is heard after a fault", timeout=self.discovery)
+                self.until(has_published, "nothing is received after a fault", timeout=self.discovery)
+            finally:
+                error = refusal(link.close)
+            require("a fault of the callback" in error.problem, f"the fault is not named: {error}")
+
+    def test_a_closed_link_receives_no_more(self) -> None:
+        """Hold that the end of a link is that of its subscriptions, and not of another link's."""
+        with self.opened() as robot, self.opened() as other:
+            link = self.make_link()
+            try:
+                mine = self.received_on(link, "chatter", _STRING, robot, {"data": "a"})
+            finally:
+                link.close()
+            count = len(mine)
+            others = self.received_on(other, "chatter", _STRING, robot, {"data": "b"})
+            require(others[-1] == {"data": "b"}, f"the other link receives {others[-1]}")
+            require(len(mine) == count, "a closed link receives messages")
+
+    def test_both_forms_of_a_name_are_one_topic(self) -> None:
+        """Hold that a full name within the namespace is that of the relative one, to publishers and subscribers."""
+        with self.opened("alice") as robot, self.opened("/alice") as link:
+            self.received_on(link, "/alice/chatter", _STRING, robot, {"data": "a"})
+            robot.publish("/alice/chatter", _STRING, {"data": "b"})
+            found = self.received_on(link, "chatter", _STRING, robot, {"data": "c"})
+            require(found[-1]["data"] in {"b", "c"}, f"it receives {found[-1]}")
 
     def test_many_messages_arrive_in_order_and_without_loss(self) -> None:
-        """Hold that what is published and heard reliably is all there."""
+        """Hold that what is published and subscribed reliably is all there."""
         with self.opened() as robot, self.opened() as link:
-            heard: list[Message] = []
-            link.subscribe("numbers", "std_msgs/Int32", heard.append, qos=Qos.RELIABLE)
-            self.heard_on(link, "numbers", "std_msgs/Int32", robot, {"data": -1})
+            received: list[Message] = []
+            link.subscribe("numbers", "std_msgs/Int32", received.append, qos=Qos.RELIABLE)
+            self.received_on(link, "numbers", "std_msgs/Int32", robot, {"data": -1})
             for number in range(_MANY):
                 robot.publish("numbers", "std_msgs/Int32", {"data": number}, qos=Qos.RELIABLE)
-            self.until(lambda: heard and heard[-1]["data"] == _MANY - 1, "the last message did not arrive")
-            numbers = [message["data"] for message in heard if message["data"] >= 0]
+            self.until(lambda: received and received[-1]["data"] == _MANY - 1, "the last message did not arrive")
+            numbers = [message["data"] for message in received if message["data"] >= 0]
             require(numbers == list(range(_MANY)), f"{_MANY - len(numbers)} of {_MANY} messages are missing")
 
     def test_the_first_message_that_satisfies_a_condition_is_returned(self) -> None:
@@ -155,34 +181,35 @@ class GraphLinkContract(RobotLinkContract):
                 while not is_over.wait(0.02):
                     robot.publish("numbers", "std_msgs/Int32", {"data": next(numbers)})
 
+            def is_seventh(message: Message) -> bool:
+                return bool(message["data"] % 7 == 0)
+
             counting = threading.Thread(target=count)
             counting.start()
             begun = time.monotonic()
             try:
-                found = link.wait_for(
-                    "numbers", "std_msgs/Int32", lambda message: message["data"] % 7 == 0, timeout=2 * PATIENCE
-                )
+                found = link.wait_for("numbers", "std_msgs/Int32", is_seventh, timeout=2 * PATIENCE)
             finally:
                 is_over.set()
                 counting.join()
             require(found["data"] % 7 == 0, f"it returned {found}")
             require(time.monotonic() - begun < PATIENCE, "`wait_for` went on waiting when the message was there")
 
-    def test_a_last_message_is_there_for_who_comes_later(self) -> None:
+    def test_a_last_message_is_there_for_later_subscribers(self) -> None:
         """Hold that `TRANSIENT_LOCAL` is that of ROS: latched."""
         if not self.keeps_last:
             return
         with self.opened() as robot, self.opened() as link:
             robot.publish("map_name", _STRING, {"data": "arena"}, qos=Qos.TRANSIENT_LOCAL)
-            heard: list[Message] = []
-            link.subscribe("map_name", _STRING, heard.append, qos=Qos.TRANSIENT_LOCAL)
-            self.until(lambda: heard, "who came later hears nothing", timeout=self.discovery)
-            require(heard[0] == {"data": "arena"}, f"it says {heard[0]}")
+            received: list[Message] = []
+            link.subscribe("map_name", _STRING, received.append, qos=Qos.TRANSIENT_LOCAL)
+            self.until(lambda: received, "a later subscriber receives nothing", timeout=self.discovery)
+            require(received[0] == {"data": "arena"}, f"it says {received[0]}")
 
     def test_a_topic_with_another_type_is_refused(self) -> None:
-        """Hold that both types are named, to who hears and to who publishes."""
+        """Hold that both types are named, to subscribers and to publishers."""
         with self.opened() as robot, self.opened() as link:
-            self.heard_on(link, "chatter", _STRING, robot, {"data": "a"})
+            self.received_on(link, "chatter", _STRING, robot, {"data": "a"})
             for error in (
                 refusal(lambda: link.subscribe("chatter", "std_msgs/Int32", lambda _: None)),
                 refusal(lambda: link.publish("chatter", "std_msgs/Int32", {"data": 1})),
@@ -221,22 +248,24 @@ class GraphLinkContract(RobotLinkContract):
         with self.opened("alice") as alice, self.opened("bob") as bob, self.opened() as link:
             others: list[Message] = []
             bob.subscribe("chatter", _STRING, others.append)
-            self.heard_on(link, "/alice/chatter", _STRING, alice, {"data": "a"})
+            self.received_on(link, "/alice/chatter", _STRING, alice, {"data": "a"})
             bob.publish("chatter", _STRING, {"data": "b"})
-            self.heard_on(link, "/bob/chatter", _STRING, bob, {"data": "b"})
-            require(all(message == {"data": "b"} for message in others), f"bob hears {others}")
+            self.received_on(link, "/bob/chatter", _STRING, bob, {"data": "b"})
+            require(all(message == {"data": "b"} for message in others), f"bob receives {others}")
 
     def test_a_robot_that_was_driven_is_stopped_when_the_link_is_closed(self) -> None:
-        """Hold that the last command that the robot hears is to stand still."""
+        """Hold that the last command that the robot receives is to stand still."""
         for number, message_type in enumerate(_COMMAND_TYPES):
             with self.opened() as robot:
                 link, topic = self.make_link(), f"cmd_vel_{number}"
                 try:
-                    heard = self.heard_on(robot, topic, message_type, link, velocity_command(message_type, 0.2, 0.0))
-                    require(_speed(message_type, heard[-1]) > 0, f"it heard {heard[-1]}")
+                    received = self.received_on(
+                        robot, topic, message_type, link, velocity_command(message_type, 0.2, 0.0)
+                    )
+                    require(_speed(message_type, received[-1]) > 0, f"it received {received[-1]}")
                 finally:
                     link.close()
-                self.until(partial(_has_been_stopped, message_type, heard), f"the last command is {heard[-1]}")
+                self.until(partial(_has_been_stopped, message_type, received), f"the last command is {received[-1]}")
 
 
 def _speed(message_type: str, command: Message) -> float:
@@ -244,5 +273,5 @@ def _speed(message_type: str, command: Message) -> float:
     return speed
 
 
-def _has_been_stopped(message_type: str, heard: list[Message]) -> bool:
-    return _speed(message_type, heard[-1]) == 0.0
+def _has_been_stopped(message_type: str, received: list[Message]) -> bool:
+    return _speed(message_type, received[-1]) == 0.0

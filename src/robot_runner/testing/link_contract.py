@@ -50,7 +50,7 @@ def punctual_refusal(attempt: Callable[[], object], *, timeout: float) -> LinkEr
 class RobotLinkContract:
     """The facts that a link to any robot must keep to; pytest finds them in a subclass whose name begins with `Test`.
 
-    A link to a graph on which everybody may publish also keeps to `GraphLinkContract`.
+    A link to a graph with publishers of any kind also keeps to `GraphLinkContract`.
 
     Attributes:
         topic: a topic that some robot publishes, of type nav_msgs/Odometry.
@@ -147,28 +147,30 @@ class RobotLinkContract:
 
     # --- what the robot publishes ---
 
-    def test_what_the_robot_publishes_is_heard(self) -> None:
+    def test_what_the_robot_publishes_is_received(self) -> None:
         """Hold that messages are mappings with every field, until the subscription is closed."""
         with self.opened() as link:
             if not self.publishes:
                 return
-            heard: list[Message] = []
-            subscription = link.subscribe(self.topic, _ODOMETRY, heard.append)
+            received: list[Message] = []
+            subscription = link.subscribe(self.topic, _ODOMETRY, received.append)
             require(isinstance(subscription, Subscription), f"{subscription!r} cannot be closed")
-            self.until(lambda: len(heard) > 1, "nothing was heard")
-            require({"header", "child_frame_id", "pose", "twist"} <= set(heard[0]), f"fields are missing: {heard[0]}")
-            require(set(heard[0]["header"]["stamp"]) == {"sec", "nanosec"}, "a stamp has other fields")
+            self.until(lambda: len(received) > 1, "nothing was received")
+            require(
+                {"header", "child_frame_id", "pose", "twist"} <= set(received[0]), f"fields are missing: {received[0]}"
+            )
+            require(set(received[0]["header"]["stamp"]) == {"sec", "nanosec"}, "a stamp has other fields")
             subscription.close()
             subscription.close()
 
-    def test_bytes_of_what_the_robot_publishes_are_heard(self) -> None:
+    def test_bytes_of_what_the_robot_publishes_are_received(self) -> None:
         """Hold that raw messages come with their time."""
         with self.opened() as link:
             if not self.publishes:
                 return
             first: list[RawMessage] = []
             subscription = link.subscribe_raw(self.topic, _ODOMETRY, first.append)
-            self.until(lambda: len(first) > 1, "nothing was heard")
+            self.until(lambda: len(first) > 1, "nothing was received")
             subscription.close()
             require(isinstance(first[0].data, bytes) and first[0].data, "there are no bytes")
             require(first[0].received_ns <= first[1].received_ns, "time goes back")
@@ -191,6 +193,36 @@ class RobotLinkContract:
             except KeyError:
                 return
             raise AssertionError("the condition's KeyError was lost")
+
+    def test_a_message_that_comes_is_returned_before_the_deadline(self) -> None:
+        """Hold that `wait_for` does not wait out its timeout."""
+        with self.opened() as link:
+            if not self.publishes:
+                return
+            begun = time.monotonic()
+            message = link.wait_for(self.topic, _ODOMETRY, timeout=2 * PATIENCE)
+            require("pose" in message, f"it returned {message}")
+            require(time.monotonic() - begun < PATIENCE, "it waited on although the message was there")
+
+    def test_a_fault_of_a_callback_is_raised_at_the_latest_when_the_link_is_closed(self) -> None:
+        """Hold that a run cannot succeed over a callback that raised."""
+        if not self.publishes:
+            return
+        called: list[Message] = []
+
+        def receive(message: Message) -> None:
+            called.append(message)
+            raise ValueError("a fault of the callback")
+
+        link = self.make_link()
+        try:
+            link.subscribe(self.topic, _ODOMETRY, receive)
+            self.until(lambda: called, "nothing was received")
+        except ValueError:  # callbacks are called while time goes by
+            link.close()
+            return
+        error = refusal(link.close)
+        require("a fault of the callback" in error.problem, f"the fault is not named: {error}")
 
     # --- services ---
 

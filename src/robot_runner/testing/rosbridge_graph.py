@@ -1,4 +1,4 @@
-"""The part of rosapi that the rosbridge server of the tests offers."""
+"""The graph behind the rosbridge server of the tests, with the part of rosapi that describes it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
-from robot_runner.ros.rosbridge.frames import from_protocol, to_protocol
+from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
 from robot_runner.ros.shapes import BYTE_KINDS, Field, Shape, UpTo, completed, plain_type
 
 if TYPE_CHECKING:
@@ -20,10 +20,8 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message
     from robot_runner.ros.type_catalogue import TypeCatalogue
 
-__all__ = ["Graph", "Hearer", "Refusal", "ServedRosapi", "ServedTopic", "received", "typed_array", "with_typed_arrays"]
+__all__ = ["Client", "Graph", "Refusal", "ServedRosapi", "ServedTopic", "received", "typed_array", "with_typed_arrays"]
 
-
-# Writes the arrays of numbers of a message as a rosbridge server does in CBOR, for the server that tests speak to.
 
 #: Tag and layout of an array of numbers, by the kind of its elements.
 _TYPED = MappingProxyType(
@@ -78,17 +76,14 @@ def _value(field: Field, value: Any, ours: Any) -> Any:
     return typed_array(field.kind, ours) if field.kind in _TYPED else value
 
 
-# The graph behind the rosbridge server that tests speak to: topics and services, and who is on them.
-
-
 class Refusal(Exception):  # noqa: N818 - what a server says in a status message, which is no error of the test's
     """An operation that a server refuses, in its words."""
 
 
-class Hearer(Protocol):
-    """One who subscribes, publishes or offers: a connection, or the test itself."""
+class Client(Protocol):
+    """Something that subscribes, publishes or offers: a connection, or the test itself."""
 
-    def hear(self, topic: ServedTopic, message: Message) -> None:
+    def receive(self, topic: ServedTopic, message: Message) -> None:
         """Take a message of a topic."""
         ...
 
@@ -100,15 +95,15 @@ class ServedTopic:
     Attributes:
         name: full name.
         type_name: of its messages.
-        publishers: who publishes it, with whether it is latched.
-        hearers: who hears it, by name of the subscription.
+        publishers: by id, with whether they are latched.
+        subscribers: by id and name of the subscription.
         last: the last message of a latched topic.
     """
 
     name: str
     type_name: str
     publishers: dict[int, bool] = field(default_factory=dict)
-    hearers: dict[tuple[int, str], Hearer] = field(default_factory=dict)
+    subscribers: dict[tuple[int, str], Client] = field(default_factory=dict)
     last: Message | None = None
 
 
@@ -122,7 +117,7 @@ class ServedService:
 
 
 class Graph:
-    """Topics and services by full name; whoever uses it holds one lock.
+    """Topics and services by full name; a user of it holds the server's lock.
 
     Args:
         types: what messages are made of.
@@ -144,38 +139,38 @@ class Graph:
             self._tidy(name)
 
     def publish(self, name: str, message: Message, publisher: object) -> None:
-        """Hand a complete message to who hears the topic."""
+        """Hand a complete message to the subscribers of the topic."""
         topic = self.topics.get(name)
         if topic is None or id(publisher) not in topic.publishers:
             raise Refusal(f"publish: topic {name} is not advertised")
         if topic.publishers[id(publisher)]:
             topic.last = message
-        for hearer in {id(each): each for each in topic.hearers.values()}.values():
-            hearer.hear(topic, message)
+        for subscriber in {id(each): each for each in topic.subscribers.values()}.values():
+            subscriber.receive(topic, message)
 
-    def subscribe(self, name: str, type_name: str | None, hearer: Hearer, label: str) -> None:
-        """Take a hearer; raises a `Refusal` where the topic carries another type."""
+    def subscribe(self, name: str, type_name: str | None, subscriber: Client, label: str) -> None:
+        """Take a subscriber; raises a `Refusal` where the topic carries another type."""
         if type_name is None and name not in self.topics:
             raise Refusal(f"subscribe: cannot infer the type of topic {name}, which is not published yet")
         topic = self._topic(name, type_name or self.topics[name].type_name)
-        topic.hearers[id(hearer), label] = hearer
+        topic.subscribers[id(subscriber), label] = subscriber
         if topic.last is not None:
-            hearer.hear(topic, topic.last)
+            subscriber.receive(topic, topic.last)
 
-    def unsubscribe(self, name: str, hearer: Hearer, label: str | None) -> None:
-        """Let a hearer go, from one subscription or, without its label, from all of the topic."""
+    def unsubscribe(self, name: str, subscriber: Client, label: str | None) -> None:
+        """Let a subscriber go, from one subscription or, without its label, from all of the topic."""
         topic = self.topics.get(name)
         if topic is not None:
-            for key in [key for key in topic.hearers if key[0] == id(hearer) and label in {None, key[1]}]:
-                del topic.hearers[key]
+            for key in [key for key in topic.subscribers if key[0] == id(subscriber) and label in {None, key[1]}]:
+                del topic.subscribers[key]
             self._tidy(name)
 
-    def forget(self, who: Hearer) -> None:
-        """Let somebody go from everywhere."""
+    def forget(self, client: Client) -> None:
+        """Let a client go from everywhere."""
         for name in list(self.topics):
-            self.unsubscribe(name, who, None)
-            self.unadvertise(name, who)
-        for name in [name for name, service in self.services.items() if service.owner is who]:
+            self.unsubscribe(name, client, None)
+            self.unadvertise(name, client)
+        for name in [name for name, service in self.services.items() if service.owner is client]:
             del self.services[name]
 
     def _topic(self, name: str, type_name: str) -> ServedTopic:
@@ -190,7 +185,7 @@ class Graph:
         return topic
 
     def _tidy(self, name: str) -> None:
-        if not self.topics[name].publishers and not self.topics[name].hearers:
+        if not self.topics[name].publishers and not self.topics[name].subscribers:
             del self.topics[name]
 
 
@@ -236,7 +231,7 @@ class ServedRosapi:
         self.nodes = nodes
 
     def answer(self, service: str, request: Mapping[str, Any]) -> dict[str, Any] | None:
-        """Return the response of a service of rosapi's, or None if it is none of them."""
+        """Return the response of a service of rosapi's, or None if it is another service."""
         questions: dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {
             "get_time": lambda _: {"time": self._stamp()},
             "topics": lambda _: self._topics(),

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.links.robot import Encoding
-from robot_runner.ros.rosbridge.frames import FrameReader, send_errors, to_protocol
+from robot_runner.ros.rosbridge_frames import FrameReader, send_errors, to_protocol
 from robot_runner.ros.shapes import completed, plain_type
 from robot_runner.ros.type_catalogue import TypeCatalogue
 from robot_runner.testing.rosbridge_graph import (
@@ -37,8 +37,6 @@ if TYPE_CHECKING:
 
 __all__ = ["RosbridgeServer", "ServedClient"]
 
-
-# One connection to the rosbridge server that tests speak to, and the operations of the protocol that it takes.
 
 _logger = logging.getLogger(__name__)
 
@@ -78,7 +76,7 @@ class ServedClient:
         with suppress(*send_errors()):
             self._connection.close()
 
-    def hear(self, topic: ServedTopic, message: Message) -> None:
+    def receive(self, topic: ServedTopic, message: Message) -> None:
         """Send a message of a topic, in the compression that was asked for."""
         compression = self._compressions.get(topic.name, "none")
         operation: dict[str, Any] = {"op": "publish", "topic": topic.name}
@@ -228,11 +226,11 @@ class RosbridgeServer:
 
     Attributes:
         graph: topics and services behind it.
-        lock: held by whoever uses the graph.
+        lock: to be held while the graph is used.
 
     Example:
         >>> from robot_runner.core.events.context import SystemClock
-        >>> from robot_runner.ros.rosbridge.link import open_rosbridge_link
+        >>> from robot_runner.ros.rosbridge_link import open_rosbridge_link
         >>> server = RosbridgeServer()
         >>> server.offer("/task/stop", "std_srvs/Trigger", lambda request: {"success": True})
         >>> link = open_rosbridge_link(server.url, SystemClock())
@@ -329,15 +327,15 @@ class RosbridgeServer:
         if client in self._clients:
             self._clients.remove(client)
 
-    def hear(self, topic: object, message: Message) -> None:
-        """Take nothing: the nodes behind the server hear no topics."""
+    def receive(self, topic: object, message: Message) -> None:
+        """Take nothing: the nodes behind the server subscribe no topics."""
 
     def now_ns(self) -> int:
         """Return the time on the robot, ns since the epoch."""
         return time.time_ns()
 
     def spelt(self, values: Any) -> Any:
-        """Return values as they can be written in JSON: numbers that are none are null."""
+        """Return values as they can be written in JSON: NaN and infinity are null."""
         if isinstance(values, float):
             return values if math.isfinite(values) else None
         if isinstance(values, dict):

@@ -16,8 +16,8 @@ import pytest
 from tests.process.conftest import starved_for
 from tests.ros.ros1_master import RUDE, needs_ros1, ros1_environment
 
-from robot_runner.ros.ros1.link import Ros1Link
-from robot_runner.ros.ros1.master import Master
+from robot_runner.core.events.context import SystemClock
+from robot_runner.ros.ros1_link import open_ros1_link
 
 ROBOT = Path(__file__).parents[3] / "robot"
 SOURCES = [ROBOT / "robot_runner_onboard" / "src", ROBOT / "robot_runner_ros1" / "src"]
@@ -89,7 +89,7 @@ def robot(tmp_path_factory, master_uri, pages):
 
 @pytest.fixture(scope="module")
 def alice(robot, master_uri):
-    link = Ros1Link(Master(master_uri), "/alice")
+    link = open_ros1_link({"master": master_uri}, SystemClock(), "/alice")
     last = {"/alice/robot_runner/watchdog/release", "/alice/task/network/stop", "/bob/task/network/stop"}
     until(lambda: last <= set(link.services()))
     yield link
@@ -98,7 +98,7 @@ def alice(robot, master_uri):
 
 @pytest.fixture(scope="module")
 def bob(alice, master_uri):
-    link = Ros1Link(Master(master_uri), "/bob")
+    link = open_ros1_link({"master": master_uri}, SystemClock(), "/bob")
     yield link
     link.close()
 
@@ -219,7 +219,7 @@ def test_a_person_can_release_a_robot_that_the_watchdog_holds(alice):
 
 def test_a_node_that_is_ended_ends_its_task(master_uri, tmp_path, alice):
     environment = ros1_environment(master_uri, tmp_path)
-    carol = Ros1Link(Master(master_uri), "/carol")
+    carol = open_ros1_link({"master": master_uri}, SystemClock(), "/carol")
     with node("task_node", environment, "__ns:=/carol") as process:
         until(lambda: "/carol/task/network/stop" in carol.services())
         assert call(carol, "task/computation/start")[0]

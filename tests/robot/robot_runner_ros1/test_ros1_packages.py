@@ -13,8 +13,8 @@ from xml.etree import ElementTree as ET
 import pytest
 from tests.ros.ros1_master import RUDE, needs_ros1, ros1_environment
 
-from robot_runner.ros.ros1.link import Ros1Link
-from robot_runner.ros.ros1.master import Master
+from robot_runner.core.events.context import SystemClock
+from robot_runner.ros.ros1_link import open_ros1_link
 
 pytestmark = [*map(pytest.mark.filterwarnings, RUDE)]
 
@@ -68,7 +68,7 @@ def test_they_are_built_by_catkin_and_launched(tmp_path, master_uri):
     process = subprocess.Popen(
         ["/bin/sh", "-c", launch], cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
     )
-    link = Ros1Link(Master(master_uri), "/launched")
+    link = open_ros1_link({"master": master_uri}, SystemClock(), "/launched")
     try:
         deadline = time.monotonic() + 100
         while "/launched/task/stop" not in link.services() or "/launched/robot_runner_watchdog" not in link.nodes():

@@ -21,7 +21,8 @@ from robot_runner.analysis.statistics.effect_sizes import (
 )
 from robot_runner.analysis.statistics.linear_model import aligned_ranks, coded_frame, fit_aligned, formula_of
 from robot_runner.analysis.statistics.tested import AssumptionCheck, Effect, EffectSize, MeasureTest, TestMethod
-from robot_runner.analysis.wording import enumerated, p_in_words
+from robot_runner.analysis.wording import p_in_words
+from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

@@ -11,7 +11,6 @@ from robot_runner.core.config.experiment import experiment_folder
 from robot_runner.core.config.loader import place_in, raised_in
 from robot_runner.core.config.parameters import (
     PARAMETERS,
-    PARAMETERS_BY_NAME,
     REQUIRED,
     Parameter,
     Parameters,
@@ -65,7 +64,7 @@ def check_names(loaded: LoadedConfig) -> list[Finding]:
     """Return a finding for each public name of the config that nearly is a parameter or a callback."""
     names = {name for parent in type(loaded.config).__mro__[:-1] for name in _names_of(parent)}
     names |= set(vars(loaded.config)) if hasattr(loaded.config, "__dict__") else set()
-    parameters = [*PARAMETERS_BY_NAME, "plugins"]
+    parameters = [*PARAMETERS, "plugins"]
     callbacks = [*EVENTS_BY_CALLBACK, "create_run_table"]
     findings = []
     for name in sorted(names):
@@ -109,14 +108,14 @@ def read_parameters(loaded: LoadedConfig) -> tuple[Parameters | None, list[Findi
     """Return the static parameters, or None where one of them is missing or malformed, and the findings."""
     values: dict[str, Any] = {}
     findings: list[Finding] = []
-    for parameter in PARAMETERS:
+    for parameter in PARAMETERS.values():
         value = getattr(loaded.config, parameter.name, parameter.default)
         if value is REQUIRED:
             findings.append(_missing(loaded, parameter))
-        elif not parameter.accepts(value):
+        elif not parameter.kind.accepts(value):
             findings.append(_malformed(loaded, parameter, value))
         else:
-            values[parameter.name] = parameter.normalise(value)
+            values[parameter.name] = parameter.kind.normalise(value)
     return (None if findings else Parameters(**values)), findings
 
 
@@ -124,15 +123,15 @@ def _missing(loaded: LoadedConfig, parameter: Parameter) -> Finding:
     return Finding.error(
         f"{loaded.where}.{parameter.name}",
         "this static parameter is missing",
-        f"Give it a value: it must be {parameter.expected}.",
+        f"Give it a value: it must be {parameter.kind.expected}.",
     )
 
 
 def _malformed(loaded: LoadedConfig, parameter: Parameter, value: object) -> Finding:
     return Finding.error(
         f"{loaded.where}.{parameter.name}",
-        f"it is {value!r}, of type {type(value).__name__}",
-        f"It must be {parameter.expected}.",
+        f"the value is {value!r}, of type {type(value).__name__}",
+        f"It must be {parameter.kind.expected}.",
     )
 
 
@@ -188,7 +187,7 @@ def _listed(loaded: LoadedConfig, findings: list[Finding]) -> Iterable[Plugin]:
     listed = getattr(loaded.config, "plugins", ())
     if not isinstance(listed, list | tuple):
         findings.append(
-            Finding.error(where, f"it is {listed!r}", "Give a list, such as [BasicTurtlebot3(), PsUtil()].")
+            Finding.error(where, f"the value is {listed!r}", "Give a list, such as [BasicTurtlebot3(), PsUtil()].")
         )
         return
     for plugin in listed:
@@ -231,7 +230,7 @@ def _equal_names(loaded: LoadedConfig, plugins: list[Plugin]) -> list[Finding]:
 def _failed_check(where: str, error: Exception) -> Finding:
     if isinstance(error, RobotRunnerError):
         return Finding.error(error.where or where, error.problem, error.fix)
-    problem = f"its check raised {type(error).__name__}: {error}"
+    problem = f"the check raised {type(error).__name__}: {error}"
     return Finding.error(where, problem, "Tell the plugin's author; update or leave out the plugin.")
 
 
@@ -295,7 +294,7 @@ def create_model(loaded: LoadedConfig) -> tuple[RunTableModel | None, list[Findi
     model = created.model if isinstance(created, RunTable) else created
     if isinstance(model, RunTableModel):
         return model, list(model.warnings)
-    problem = f"it returned {_shown(created)}"
+    problem = f"create_run_table returned {_shown(created)}"
     return None, [Finding.error(where, problem, "Return the RunTableModel (`return run_table`).")]
 
 

@@ -13,12 +13,17 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 __all__ = [
+    "Caller",
     "Encoding",
+    "GraphListing",
     "Message",
+    "Offerer",
+    "Publisher",
     "Qos",
     "RawMessage",
     "RobotLink",
     "RobotName",
+    "Subscriber",
     "Subscription",
 ]
 
@@ -38,9 +43,9 @@ class Qos(StrEnum):
     DEFAULT = "default"
     #: Best effort, volatile, the last 5 are kept: `rmw_qos_profile_sensor_data`.
     SENSOR_DATA = "sensor_data"
-    #: Reliable, volatile, as many are kept as come: nothing is lost to a slow listener.
+    #: Reliable, volatile, as many are kept as come: nothing is lost to a slow subscriber.
     RELIABLE = "reliable"
-    #: Reliable, and the last message is there for who comes later, as of `/tf_static` and a map.
+    #: Reliable, and the last message is kept for later subscribers, as of `/tf_static` and a map.
     TRANSIENT_LOCAL = "transient_local"
 
 
@@ -55,7 +60,7 @@ class Encoding(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RawMessage:
-    """A message as it was received, for who records it or weighs it.
+    """A message as it was received, for recorders and for what measures its size.
 
     Attributes:
         data: the message's bytes, in the link's encoding.
@@ -72,27 +77,13 @@ class Subscription(Protocol):
     """A subscription, or an offered service, that can be ended."""
 
     def close(self) -> None:
-        """Hear no more messages; closing twice does nothing."""
+        """End it; closing twice does nothing."""
         ...
 
 
 @runtime_checkable
-class RobotLink(Protocol):
-    """A link to one robot. Names are relative to the robot's namespace unless they begin with `/`.
-
-    Message types are ROS names without a generation, such as `geometry_msgs/Twist`. Callbacks may be
-    called from another thread; on the simulated link they are called while the clock is slept on.
-    """
-
-    @property
-    def is_simulated(self) -> bool:
-        """Whether there is a simulation behind it, so that what it yields is labelled so."""
-        ...
-
-    @property
-    def encoding(self) -> Encoding:
-        """How the bytes of raw messages are laid out."""
-        ...
+class Publisher(Protocol):
+    """Publishes on the topics of a robot."""
 
     def publish(self, topic: str, message_type: str, message: Message, *, qos: Qos = Qos.DEFAULT) -> None:
         """Publish one message; fields that are left out take their ROS default.
@@ -102,6 +93,14 @@ class RobotLink(Protocol):
         """
         ...
 
+
+@runtime_checkable
+class Subscriber(Protocol):
+    """Receives what is published on the topics of a robot.
+
+    Callbacks may be called from another thread; on the simulated link they are called while the clock is slept on.
+    """
+
     def subscribe(
         self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None
     ) -> Subscription:
@@ -110,7 +109,8 @@ class RobotLink(Protocol):
         Args:
             topic: its name. It may come later, except on the simulated link, whose topics are all there.
             message_type: ROS name, such as `nav_msgs/Odometry`.
-            callback: called with each message.
+            callback: called with each message. What it raises fails the run: on the simulated link it is raised where
+                the clock is slept on, on all others by `close`.
             qos: None for what fits the topic's publishers.
 
         Raises:
@@ -139,6 +139,11 @@ class RobotLink(Protocol):
         """
         ...
 
+
+@runtime_checkable
+class Caller(Protocol):
+    """Calls the services of a robot."""
+
     def call(self, service: str, service_type: str, request: Message | None = None, *, timeout: float = 5.0) -> Message:
         """Call a service and return its response; `timeout` is in seconds.
 
@@ -148,6 +153,11 @@ class RobotLink(Protocol):
         """
         ...
 
+
+@runtime_checkable
+class Offerer(Protocol):
+    """Offers services in the namespace of a robot."""
+
     def offer(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> Subscription:
         """Offer a service until it is closed; `answer` makes the response of a request.
 
@@ -156,8 +166,13 @@ class RobotLink(Protocol):
         """
         ...
 
+
+@runtime_checkable
+class GraphListing(Protocol):
+    """Lists what is on the graph."""
+
     def topics(self) -> Mapping[str, str]:
-        """Return the type of each topic that is published or heard on the graph, by its full name."""
+        """Return the type of each topic that is published or subscribed on the graph, by its full name."""
         ...
 
     def services(self) -> Mapping[str, str]:
@@ -166,6 +181,25 @@ class RobotLink(Protocol):
 
     def nodes(self) -> Sequence[str]:
         """Return the full names of the nodes on the graph, sorted."""
+        ...
+
+
+@runtime_checkable
+class RobotLink(Publisher, Subscriber, Caller, Offerer, GraphListing, Protocol):
+    """A link to one robot. Names are relative to the robot's namespace unless they begin with `/`.
+
+    Message types are ROS names without a generation, such as `geometry_msgs/Twist`. What needs only a part of a link
+    may ask for that part: `Publisher`, `Subscriber`, `Caller`, `Offerer` or `GraphListing`.
+    """
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether there is a simulation behind it, so that what it yields is labelled so."""
+        ...
+
+    @property
+    def encoding(self) -> Encoding:
+        """How the bytes of raw messages are laid out."""
         ...
 
     def definition(self, message_type: str) -> str:
@@ -177,7 +211,11 @@ class RobotLink(Protocol):
         ...
 
     def close(self) -> None:
-        """End all subscriptions and offers and leave; closing twice does nothing."""
+        """End all subscriptions and offers and leave; closing twice does nothing.
+
+        Raises:
+            LinkError: a robot that was driven could not be told to stand still, or a callback raised.
+        """
         ...
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import islice, repeat
+from itertools import chain, islice, repeat
+from operator import is_
 from typing import TYPE_CHECKING, Any, Protocol
 
 from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS, numbered_run_id
@@ -61,11 +62,13 @@ class Headings:
         places: the place of each column that is there, counted from 0, by its name in the layout.
         extras: the columns that are a user's own, in the order of the file; they are in `places` as well.
         width: how many cells a row has.
+        cells: the headings as they stand in the file.
     """
 
     places: Mapping[str, int]
     extras: tuple[str, ...]
     width: int
+    cells: Sequence[str]
 
 
 def delimiter_of(first_line: str, layout: TableLayout) -> str:
@@ -106,7 +109,7 @@ def match_headings(cells: Sequence[str], layout: TableLayout, findings: TableFin
             near = nearest(name, extras)
             fix = f"Rename {near!r}." if near else f"Add a column {name!r}."
             findings.error(f"the column of factor {name!r} is missing", fix, line=line)
-    return Headings(places, extras, len(names))
+    return Headings(places, extras, len(names), cells)
 
 
 def _names(trimmed: Sequence[str], layout: TableLayout) -> list[str]:
@@ -126,7 +129,7 @@ _ROWS_AT_ONCE = 500  # what fits into a processor's cache; ten times as many tak
 _LONGEST_CELL = 1 << 27  # the module's own limit of 128 KiB is less than what we write
 
 
-def read_run_table(path: Path, layout: TableLayout) -> RunTableRows:
+def read_run_table(path: Path, layout: TableLayout, planned: Sequence[PlannedRun] = ()) -> RunTableRows:
     """Read a run table.
 
     Columns may stand in any order, under the layout's headings (or `ID` and `Status`, as in the paper's Fig. 3), with
@@ -136,6 +139,7 @@ def read_run_table(path: Path, layout: TableLayout) -> RunTableRows:
     Args:
         path: the file.
         layout: the columns that the table is to have, and what their cells are read as.
+        planned: the plan that the table may have been made from: rows that are as planned refer to it.
 
     Returns:
         The rows; their `warnings` tell what looked odd.
@@ -147,7 +151,7 @@ def read_run_table(path: Path, layout: TableLayout) -> RunTableRows:
     with _opened(path) as file, garbage_collection_paused():
         delimiter = delimiter_of(next((line for line in file if line.strip()), ""), layout)
         file.seek(0)
-        return _Reading(layout, findings, decimal_comma=delimiter == ";").read(file, delimiter)
+        return _Reading(layout, findings, planned, decimal_comma=delimiter == ";").read(file, delimiter)
 
 
 class _Lines(Protocol):
@@ -163,8 +167,11 @@ class _Lines(Protocol):
 class _Reading:
     """One file being read: a decoder for each column that the layout can have."""
 
-    def __init__(self, layout: TableLayout, findings: TableFindings, *, decimal_comma: bool) -> None:
+    def __init__(
+        self, layout: TableLayout, findings: TableFindings, planned: Sequence[PlannedRun], *, decimal_comma: bool
+    ) -> None:
         self._layout = layout
+        self._planned = planned
         self._findings = findings
         self._run_ids = RunIdDecoder(findings)
         self._repetitions = RepetitionDecoder(findings)
@@ -196,17 +203,21 @@ class _Reading:
         """Read the whole file, then refuse it with everything that is wrong, or return its rows."""
         lines = csv.reader(file, delimiter=delimiter, strict=True)
         rows: list[RunRow] = []
+        first_cells: Sequence[str] = ()
         count = 0
         for headings, chunk in self._chunks(lines):
             if chunk.rows:
                 rows += self._rows(headings, chunk, first=count + 1)
                 count += len(chunk.rows)
+            first_cells = first_cells or headings.cells
         self._run_ids.check()
         if not count:
             fix = "Add a line for each run, or delete the file: it is planned anew then."
             self._findings.error("there are no runs in it", fix)
         self._findings.raise_errors()
-        return RunTableRows(replace(self._layout, extras=self._extras), rows, self._findings.warnings)
+        layout = replace(self._layout, extras=self._extras)
+        has_file = delimiter == "," and list(first_cells) == layout.headings
+        return RunTableRows(layout, rows, self._findings.warnings, has_file=has_file)
 
     def _rows(self, headings: Headings, chunk: RowChunk, *, first: int) -> Iterable[RunRow]:
         """Return the rows of a chunk; `first` is the number of its first run."""
@@ -222,13 +233,13 @@ class _Reading:
 
         numbers = range(first, first + count)
         treatments = combined(self._layout.factor_names)
-        runs = map(
-            PlannedRun,
-            found.get(RUN_ID) or map(numbered_run_id, numbers),
-            numbers,
-            map(Combination, repeat(factor_places(self._layout.factor_names)), treatments),
-            self._repetitions_of(found, treatments),
-        )
+        run_ids = found.get(RUN_ID) or list(map(numbered_run_id, numbers))
+        repetitions = self._repetitions_of(found, treatments)
+        planned = self._planned[first - 1 : first - 1 + count]
+        runs: Iterable[PlannedRun] = planned
+        if not _are_as_planned(planned, run_ids, treatments, repetitions):
+            combinations = map(Combination, repeat(factor_places(self._layout.factor_names)), treatments)
+            runs = map(PlannedRun, run_ids, numbers, combinations, repetitions)
         return map(
             RunRow,
             runs,
@@ -238,12 +249,16 @@ class _Reading:
             self._kept(headings, cells, count),
         )
 
-    def _repetitions_of(self, found: Mapping[str, Sequence[Any]], treatments: Sequence[tuple[Any, ...]]) -> Iterable[int]:
+    def _repetitions_of(
+        self, found: Mapping[str, Sequence[Any]], treatments: Sequence[tuple[Any, ...]]
+    ) -> Sequence[int]:
         if not self._layout.has_repetition:  # a column of that name is a factor or a user's own
-            return repeat(1)
+            return [1] * len(treatments)
         return found.get(REPETITION) or self._repetitions.counted(treatments)
 
-    def _kept(self, headings: Headings, cells: Sequence[Sequence[str]], count: int) -> Iterable[Mapping[str, str] | None]:
+    def _kept(
+        self, headings: Headings, cells: Sequence[Sequence[str]], count: int
+    ) -> Iterable[Mapping[str, str] | None]:
         """Return the text that each row keeps as it is: a user's own columns, and what no treatment is written as."""
         odd = [factor for factor in self._factors if factor.kept]
         if not headings.extras and not odd:
@@ -253,7 +268,7 @@ class _Reading:
             for row, text in zip(texts, cells[headings.places[name]], strict=True):
                 if text:
                     row[name] = text
-        for factor in odd if all(factor.name in headings.places for factor in odd) else ():
+        for factor in odd:
             for row, text in zip(texts, cells[headings.places[factor.name]], strict=True):
                 if text in factor.kept:
                     row[factor.name] = text
@@ -305,6 +320,19 @@ class _Reading:
         self._extras = tuple(names)
         for name in names:
             self._decoders.setdefault(name, TextDecoder(name, self._findings, is_stamp=False))
+
+
+def _are_as_planned(
+    runs: Sequence[PlannedRun],
+    run_ids: Sequence[str],
+    treatments: Sequence[tuple[Any, ...]],
+    repetitions: Sequence[int],
+) -> bool:
+    if [run.run_id for run in runs] != list(run_ids) or [run.repetition for run in runs] != list(repetitions):
+        return False
+    # By identity, as rows hold the factors' own treatments, some of which have no equality.
+    planned = chain.from_iterable(run.combination.treatments for run in runs)
+    return all(map(is_, planned, chain.from_iterable(treatments)))
 
 
 def _sharing_empty(rows: list[tuple[Any, ...]]) -> Iterable[tuple[Any, ...]]:

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from itertools import islice, repeat
+from itertools import repeat
+from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
+from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.design.run_table import garbage_collection_paused
 from robot_runner.core.errors import MeasureError, StorageError, did_you_mean
 from robot_runner.core.storage.cells import RunStatus, checked_measure, csv_text
 from robot_runner.core.storage.safe_write import write_beside_and_rename
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.core.design.factor import Combination
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["RunRow", "RunTableRows", "table_text", "write_run_table"]
 
+_ROWS_AT_ONCE = 500  # what fits into a processor's cache
 _NUMBERED = re.compile(r"r_([1-9][0-9]{0,17})")
 
 
@@ -63,6 +65,7 @@ class RunTableRows:
     Attributes:
         layout: which columns there are.
         warnings: what looked odd when the table was read.
+        has_file: whether the file that it was read from has the same columns, as they would be written.
 
     Example:
         >>> from robot_runner.core.design.factor import Factor
@@ -75,20 +78,29 @@ class RunTableRows:
         (1, 719.0)
     """
 
-    def __init__(self, layout: TableLayout, rows: Iterable[RunRow], warnings: Sequence[Finding] = ()) -> None:
+    def __init__(
+        self,
+        layout: TableLayout,
+        rows: Iterable[RunRow],
+        warnings: Sequence[Finding] = (),
+        *,
+        has_file: bool = False,
+    ) -> None:
         """Put rows together.
 
         Args:
             layout: which columns there are.
             rows: their stamps and measures are those of the layout.
             warnings: what looked odd when the table was read.
+            has_file: whether the file that it was read from has the same columns, as they would be written.
         """
         self.layout = layout
         self.warnings = tuple(warnings)
+        self.has_file = has_file
         self._rows = list(rows)
         self._counts = Counter(row.status for row in self._rows)
         self._places: dict[str, int] | None = None
-        self._values = _values_by_column(layout)
+        self._sources = _sources(layout)
 
     @classmethod
     def of_plan(cls, plan: Sequence[PlannedRun], layout: TableLayout) -> RunTableRows:
@@ -109,12 +121,22 @@ class RunTableRows:
 
     def row(self, place: int) -> dict[str, Any]:
         """Return the row at `place`: the typed value of each column, by heading."""
-        row = self._rows[place]
-        return {name: value(row) for name, value in self._values.items()}
+        row = (self._rows[place],)
+        return {name: next(self._values(name, row)) for name in self._sources}
 
     def values(self, name: str) -> Iterator[Any]:
-        """Yield the value of a column in each row."""
-        return map(self._values[name], self._rows)
+        """Return the value of a column in each row."""
+        return self._values(name, self._rows)
+
+    def recorded(self) -> dict[str, tuple[Any, ...]]:
+        """Return the time stamps and the measures of the runs that have any, by heading."""
+        no_stamps, no_measures = _nothing(self.layout)
+        stamps = zip(*(row.stamps for row in self._rows if row.stamps != no_stamps), strict=True)
+        measures = zip(*(row.measures for row in self._rows if row.measures != no_measures), strict=True)
+        found: dict[str, tuple[Any, ...]] = dict.fromkeys((*self.layout.stamps, *self.layout.measures), ())
+        found.update(zip(self.layout.stamps, stamps, strict=False))  # there are no columns where no run has a value
+        found.update(zip(self.layout.measures, measures, strict=False))
+        return found
 
     def run_id(self, place: int) -> str:
         """Return the id of the run at `place`."""
@@ -201,27 +223,39 @@ class RunTableRows:
         row.stamps, row.measures = _nothing(self.layout)
         self._change(row, RunStatus.TODO)
 
-    def cells(self) -> Iterator[list[Any]]:
-        """Yield the cells of each row in the order of the layout, as `csv_text` takes them."""
-        layout = self.layout
-        texts = [_texts_by_treatment(column) for column in layout.factors]
-        places = {name: place for place, name in enumerate(layout.columns)}
-        no_extras = [None] * len(layout.extras)
-        for row in self._rows:
-            run = row.run
-            treatments = [
-                known.get(id(treatment)) or str(treatment)
-                for known, treatment in zip(texts, run.combination.treatments, strict=True)
-            ]
-            cells = [run.run_id, layout.spelling.status_words[row.status], *row.stamps, *treatments]
-            if layout.has_repetition:
-                cells.append(run.repetition)
-            cells += row.measures
-            cells += no_extras
-            if row.kept is not None:
-                for name, text in row.kept.items():
-                    cells[places[name]] = text
-            yield cells
+    def cells(self) -> Iterator[list[Sequence[Any]]]:
+        """Yield the cells of some rows at a time, in the order of the layout, as `csv_text` takes them."""
+        texts = {column.name: _texts_by_treatment(column) for column in self.layout.factors}
+        for start in range(0, len(self), _ROWS_AT_ONCE):
+            rows = self._rows[start : start + _ROWS_AT_ONCE]
+            cells: list[Sequence[Any]] = list(
+                zip(*(self._written(name, rows, texts) for name in self._sources), strict=True)
+            )
+            kept = any(row.kept for row in rows)
+            yield [self._with_kept(row, each) for row, each in zip(rows, cells, strict=True)] if kept else cells
+
+    def _written(self, name: str, rows: Iterable[RunRow], texts: Mapping[str, Mapping[int, str]]) -> Iterable[Any]:
+        values = self._values(name, rows)
+        if name == STATUS:
+            return map(self.layout.spelling.status_words.__getitem__, values)
+        if name in texts:
+            known = texts[name]
+            return [known.get(id(treatment)) or str(treatment) for treatment in values]
+        return values
+
+    def _with_kept(self, row: RunRow, cells: Sequence[Any]) -> Sequence[Any]:
+        """Return the cells of a row with those that are to stand as they were read."""
+        kept = row.kept or {}
+        return [kept.get(name, cell) for name, cell in zip(self._sources, cells, strict=True)]
+
+    def _values(self, name: str, rows: Iterable[RunRow]) -> Iterator[Any]:
+        attribute, key = self._sources[name]
+        held = map(attrgetter(attribute), rows)
+        if key is None:
+            return held
+        if attribute == "kept":
+            return (texts.get(name) if texts else None for texts in held)
+        return map(itemgetter(key), held)
 
     def _change(self, row: RunRow, status: RunStatus) -> None:
         self._counts[row.status] -= 1
@@ -244,29 +278,16 @@ def _replaced(names: Sequence[str], values: tuple[Any, ...], changed: Mapping[st
     return tuple(changed.get(name, value) for name, value in zip(names, values, strict=True))
 
 
-def _values_by_column(layout: TableLayout) -> dict[str, Callable[[RunRow], Any]]:
-    """Return what takes the value of a column from a row, by heading, in the order of the layout."""
-
-    def stamp(place: int) -> Callable[[RunRow], Any]:
-        return lambda row: row.stamps[place]
-
-    def factor(place: int) -> Callable[[RunRow], Any]:
-        return lambda row: row.run.combination.treatments[place]
-
-    def measure(place: int) -> Callable[[RunRow], Any]:
-        return lambda row: row.measures[place]
-
-    def extra(name: str) -> Callable[[RunRow], Any]:
-        return lambda row: row.kept.get(name) if row.kept else None
-
+def _sources(layout: TableLayout) -> dict[str, tuple[str, int | str | None]]:
+    """Return where a row holds the value of each column, by heading: an attribute, and what to look up in it."""
     return {
-        RUN_ID: lambda row: row.run.run_id,
-        STATUS: lambda row: row.status,
-        **{name: stamp(place) for place, name in enumerate(layout.stamps)},
-        **{name: factor(place) for place, name in enumerate(layout.factor_names)},
-        **({REPETITION: lambda row: row.run.repetition} if layout.has_repetition else {}),
-        **{name: measure(place) for place, name in enumerate(layout.measures)},
-        **{name: extra(name) for name in layout.extras},
+        RUN_ID: ("run.run_id", None),
+        STATUS: ("status", None),
+        **{name: ("stamps", place) for place, name in enumerate(layout.stamps)},
+        **{name: ("run.combination.treatments", place) for place, name in enumerate(layout.factor_names)},
+        **dict.fromkeys(layout.repetition, ("run.repetition", None)),
+        **{name: ("measures", place) for place, name in enumerate(layout.measures)},
+        **{name: ("kept", name) for name in layout.extras},
     }
 
 
@@ -274,9 +295,6 @@ def _texts_by_treatment(column: FactorColumn) -> dict[int, str]:
     """Return the text of each treatment by its identity: rows hold the factor's own objects, which need no hash."""
     factor = column.factor
     return {} if factor is None else dict(zip(map(id, factor.treatments), factor.texts, strict=True))
-
-
-_ROWS_AT_ONCE = 500  # what fits into a processor's cache
 
 
 def write_run_table(path: Path, rows: RunTableRows) -> None:
@@ -293,7 +311,5 @@ def table_text(rows: RunTableRows) -> Iterator[str]:
 
     The columns stand in the order of the layout, see `TableLayout`.
     """
-    yield csv_text([[rows.layout.spelling.heading(name) for name in rows.layout.columns]])
-    cells = rows.cells()
-    while piece := list(islice(cells, _ROWS_AT_ONCE)):
-        yield csv_text(piece)
+    yield csv_text([rows.layout.headings])
+    yield from map(csv_text, rows.cells())

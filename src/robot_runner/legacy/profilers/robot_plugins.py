@@ -1,4 +1,4 @@
-"""Robot Runner's BasicTurtleBot3: its calls, carried out by our own system plugin on whatever link the robot has."""
+"""Robot Runner's plugins: their calls, carried out by our own plugins, on whatever link the robot has."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.links.connect import connect_robot
 from robot_runner.core.plugin import find_plugin
 from robot_runner.legacy.profilers.programs import Program
-from robot_runner.legacy.session import active_context, warn_of_run
+from robot_runner.legacy.session import current_run, warn_of_run
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -24,12 +24,9 @@ if TYPE_CHECKING:
 __all__ = ["BasicTurtleBot3", "BasicTurtleBot3Ros2", "INA219Profiler", "NetworkProfiler", "TopicSubscriber"]
 
 
-# Robot Runner's plugins for real robots: INA219Profiler, NetworkProfiler and TopicSubscriber.
-
 #: How long somebody may take to bring the memory card, s.
 _PATIENCE_S = 3600.0
 _LOOK_S = 1.0
-_CLOSING_S = 10.0
 
 
 class INA219Profiler:
@@ -42,7 +39,7 @@ class INA219Profiler:
         """Wait until the card is there; returns the cells of its file.
 
         Raises:
-            LinkError: nobody brings it within an hour.
+            LinkError: the file is not there within an hour.
         """
         deadline = time.monotonic() + _PATIENCE_S
         while not self.path_to_data_file.is_file():
@@ -100,13 +97,12 @@ class NetworkProfiler:
     def stop_sniffing(self) -> None:
         """End the capture."""
         if self._capture is not None:
-            self._capture.end(_CLOSING_S)
+            self._capture.end()
             self._capture = None
 
     def _start(self, context: Any, interface: str, file: str, capture_filter: list[str]) -> None:
         target = str(context.run_dir / file)
         self._capture = Program(["tshark", "-q", "-i", interface, *capture_filter, "-w", target], name="tshark")
-        self._capture.check_started()
 
 
 class TopicSubscriber:
@@ -118,14 +114,7 @@ class TopicSubscriber:
         Raises:
             LinkError: the robot cannot be reached, or has no such topic.
         """
-        context = active_context()
-        if context is None:
-            raise LinkError(
-                "topics can be subscribed to only while a run is executed",
-                where="TopicSubscriber",
-                fix="Subscribe in start_run, start_measurement or launch_mission.",
-            )
-        link = connect_robot(context)
+        link = connect_robot(current_run("TopicSubscriber"))
         return link.subscribe(topic, _type_name(datatype), lambda message: callback(_with_attributes(message)))
 
     def subscribe_to_multiple_topics_on_one_callback(
@@ -223,14 +212,7 @@ class BasicTurtleBot3Ros2(BasicTurtleBot3):
 
 
 def _run() -> RobotRunnerContext:
-    context = active_context()
-    if context is None:
-        raise LinkError(
-            "the robot can be reached only while a run is executed",
-            where="BasicTurtleBot3",
-            fix="Call it in start_run and in the events after it.",
-        )
-    return context
+    return current_run("BasicTurtleBot3")
 
 
 def _samples(path: Path) -> Iterator[tuple[str, str]]:

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 __all__ = ["BasicTurtlebot3", "PhaseLog"]
 
 
-# The phases of a mission on disk, each as soon as it is over.
-
 _HEADING = ("number", "phase", "task", "start_s", "end_s", "x_m", "y_m", "heading_rad")
 
 
@@ -48,7 +46,7 @@ class PhaseLog:
 
 
 _KNOWN_TASKS = tuple(task.value.capitalize() for task in Task)
-#: How far from its beginning, m, a mission may end before somebody should look at the robot.
+#: How far from its beginning, m, a mission may end before the run is warned of.
 _NEAR = 0.1
 #: Share of the planned way below which the robot was blocked or its wheels slipped.
 _MOST = 0.9
@@ -57,8 +55,8 @@ _MOST = 0.9
 class BasicTurtlebot3(System):
     """Executes the paper's circular mission on a TurtleBot3: 95 s of sleeping, driving and three times a task.
 
-    The robot drives away and comes back, in a closed loop on its odometry, so that nobody has to reposition
-    it between runs. It is stopped at the end whatever happens in between.
+    The robot drives away and comes back, in a closed loop on its odometry, so that it need not be
+    repositioned between runs. It is stopped at the end whatever happens in between.
 
     Args:
         name: tells several robots apart; the class's name if left out.
@@ -131,12 +129,12 @@ class BasicTurtlebot3(System):
         odometer = Odometer(context.clock, timeout=self.odometry_timeout_s, where=self.name)
         self._robot = Robot(link, odometer, context.clock, namespace=self.namespace)
         odometer.wait(self.connect_timeout_s)
-        self._robot.check_listens(where=self.name)
+        self._robot.check_commands_subscribed(where=self.name)
 
     def launch_mission(self, context: RobotRunnerContext) -> None:
         """Execute the mission.
 
-        Its phases go to `phases.csv` and, as they begin, to whoever hears; the robot's way goes to `trajectory.csv`.
+        Its phases go to `phases.csv` and, as they begin, to the other plugins; its way goes to `trajectory.csv`.
         """
         task, robot = self._task_of(context), self._reached_robot()
 
@@ -232,7 +230,7 @@ class BasicTurtlebot3(System):
             raise PluginError(
                 "the mission was launched before the run was started",
                 where=self.name,
-                fix="Have start_run heard before launch_mission.",
+                fix="Emit start_run before launch_mission.",
             )
         return self._robot
 

@@ -1,4 +1,4 @@
-"""The mission carried out: one phase after the other, on an absolute schedule."""
+"""The mission of the paper (Fig. 4) as data, and its execution phase by phase on an absolute schedule."""
 
 from __future__ import annotations
 
@@ -18,9 +18,6 @@ if TYPE_CHECKING:
     from robot_runner.ros.turtlebot3.steered_robot import Robot
 
 __all__ = ["CircularMission", "Performance", "Performer", "Phase", "PhaseKind", "Task"]
-
-
-# The mission as data: phases with their durations (paper, Fig. 4).
 
 
 class PhaseKind(Enum):
@@ -139,7 +136,7 @@ _LOOK_PERIOD = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Performance:
-    """What came of a mission.
+    """The result of a mission.
 
     Attributes:
         duration: s on the run's clock.
@@ -164,7 +161,7 @@ class Performer:
     Args:
         mission: what is to be done.
         task: what the robot works on in the task phases.
-        robot: who does it.
+        robot: the robot that does it.
         clock: the run's clock.
         log: takes the phases that are over.
     """

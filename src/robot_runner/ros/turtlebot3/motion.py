@@ -19,16 +19,14 @@ if TYPE_CHECKING:
 __all__ = ["COMMAND_TOPIC", "MAXIMUM_SPEED", "MAXIMUM_TURN_RATE", "TICK", "Pilot", "Ramp", "Wheels"]
 
 
-# The robot's wheels: velocity commands of the type that the robot hears.
-
-#: What the robot hears its velocities on.
+#: The topic of the robot's velocity commands.
 COMMAND_TOPIC = "cmd_vel"
 
 
 class Wheels:
     """Tells a robot how fast to move: as `TwistStamped` where its graph carries that, and as `Twist` elsewhere.
 
-    A TurtleBot3 hears `Twist` up to ROS 2 Humble, and `TwistStamped` by default from Jazzy on.
+    A TurtleBot3 subscribes `Twist` up to ROS 2 Humble, and `TwistStamped` by default from Jazzy on.
 
     Args:
         link: to the robot.
@@ -52,16 +50,16 @@ class Wheels:
         """Move ahead at `speed` in m/s and turn at `rate` in rad/s until the next command.
 
         Raises:
-            LinkError: the robot cannot be reached, or hears neither type.
+            LinkError: the robot cannot be reached, or subscribes neither type.
         """
-        message_type = self._type or self._heard_type()
+        message_type = self._type or self._subscribed_type()
         self._link.publish(COMMAND_TOPIC, message_type, velocity_command(message_type, speed, rate))
 
-    def _heard_type(self) -> str:
-        heard = self._link.topics().get(self._topic)
-        if heard in VELOCITY_COMMANDS:
-            self._type = heard
-        # Where it is another, or the robot is not heard of yet, the link says so, or asks again next time.
+    def _subscribed_type(self) -> str:
+        subscribed = self._link.topics().get(self._topic)
+        if subscribed in VELOCITY_COMMANDS:
+            self._type = subscribed
+        # Where it is another type, publishing says so; where there is none yet, it is asked for again next time.
         return self._type or TWIST
 
 

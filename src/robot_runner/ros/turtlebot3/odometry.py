@@ -1,4 +1,4 @@
-"""The way that the robot takes during a mission, by its odometry."""
+"""Where the robot says it is, and the way that it takes during a mission."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["Odometer", "Pose", "Trajectory", "wrapped"]
 
 
-# Where the robot says it is.
-
+#: How often the first pose is looked for, s.
 _POLL = 0.02
 #: A clock that is set, or a message that is overtaken, steps back now and then; two robots on one topic do always.
 _MOST_STEPS_BACK = 5
@@ -65,15 +64,15 @@ class Pose:
 
 
 class Odometer:
-    """Hears `nav_msgs/Odometry` and holds the robot's pose and the way it has covered.
+    """Takes `nav_msgs/Odometry` and holds the robot's pose and the way it has covered.
 
     Args:
         clock: the run's clock.
         timeout: how long, s, the odometry may be silent.
-        where: who is told in an error.
+        where: the plugin, for errors.
 
     Attributes:
-        on_pose: is told of each pose with its moment on the clock, while there is somebody to tell.
+        on_pose: called with each pose and its moment on the clock; None for no call.
     """
 
     def __init__(self, clock: Clock, *, timeout: float, where: str) -> None:
@@ -82,22 +81,22 @@ class Odometer:
         self._timeout = timeout
         self._where = where
         self._pose: Pose | None = None
-        self._heard_at = clock.now()
+        self._received_at = clock.now()
         self._travelled = 0.0
         self._stamp = (0, 0)
         self._steps_back = 0
 
-    def hear(self, message: Message) -> None:
+    def take(self, message: Message) -> None:
         """Take one message."""
         pose = _pose_in(message)
         if self._pose is not None:
             self._travelled += self._pose.distance_to(pose)
-        self._pose, self._heard_at = pose, self._clock.now()
+        self._pose, self._received_at = pose, self._clock.now()
         stamp = _stamp_in(message)
         self._steps_back += stamp < self._stamp
         self._stamp = stamp
         if self.on_pose is not None:
-            self.on_pose(self._heard_at, pose)
+            self.on_pose(self._received_at, pose)
 
     @property
     def travelled(self) -> float:
@@ -116,7 +115,7 @@ class Odometer:
                 where=self._where,
                 fix="See that one robot only publishes it: give each robot a namespace of its own.",
             )
-        silence = self._clock.now() - self._heard_at
+        silence = self._clock.now() - self._received_at
         if self._pose is None:
             fix = "Look whether the robot is on and publishes 'odom' on this graph: in this namespace and ROS domain."
             raise LinkError(f"no odometry arrived for {silence:.1f} s", where=self._where, fix=fix)

@@ -1,4 +1,4 @@
-"""The robot as the mission uses it: one that says where it is, moves, and works on tasks."""
+"""The robot as the mission uses it: odometry, wheels, tasks of its computer, and the heartbeat of its watchdog."""
 
 from __future__ import annotations
 
@@ -22,11 +22,9 @@ if TYPE_CHECKING:
 __all__ = ["Heartbeat", "Robot", "TaskServices"]
 
 
-# The sign of life that the watchdog on the robot waits for.
-
 #: The watchdog is patient for 0.4 s: three beats may be lost on the air.
 _PERIOD = 0.1
-#: How long the thread may take to end, s: publishing does not wait for anybody.
+#: How long the thread may take to end, s: publishing does not wait for subscribers.
 _PATIENCE = 2.0
 
 _logger = logging.getLogger(__name__)
@@ -87,8 +85,6 @@ class Heartbeat:
             self._is_over.wait(_PERIOD)
 
 
-# The tasks of the robot's computer, started and stopped through services.
-
 _TRIGGER = "std_srvs/Trigger"
 
 
@@ -132,8 +128,8 @@ class TaskServices:
             )
 
 
-#: How long, s, the graph may take to say that the robot hears commands, once its odometry is heard.
-_LISTENING_SECONDS = 3.0
+#: How long the graph may take to list the robot's subscription of commands, once its odometry arrives, s.
+_LISTING_SECONDS = 3.0
 _LOOK_PERIOD = 0.1
 
 
@@ -141,7 +137,7 @@ class Robot:
     """One robot that is reached: what it says and what it can be told.
 
     Attributes:
-        odometer: hears the robot's odometry until the robot is closed.
+        odometer: takes the robot's odometry until the robot is closed.
         pilot: moves it.
         tasks: starts and stops its tasks.
         is_simulated: whether it is a simulated one.
@@ -155,16 +151,16 @@ class Robot:
         self.pilot = Pilot(Wheels(link, namespace=namespace), odometer, clock)
         self.tasks = TaskServices(link)
         self.is_simulated = is_simulation(link, namespace)
-        self._subscription = link.subscribe("odom", "nav_msgs/Odometry", odometer.hear)
+        self._subscription = link.subscribe("odom", "nav_msgs/Odometry", odometer.take)
         self._heartbeat = Heartbeat(link)
 
-    def check_listens(self, *, where: str) -> None:
-        """See that somebody hears the robot's velocity commands, before a mission begins that goes nowhere.
+    def check_commands_subscribed(self, *, where: str) -> None:
+        """See that velocity commands have a subscriber, before a mission begins that goes nowhere.
 
         Raises:
-            LinkError: nobody does.
+            LinkError: they have none.
         """
-        deadline = self._clock.now() + _LISTENING_SECONDS
+        deadline = self._clock.now() + _LISTING_SECONDS
         while self._command_topic not in (topics := self._link.topics()):
             if self._clock.now() >= deadline:
                 fix = "Start the robot's bringup, or correct its namespace."
@@ -182,9 +178,9 @@ class Robot:
             closing.callback(self.pilot.stop)
 
     def close(self) -> None:
-        """Make it safe and listen to it no more; closing twice does no harm.
+        """Make it safe and end its subscription; closing twice does no harm.
 
-        A robot that could not be made safe hears no farewell, so that its watchdog stops it.
+        A robot that could not be made safe gets no farewell, so that its watchdog stops it.
 
         Raises:
             LinkError: the robot cannot be reached.

@@ -1,1 +1,0 @@
-"""ROS 2 over DDS, with no ROS installed."""

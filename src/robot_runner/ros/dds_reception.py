@@ -1,0 +1,289 @@
+"""One thread a participant that takes what its readers receive and hands it on."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+import types
+from contextlib import contextmanager
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from cyclonedds.core import DDSException, GuardCondition, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl import types as idl
+
+from robot_runner.ros.dds_graph import wire_type_name
+from robot_runner.ros.message_codec import FILLER
+from robot_runner.ros.shapes import Shape
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from cyclonedds.domain import DomainParticipant
+
+    from robot_runner.ros.shapes import Field
+
+__all__ = [
+    "HEADER_BYTES",
+    "RawSample",
+    "Reception",
+    "Source",
+    "WireType",
+    "delete",
+    "service_wire_type",
+    "topic_wire_type",
+]
+
+_logger = logging.getLogger(__name__)
+
+# The DDS types of messages are made at run time; their samples go through as the bytes that they are on the wire.
+
+WireType = type[Any]
+
+#: CDR begins with two bytes for the encoding and two for options.
+HEADER_BYTES = 4
+
+_PRIMITIVES: dict[str, Any] = {
+    "bool": bool,
+    "byte": idl.byte,
+    "char": idl.uint8,  # ROS 2 means an unsigned octet by it
+    "string": str,
+    "wstring": str,
+    "float32": idl.float32,
+    "float64": idl.float64,
+    **{f"{sign}int{bits}": getattr(idl, f"{sign}int{bits}") for sign in ("", "u") for bits in (8, 16, 32, 64)},
+}
+
+# They are indexed like generic types, but are not typed as such.
+_ARRAY: Any = idl.array
+_SEQUENCE: Any = idl.sequence
+_BOUNDED_STRING: Any = idl.bounded_str
+
+#: How rmw_cyclonedds leads requests and replies in: the client's GUID, and the number of its request.
+_SERVICE_HEADER = {"guid": idl.uint64, "seq": idl.int64}
+
+
+class RawSample:
+    """A sample as its bytes, with the information that comes with it.
+
+    Attributes:
+        data: CDR, with its header of four bytes.
+        sample_info: set by the reader.
+    """
+
+    __slots__ = ("data", "sample_info")
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+        self.sample_info: Any = None
+
+
+@lru_cache(maxsize=512)
+def topic_wire_type(shape: Shape) -> WireType:
+    """Return the DDS type of a message type; its instances are made of a sample's bytes."""
+    return _structure(shape, wire_type_name(shape.type_name), {})
+
+
+@lru_cache(maxsize=128)
+def service_wire_type(shape: Shape) -> WireType:
+    """Return the DDS type of a request or response, whose bytes begin with the header of services."""
+    return _structure(shape, wire_type_name(shape.type_name, "srv"), _SERVICE_HEADER)
+
+
+def _structure(shape: Shape, type_name: str, leading: dict[str, Any]) -> WireType:
+    members = leading | {field.name: _member(field) for field in shape.fields}
+    if not shape.fields:
+        members[FILLER] = idl.uint8
+
+    def body(namespace: dict[str, Any]) -> None:
+        namespace["__annotations__"].update(members)
+        # The bytes come from a compiled serialiser of the type catalogue: that of cyclonedds walks the type for each
+        # sample, several times slower, and would decode what is to be recorded as it is.
+        namespace["__init__"] = _keep
+        namespace["serialize"] = _bytes_of
+        namespace["deserialize"] = staticmethod(RawSample)
+        namespace["deserialize_key"] = staticmethod(RawSample)
+
+    name = type_name.rpartition("::")[2]
+    return types.new_class(name, (IdlStruct,), {"typename": type_name.replace("::", ".")}, body)
+
+
+def _keep(self: Any, data: bytes) -> None:
+    self.data = data
+
+
+def _bytes_of(self: Any, **_: Any) -> bytes:
+    data: bytes = self.data
+    return data
+
+
+def _member(field: Field) -> Any:
+    one: Any = _one(field)
+    if field.count is None:
+        return one
+    if isinstance(field.count, int):
+        return _ARRAY[one, field.count]
+    return _SEQUENCE[one] if field.count.limit is None else _SEQUENCE[one, field.count.limit]
+
+
+def _one(field: Field) -> Any:
+    if isinstance(field.kind, Shape):
+        return topic_wire_type(field.kind)
+    if field.limit is not None:
+        return _BOUNDED_STRING[field.limit]
+    return _PRIMITIVES[field.kind]
+
+
+_ANY = ViewState.Any | InstanceState.Any | SampleState.Any
+
+#: As many samples are taken at once; the rest come in the next turn.
+_BATCH = 256
+
+#: The thread looks whether it is to end at least this often, in ns.
+_TURN_NS = 1_000_000_000
+
+_END_SECONDS = 5.0
+
+
+def delete(entity: Any) -> None:
+    """Delete a DDS entity now, and not when the last name of it goes."""
+    entity.__del__()  # what cyclonedds offers to that end; once more later it does nothing
+
+
+class Source:
+    """A reader whose samples are handed to `handler`, one by one."""
+
+    def __init__(self, reader: Any, handler: Callable[[Any], None], where: str) -> None:
+        self.reader = reader
+        self.handler = handler
+        self.where = where
+        self.condition = ReadCondition(reader, _ANY)
+        self.is_open = True
+        self.is_busy = False
+
+
+class Reception:
+    """The readers of a participant, served by one thread of its own.
+
+    A wait set rather than listeners: those are called from the threads that receive, where a callback that takes its
+    time would hold up everything that comes in.
+    """
+
+    def __init__(self, participant: DomainParticipant) -> None:
+        self._waitset = WaitSet(participant)
+        self._guard = GuardCondition(participant)
+        self._waitset.attach(self._guard)
+        self._sources: tuple[Source, ...] = ()
+        self._lock = threading.Lock()
+        self._turned = threading.Condition()
+        self._is_closed = False
+        self._thread = threading.Thread(target=self._serve, name="dds reception", daemon=True)
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+
+    def add(self, reader: Any, handler: Callable[[Any], None], where: str) -> Source:
+        """Have each sample of the reader handed to `handler`, in this thread of its own; `where` is for the log."""
+        source = Source(reader, handler, where)
+        with self._lock:
+            # The latest first: those of the graph, which are there before all others, have time.
+            self._sources = (source, *self._sources)
+            self._waitset.attach(source.condition)
+        return source
+
+    def remove(self, source: Source) -> None:
+        """Serve a reader no more, and delete it."""
+        with self._lock:
+            if not source.is_open:
+                return
+            source.is_open = False
+            self._sources = tuple(each for each in self._sources if each is not source)
+            self._waitset.detach(source.condition)
+            delete(source.condition)
+            delete(source.reader)
+
+    def drain(self, source: Source) -> None:
+        """Hand on what a reader has received by now; to be called in the thread that serves, before it is removed."""
+        if not source.is_busy:
+            self._take(source)
+
+    def wait_for(self, is_so: Callable[[], bool], timeout: float) -> bool:
+        """Wait until `is_so` holds after something was received; `timeout` is in seconds.
+
+        A callback may wait too: samples are then served meanwhile, within it.
+        """
+        if threading.current_thread() is self._thread:
+            return self._turn_until(is_so, timeout)
+        with self._turned:
+            return self._turned.wait_for(lambda: is_so() or self._is_closed, timeout) and is_so()
+
+    def close(self) -> None:
+        """End the thread; closing twice does nothing."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        self._guard.set(True)
+        with self._turned:
+            self._turned.notify_all()
+        if self._thread.is_alive() and threading.current_thread() is not self._thread:
+            self._thread.join(_END_SECONDS)
+
+    def _serve(self) -> None:
+        while not self._is_closed:
+            self._turn(_TURN_NS)
+
+    def _turn_until(self, is_so: Callable[[], bool], timeout: float) -> bool:
+        deadline = time.monotonic() + timeout
+        with self._without_busy():
+            while not is_so() and not self._is_closed:
+                left = deadline - time.monotonic()
+                if left <= 0:
+                    return False
+                self._turn(int(left * 1e9))
+        return is_so()
+
+    @contextmanager
+    def _without_busy(self) -> Iterator[None]:
+        """Leave out the sources whose callbacks are at work: they are not called again before they are done."""
+        busy = [source for source in self._sources if source.is_busy]
+        with self._lock:
+            for source in busy:
+                self._waitset.detach(source.condition)
+        try:
+            yield
+        finally:
+            with self._lock:
+                for source in busy:
+                    if source.is_open:
+                        self._waitset.attach(source.condition)
+
+    def _turn(self, timeout_ns: int) -> None:
+        if not self._waitset.wait(timeout_ns):
+            return
+        for source in self._sources:
+            if not source.is_busy:
+                self._take(source)
+        with self._turned:
+            self._turned.notify_all()
+
+    def _take(self, source: Source) -> None:
+        try:
+            samples = source.reader.take(_BATCH)
+        except DDSException:
+            if source.is_open:
+                raise
+            return
+        source.is_busy = True
+        for sample in samples:
+            if source.is_open:
+                self._hand_on(source, sample)
+        source.is_busy = False
+
+    def _hand_on(self, source: Source, sample: Any) -> None:
+        try:
+            source.handler(sample)
+        except Exception:  # one bad sample, such as of another version of a type, must not end the thread of them all
+            _logger.exception("a sample of %s could not be used", source.where)

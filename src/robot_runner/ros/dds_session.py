@@ -1,0 +1,231 @@
+"""A participant of a DDS domain that looks like a node of ROS 2, and what it is made of."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import threading
+import time
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
+from cyclonedds.core import DDSException
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.pub import DataWriter
+from cyclonedds.qos import Policy
+from cyclonedds.qos import Qos as DdsQos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.robot import Encoding, Qos
+from robot_runner.ros.dds_graph import Graph, ros_type
+from robot_runner.ros.dds_qos import reader_profile, writer_profile
+from robot_runner.ros.dds_reception import Reception, delete, topic_wire_type
+from robot_runner.ros.type_catalogue import TypeCatalogue
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from uuid import UUID
+
+    from robot_runner.ros.dds_link import DdsSettings
+    from robot_runner.ros.dds_reception import RawSample, WireType
+
+__all__ = ["DISCOVERY_TOPIC", "SETTLING", "Nodes", "Session"]
+
+#: rmw_dds_common: each participant says here which nodes it has, and which readers and writers are whose.
+DISCOVERY_TOPIC = "ros_discovery_info"
+_TYPE = "rmw_dds_common/ParticipantEntitiesInfo"
+
+_GUID_BYTES = 16
+
+
+class Nodes:
+    """The nodes of a graph, this link's own among them: ROS 2 tells them on a topic of its own."""
+
+    def __init__(self, session: Session, name: str) -> None:
+        self._session = session
+        self._name = name
+        self._lock = threading.Lock()
+        self._told: dict[bytes, list[str]] = {}
+        self._readers: list[Any] = []
+        self._writers: list[Any] = []
+        shape = session.types.shape(_TYPE)
+        self._gid_bytes = session.types.shape("rmw_dds_common/Gid").fields[0].count
+        self._wire_type = topic_wire_type(shape)
+        user_data = session.type_hash(_TYPE)
+        reader = session.reader(DISCOVERY_TOPIC, self._wire_type, reader_profile(Qos.TRANSIENT_LOCAL, user_data))
+        session.reception.add(reader, self._take, DISCOVERY_TOPIC)
+        self._writer = session.writer(DISCOVERY_TOPIC, self._wire_type, writer_profile(Qos.TRANSIENT_LOCAL, user_data))
+        self._tell()
+
+    def names(self) -> list[str]:
+        """Return the full names of the nodes whose participants are there, sorted."""
+        present = {participant.bytes for participant in self._session.graph.participants}
+        with self._lock:
+            return sorted({name for owner, names in self._told.items() if owner in present for name in names})
+
+    def add_reader(self, reader: Any) -> None:
+        """Tell the graph of a reader."""
+        with self._lock:
+            self._readers.append(reader.guid)
+        self._tell()
+
+    def add_writer(self, writer: Any) -> None:
+        """Tell the graph of a writer."""
+        with self._lock:
+            self._writers.append(writer.guid)
+        self._tell()
+
+    def remove(self, guid: UUID) -> None:
+        """Tell the graph that a reader or writer is no more."""
+        with self._lock:
+            self._readers = [each for each in self._readers if each != guid]
+            self._writers = [each for each in self._writers if each != guid]
+        self._tell()
+
+    def _tell(self) -> None:
+        with self._lock:
+            node = {
+                "node_namespace": "/",
+                "node_name": self._name,
+                "reader_gid_seq": [self._gid(guid) for guid in self._readers],
+                "writer_gid_seq": [self._gid(guid) for guid in self._writers],
+            }
+            message = {"gid": self._gid(self._session.guid), "node_entities_info_seq": [node]}
+            self._writer.write(self._wire_type(self._session.types.serialise(_TYPE, message, Encoding.CDR)))
+
+    def _gid(self, guid: UUID) -> dict[str, bytes]:
+        return {"data": guid.bytes.ljust(int(self._gid_bytes), b"\0")}  # type: ignore[arg-type]  # an array has a length
+
+    def _take(self, sample: RawSample) -> None:
+        if not sample.sample_info.valid_data:
+            return
+        try:
+            told = self._session.types.deserialise(_TYPE, sample.data, Encoding.CDR)
+        except LinkError:  # of a distribution with another message: its topics are seen nevertheless
+            return
+        names = [f"{node['node_namespace'].rstrip('/')}/{node['node_name']}" for node in told["node_entities_info_seq"]]
+        with self._lock:
+            self._told[told["gid"]["data"][:_GUID_BYTES]] = names
+
+
+#: Within so many seconds of joining, all endpoints on the graph have been discovered: DDS announces at once.
+SETTLING = 1.0
+
+#: The distribution of a graph without type hashes, which came with Iron, and that of an empty graph.
+_BEFORE_TYPE_HASHES, _LATEST = "humble", "jazzy"
+_WITHOUT_TYPE_HASHES = frozenset({"foxy", "galactic", "humble"})
+
+#: The participants of this process, past ones among them: what they tell of a graph is what this process believed.
+_ours: set[UUID] = set()
+
+
+class Session:
+    """The participant with its reception, its graph and the types of its distribution.
+
+    It is opened in the process that uses it: threads of DDS do not survive a fork.
+    """
+
+    def __init__(self, settings: DdsSettings) -> None:
+        self.domain = settings.domain
+        self._lock = threading.Lock()
+        self._topics: dict[tuple[str, str], Topic[Any]] = {}
+        self._is_closed = False
+        self._joined = time.monotonic()
+        self._participant = _joined(settings.domain)
+        _ours.add(self._participant.guid)
+        self.reception = Reception(self._participant)
+        self.graph = Graph(self._participant, self.reception)
+        with ExitStack() as undoing:
+            undoing.callback(self.close)
+            self.reception.start()
+            self.distro = settings.distro or self._told_distro()
+            self.types = TypeCatalogue.of(2, self.distro, settings.types)
+            self.nodes = Nodes(self, f"robot_runner_{os.getpid()}_{secrets.token_hex(2)}")
+            undoing.pop_all()
+
+    @property
+    def guid(self) -> Any:
+        """The participant's own GUID."""
+        return self._participant.guid
+
+    def type_hash(self, name: str) -> str:
+        """Return the user data that tells a type's hash; empty for distributions that know none."""
+        return "" if self.distro in _WITHOUT_TYPE_HASHES else f"typehash={self.types.digest(name)};"
+
+    def writer(self, topic: str, wire_type: WireType, qos: DdsQos) -> DataWriter[Any]:
+        """Return a new writer of a topic, and tell the graph of it."""
+        writer: DataWriter[Any] = DataWriter(self._participant, self._topic(topic, wire_type), qos)
+        if topic != DISCOVERY_TOPIC:
+            self.nodes.add_writer(writer)
+        return writer
+
+    def reader(self, topic: str, wire_type: WireType, qos: DdsQos) -> DataReader[Any]:
+        """Return a new reader of a topic, and tell the graph of it."""
+        reader: DataReader[Any] = DataReader(self._participant, self._topic(topic, wire_type), qos)
+        if topic != DISCOVERY_TOPIC:
+            self.nodes.add_reader(reader)
+        return reader
+
+    def settle(self, is_so: Callable[[], bool]) -> bool:
+        """Wait until `is_so` holds, but no longer than it takes to discover what is on the graph."""
+        return self.graph.wait_for(is_so, max(0.0, self._joined + SETTLING - time.monotonic()))
+
+    def is_alone(self) -> bool:
+        """Whether this is the only participant of its domain."""
+        return not self.graph.participants - {self.guid}
+
+    def loneliness(self) -> str:
+        """Say what to do where nobody else is on the graph."""
+        return (
+            f"Nobody else is on domain {self.domain}: give the ROS_DOMAIN_ID of the robot (robot = 'dds:domain=…'),"
+            " and see that multicast reaches it."
+        )
+
+    def close(self) -> None:
+        """Leave the graph; closing twice does nothing."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        self.reception.close()
+        delete(self._participant)
+
+    def _topic(self, name: str, wire_type: WireType) -> Topic[Any]:
+        key = (name, wire_type.__idl_typename__)
+        with self._lock:
+            if key not in self._topics:
+                self._topics[key] = self._new_topic(name, wire_type)
+            return self._topics[key]
+
+    def _new_topic(self, name: str, wire_type: WireType) -> Topic[Any]:
+        try:
+            return Topic(self._participant, name, wire_type)
+        except DDSException as error:
+            raise LinkError(
+                f"the topic cannot carry {ros_type(wire_type.__idl__.idl_transformed_typename)}: {error}",
+                where=name,
+                fix="Use one type for one topic or service.",
+            ) from error
+
+    def _told_distro(self) -> str:
+        """Tell from the endpoints of others whether there are type hashes on this graph, as there are since Iron."""
+
+        def others() -> list[str]:
+            writers = self.graph.writers(DISCOVERY_TOPIC)
+            return [writer.user_data for writer in writers if writer.participant not in _ours]
+
+        self.settle(lambda: bool(others()))
+        told = others()
+        return _BEFORE_TYPE_HASHES if told and not any("typehash=" in data for data in told) else _LATEST
+
+
+def _joined(domain: int) -> DomainParticipant:
+    try:
+        return DomainParticipant(domain, qos=DdsQos(Policy.Userdata(b"enclave=/;")))
+    except DDSException as error:
+        raise LinkError(
+            f"DDS domain {domain} cannot be joined: {error}",
+            where="robot",
+            fix="Bring up a network interface, and see that CYCLONEDDS_URI, where it is set, names one that is there.",
+        ) from error

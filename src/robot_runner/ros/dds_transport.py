@@ -1,0 +1,278 @@
+"""Topics over DDS as a participant that looks like a node of ROS 2; services are in `dds_services`."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import suppress
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from cyclonedds.core import DDSException
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.robot import Encoding, Qos
+from robot_runner.ros.dds_graph import matched_subscriptions, ros_type, wire_topic
+from robot_runner.ros.dds_qos import adapted, incompatibility, reader_profile, writer_profile
+from robot_runner.ros.dds_reception import delete, topic_wire_type
+from robot_runner.ros.dds_services import OfferedService, ServiceClient
+from robot_runner.ros.dds_session import Session
+from robot_runner.ros.graph_transport import ReceivedBytes, check_type
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from cyclonedds.qos import Qos as DdsQos
+
+    from robot_runner.core.links.robot import Message
+    from robot_runner.ros.dds_graph import Endpoint
+    from robot_runner.ros.dds_link import DdsSettings
+    from robot_runner.ros.dds_reception import RawSample, WireType
+    from robot_runner.ros.graph_transport import Reception
+
+__all__ = ["DdsTransport"]
+
+#: How long a publisher that leaves waits until its readers have what it published, s.
+_CLOSING_SECONDS = 0.5
+#: Before the source timestamp of any sample, in ns.
+_NEVER = -(2**63)
+
+
+class DdsTransport:
+    """The primitives of a graph link over DDS, from a machine without ROS.
+
+    Args:
+        settings: how the graph is reached.
+        now_ns: the time that raw messages are stamped with.
+
+    Raises:
+        LinkError: the domain cannot be joined, or a type definition cannot be used.
+    """
+
+    has_threads = True
+    encoding = Encoding.CDR
+
+    def __init__(self, settings: DdsSettings, now_ns: Callable[[], int]) -> None:
+        self._now_ns = now_ns
+        self._lock = threading.Lock()
+        self._clients: dict[tuple[str, str], ServiceClient] = {}
+        self._subscriptions: list[_Subscription] = []
+        self._session = Session(settings)
+        self._session.graph.on_writer = self._adapt
+        self.types = self._session.types
+
+    def advertise(self, topic: str, message_type: str, qos: Qos) -> _Publisher:
+        """Return a publisher, once the readers that are there already are matched."""
+        return _Publisher(self._session, topic, message_type, qos)
+
+    def subscribe(
+        self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
+    ) -> _Subscription:
+        """Have `receive` called with each message, in the session's thread."""
+        del is_raw
+        decode = partial(_decoded, self._session, message_type)
+
+        def take(data: bytes) -> None:
+            receive(ReceivedBytes(data, self._now_ns(), decode))
+
+        subscription = _Subscription(self._session, topic, message_type, take, qos)
+        with self._lock:
+            self._subscriptions = [each for each in self._subscriptions if each.is_open]
+            self._subscriptions.append(subscription)
+        return subscription
+
+    def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
+        """Call a service and return its response; a client is kept, because it takes time to be discovered."""
+        with self._lock:
+            key = service, service_type
+            if key not in self._clients:
+                self._clients[key] = ServiceClient(self._session, service, service_type)
+            client = self._clients[key]
+        return client.call(request, timeout)
+
+    def serve(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> OfferedService:
+        """Offer a service; requests are answered in threads of their own."""
+        return OfferedService(self._session, service, service_type, answer)
+
+    def topics(self) -> Mapping[str, str]:
+        """Return the type of each ROS topic that has a publisher or a subscriber."""
+        self._session.settle(lambda: False)
+        return self._session.graph.topics()
+
+    def services(self) -> Mapping[str, str]:
+        """Return the type of each service that is answered."""
+        self._session.settle(lambda: False)
+        return self._session.graph.services()
+
+    def nodes(self) -> Iterable[str]:
+        """Return the full names of the nodes that the participants tell of."""
+        self._session.settle(lambda: False)
+        return self._session.nodes.names()
+
+    def wait(self, event: threading.Event, seconds: float) -> None:
+        """Wait for an event; in a callback, what arrives meanwhile is received within it."""
+        self._session.reception.wait_for(event.is_set, seconds)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._session.close()
+
+    def _adapt(self, writer: Endpoint) -> None:
+        for subscription in self._subscriptions:
+            subscription.adapt(writer)
+
+
+class _Publisher:
+    """Publishes one topic.
+
+    Raises:
+        LinkError: the topic carries another type, or all of its subscribers ask for more than `qos`.
+    """
+
+    def __init__(self, session: Session, topic: str, message_type: str, qos: Qos) -> None:
+        self._session = session
+        self._topic = topic
+        self._message_type = message_type
+        self._wire_type = topic_wire_type(session.types.shape(message_type))
+        wire = wire_topic(topic)
+        _check_types(session, topic, self._wire_type)
+        offered = writer_profile(qos, session.type_hash(message_type))
+        self._writer = session.writer(wire, self._wire_type, offered)
+        # A message that is published before its readers are discovered is lost to them.
+        session.settle(lambda: bool(matched_subscriptions(self._writer)))
+        try:
+            _check_types(session, topic, self._wire_type)
+            self._check_demands(wire, offered, qos)
+        except LinkError:
+            self.close()
+            raise
+
+    def publish(self, message: Message) -> None:
+        data = self._session.types.serialise(self._message_type, message, Encoding.CDR)
+        try:
+            self._writer.write(self._wire_type(data))
+        except DDSException as error:
+            raise LinkError(
+                f"the message cannot be published: {error}",
+                where=self._topic,
+                fix="Publish more slowly, or with a QoS that may drop messages: a subscriber does not keep up.",
+            ) from error
+
+    def flush(self, seconds: float) -> None:
+        # Where time runs out, cyclonedds 11.0 raises AttributeError: it looks for the code of that on a wrong class.
+        with suppress(AttributeError, DDSException):
+            self._writer.wait_for_acks(int(seconds * 1e9))
+
+    def close(self) -> None:
+        self.flush(_CLOSING_SECONDS)
+        self._session.nodes.remove(self._writer.guid)
+        delete(self._writer)
+
+    def _check_demands(self, wire: str, offered: DdsQos, qos: Qos) -> None:
+        """Refuse what none of the subscribers takes, because all ask for more."""
+        if matched_subscriptions(self._writer):
+            return
+        for reader in self._session.graph.readers(wire):
+            less = incompatibility(reader.qos, offered)
+            if less is not None:
+                raise LinkError(
+                    f"its subscriber asks for more than the QoS {str(qos)!r} offers: {less}",
+                    where=self._topic,
+                    fix="Publish with the QoS 'reliable' or 'transient_local'.",
+                )
+
+
+class _Subscription:
+    """Receives one topic as bytes; adapts to the topic's publishers where no profile is asked for."""
+
+    def __init__(
+        self, session: Session, topic: str, message_type: str, take: Callable[[bytes], None], qos: Qos | None
+    ) -> None:
+        self._session = session
+        self._topic = topic
+        self._wire_topic = wire_topic(topic)
+        self._take = take
+        self._qos = qos
+        # The stamp of the last sample of each publisher, and that after which a reader that took over has to begin.
+        self._last: dict[int, int] = {}
+        self._before: dict[int, int] = {}
+        self._user_data = session.type_hash(message_type)
+        self._wire_type = topic_wire_type(session.types.shape(message_type))
+        session.settle(lambda: bool(session.graph.writers(self._wire_topic)))
+        _check_types(session, topic, self._wire_type)
+        self._asked = self._policies()
+        self._check_offers()
+        self._source = self._open()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether messages are received."""
+        return bool(self._source.is_open)
+
+    def explain(self) -> str:
+        """Say what to do where nothing came; raise a `LinkError` where a publisher that came later does not fit."""
+        _check_types(self._session, self._topic, self._wire_type)
+        self._check_offers()
+        if self._session.is_alone():
+            return self._session.loneliness()
+        if not self._session.graph.writers(self._wire_topic):
+            return "Nobody publishes it: start the node that does."
+        return ""
+
+    def adapt(self, writer: Endpoint) -> None:
+        """Ask for what the topic's publishers offer, now that there is another."""
+        if self._qos is not None or writer.topic != self._wire_topic or not self._source.is_open:
+            return
+        asked = self._policies()
+        if asked != self._asked:
+            self._asked = asked
+            fresh = self._open()
+            self._session.reception.drain(self._source)
+            self._before = dict(self._last)
+            stale, self._source = self._source, fresh
+            self._end(stale)
+
+    def close(self) -> None:
+        self._end(self._source)
+
+    def _policies(self) -> DdsQos:
+        if self._qos is not None:
+            return reader_profile(self._qos, self._user_data)
+        return adapted([writer.qos for writer in self._session.graph.writers(self._wire_topic)], self._user_data)
+
+    def _check_offers(self) -> None:
+        for writer in self._session.graph.writers(self._wire_topic):
+            less = incompatibility(self._asked, writer.qos)
+            if less is not None:
+                raise LinkError(
+                    f"its publisher offers less than the QoS {str(self._qos)!r} asks for: {less}",
+                    where=self._topic,
+                    fix="Leave the QoS out, so that it fits the publishers.",
+                )
+
+    def _open(self) -> Any:
+        reader = self._session.reader(self._wire_topic, self._wire_type, self._asked)
+        return self._session.reception.add(reader, self._receive, self._topic)
+
+    def _end(self, source: Any) -> None:
+        self._session.nodes.remove(source.reader.guid)
+        self._session.reception.remove(source)
+
+    def _receive(self, sample: RawSample) -> None:
+        info = sample.sample_info
+        if not info.valid_data or info.source_timestamp <= self._before.get(info.publication_handle, _NEVER):
+            return
+        self._last[info.publication_handle] = info.source_timestamp
+        self._take(sample.data)
+
+
+def _decoded(session: Session, message_type: str, data: bytes) -> Message:
+    return session.types.deserialise(message_type, data, Encoding.CDR)
+
+
+def _check_types(session: Session, topic: str, wire_type: WireType) -> None:
+    """Refuse a topic that others publish or subscribe with another type, which DDS keeps apart in silence."""
+    wire = wire_topic(topic)
+    endpoints = (*session.graph.writers(wire), *session.graph.readers(wire))
+    check_type(
+        topic, ros_type(wire_type.__idl_typename__.replace(".", "::")), [ros_type(each.type_name) for each in endpoints]
+    )

@@ -1,0 +1,280 @@
+"""What a graph link asks of the client library below it, and the errors that all transports raise alike."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from robot_runner.core.errors import LinkError, nearest
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.robot import RawMessage
+from robot_runner.ros.shapes import plain_type
+
+if TYPE_CHECKING:
+    import threading
+    from collections.abc import Callable, Iterable, Mapping
+
+    from robot_runner.core.events.context import Clock
+    from robot_runner.core.links.robot import Encoding, Message, Qos, Subscription
+    from robot_runner.ros.shapes import Shape
+
+__all__ = [
+    "GraphTypes",
+    "ReceivedBytes",
+    "Reception",
+    "TopicPublisher",
+    "TopicSubscription",
+    "Transport",
+    "already_offered",
+    "check_type",
+    "domain_id",
+    "nobody_publishes",
+    "receive_clock",
+    "service_timeout",
+    "shortfall",
+    "silent_publishers",
+    "wrong_service_type",
+]
+
+
+#: Domains above this have UDP ports past 65535 (RTPS 2.2, 9.6.1.1: 7400 + 250 · domain + …).
+_MAX_DOMAIN = 232
+
+
+class GraphTypes(Protocol):
+    """The message and service types that a transport knows; each method raises a `LinkError` for an unknown type."""
+
+    def shape(self, message_type: str) -> Shape:
+        """Return what a message type is made of."""
+        ...
+
+    def request(self, service_type: str) -> Shape:
+        """Return what the request of a service type is made of."""
+        ...
+
+    def response(self, service_type: str) -> Shape:
+        """Return what the response of a service type is made of."""
+        ...
+
+    def definition(self, message_type: str) -> str:
+        """Return the text of a type's definition, followed by the types that it is made of."""
+        ...
+
+
+class Reception(Protocol):
+    """One message as it arrived; it is decoded or encoded only where a subscriber asks for that form."""
+
+    def message(self) -> Message:
+        """Return the message as a mapping."""
+        ...
+
+    def raw(self) -> RawMessage:
+        """Return the bytes of the message."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class ReceivedBytes:
+    """A message that arrived as bytes.
+
+    Attributes:
+        data: the message's bytes.
+        received_ns: when it arrived, ns since the epoch.
+        decode: turns the bytes into a mapping.
+    """
+
+    data: bytes
+    received_ns: int
+    decode: Callable[[bytes], Message]
+
+    def message(self) -> Message:
+        """Return the message as a mapping."""
+        return self.decode(self.data)
+
+    def raw(self) -> RawMessage:
+        """Return the bytes as they arrived."""
+        return RawMessage(self.data, self.received_ns)
+
+
+class TopicPublisher(Protocol):
+    """A publisher of one topic."""
+
+    def publish(self, message: Message) -> None:
+        """Publish a message that has every field of its type."""
+        ...
+
+    def flush(self, seconds: float) -> None:
+        """Return once the reachable subscribers have what was published; raise a `LinkError` where one refuses it."""
+        ...
+
+    def close(self) -> None:
+        """Leave the topic."""
+        ...
+
+
+class TopicSubscription(Protocol):
+    """A subscription of one topic."""
+
+    def explain(self) -> str:
+        """Say what to do where no message came: one imperative, or nothing; raise a `LinkError` for a known cause."""
+        ...
+
+    def close(self) -> None:
+        """Leave the topic."""
+        ...
+
+
+class Transport(Protocol):
+    """The primitives that a client library gives to a `GraphLink`, which owns all else.
+
+    Names are full, types are spelt without a generation, messages to be sent have every field of their type. Each
+    method raises a `LinkError` where the graph does not allow it.
+
+    Attributes:
+        types: the types that can be sent and received.
+        encoding: how the bytes of raw messages are laid out.
+        has_threads: whether callbacks are called from a thread of the transport, where nobody sees what they raise.
+    """
+
+    @property
+    def types(self) -> GraphTypes: ...  # noqa: D102 - see above
+
+    @property
+    def encoding(self) -> Encoding: ...  # noqa: D102 - see above
+
+    @property
+    def has_threads(self) -> bool: ...  # noqa: D102 - see above
+
+    def advertise(self, topic: str, message_type: str, qos: Qos) -> TopicPublisher:
+        """Return a publisher, once the subscribers that are there already are reached."""
+        ...
+
+    def subscribe(
+        self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
+    ) -> TopicSubscription:
+        """Have `receive` called with each message; `is_raw` says which form of it will be asked for."""
+        ...
+
+    def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
+        """Call a service and return its response; `timeout` is in seconds."""
+        ...
+
+    def serve(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> Subscription:
+        """Offer a service; a request at which `answer` raises is refused where the graph has a way to say so."""
+        ...
+
+    def topics(self) -> Mapping[str, str]:
+        """Return the type of each topic by full name; an empty text where the graph does not tell."""
+        ...
+
+    def services(self) -> Mapping[str, str]:
+        """Return the type of each service by full name."""
+        ...
+
+    def nodes(self) -> Iterable[str]:
+        """Return the full names of the nodes."""
+        ...
+
+    def wait(self, event: threading.Event, seconds: float) -> None:
+        """Wait for an event that a callback sets, for so long at most; raise a `LinkError` if the graph is lost."""
+        ...
+
+    def close(self) -> None:
+        """Leave the graph."""
+        ...
+
+
+def receive_clock(clock: Clock) -> Callable[[], int]:
+    """Return what stamps raw messages, in ns: this machine's time, or a simulation's where the run has one."""
+    return time.time_ns if isinstance(clock, SystemClock) else lambda: int(clock.now() * 1e9)
+
+
+def domain_id(options: Mapping[str, str], environment: Mapping[str, str]) -> int:
+    """Return the DDS domain that the option `domain` names, or else the environment.
+
+    Raises:
+        LinkError: it is no domain.
+
+    Example:
+        >>> domain_id({"domain": "7"}, {}), domain_id({}, {"ROS_DOMAIN_ID": "3"}), domain_id({}, {})
+        (7, 3, 0)
+    """
+    named = "domain" in options
+    text = options["domain"] if named else environment.get("ROS_DOMAIN_ID") or "0"
+    if text.isascii() and text.isdigit() and int(text) <= _MAX_DOMAIN:
+        return int(text)
+    raise LinkError(
+        f"the domain id is {text!r}",
+        where="robot" if named else "ROS_DOMAIN_ID",
+        fix=f"Give a whole number from 0 to {_MAX_DOMAIN}, the ROS_DOMAIN_ID of the robot.",
+    )
+
+
+def check_type(topic: str, wanted: str, found: Iterable[str], *, owner: str = "") -> None:
+    """Refuse a topic that already carries another type.
+
+    Args:
+        topic: its full name.
+        wanted: the type that the user names.
+        found: the types that the graph tells for this topic.
+        owner: the node that publishes or subscribes them, where that is known.
+
+    Raises:
+        LinkError: one of them is another.
+    """
+    for true in found:
+        if plain_type(true) != plain_type(wanted):
+            fix = f"Name the type {plain_type(true)!r}, or another topic."
+            known = f"{plain_type(true)} (of {owner})" if owner else plain_type(true)
+            problem = f"the topic carries {known}, not {plain_type(wanted)}"
+            raise LinkError(problem, where=topic, fix=fix)
+
+
+def shortfall(*, asked: tuple[bool, bool], offered: tuple[bool, bool]) -> str | None:
+    """Say which policy of an offer is less than what is asked for, or return None if none is.
+
+    The rules are those of DDS 1.4, 2.2.3, for the policies that the profiles of ROS set.
+
+    Args:
+        asked: whether a subscription asks for reliable delivery, and for kept messages.
+        offered: whether the publisher offers them.
+
+    Example:
+        >>> shortfall(asked=(True, False), offered=(False, False))
+        'reliability: it is published best effort, and subscribed reliable'
+    """
+    if asked[0] and not offered[0]:
+        return "reliability: it is published best effort, and subscribed reliable"
+    if asked[1] and not offered[1]:
+        return "durability: it is published volatile, and subscribed transient local"
+    return None
+
+
+def silent_publishers(names: Iterable[str]) -> str:
+    """Say what to do where these nodes publish a topic and nothing came."""
+    return f"Look whether {', '.join(sorted(set(names)))}, which publishes it, is alive and reachable from here."
+
+
+def nobody_publishes(topic: str, known: Iterable[str]) -> str:
+    """Say what to do where nobody publishes a topic; `known` are the topics that are published."""
+    near = nearest(topic, [name for name in known if name != topic])
+    return f"Nobody publishes {topic!r}: " + (f"did you mean {near!r}?" if near else "start the node that does.")
+
+
+def wrong_service_type(service: str, true: str, wanted: str) -> LinkError:
+    """Return the error that a service is of another type."""
+    problem = f"the service is of the type {true}, not {wanted}"
+    return LinkError(problem, where=service, fix=f"Name the type {true!r}.")
+
+
+def already_offered(service: str, owner: str = "another node") -> LinkError:
+    """Return the error that a service of this name is there already."""
+    fix = "End the other node, or give the robots namespaces of their own."
+    return LinkError(f"{owner} offers the service {service!r} already", where=service, fix=fix)
+
+
+def service_timeout(service: str, timeout: float, fix: str = "") -> LinkError:
+    """Return the error that a service did not answer in time; `fix` where the transport knows more."""
+    fix = fix or "Look whether its node is alive and did not fail, or give a longer timeout."
+    return LinkError(f"the service does not answer within {timeout:g} s", where=service, fix=fix)

@@ -1,1 +1,0 @@
-"""ROS 1 through its own client library, rospy."""

@@ -1,0 +1,74 @@
+"""Opens a link over ROS 1, and says what stands in its way; nothing of ROS is loaded before."""
+
+from __future__ import annotations
+
+import importlib.util
+from functools import partial
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import Finding, LinkError, did_you_mean
+from robot_runner.core.events.context import SystemClock
+from robot_runner.ros.graph_link import GraphLink
+from robot_runner.ros.graph_transport import receive_clock
+from robot_runner.ros.ros1_master import Master
+from robot_runner.ros.ros1_node import rospy_missing
+from robot_runner.ros.ros1_transport import Ros1Transport
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from robot_runner.core.events.context import Clock
+    from robot_runner.core.links.robot import RobotLink, RobotName
+
+__all__ = ["findings", "follows_graph_clock", "master_of", "open_ros1_link"]
+
+_OPTIONS = ("master",)
+#: How long a check waits for the master, s.
+_CHECKING_SECONDS = 2.0
+
+
+def findings(name: RobotName) -> list[Finding]:
+    """Return what stands in the way of reaching a robot of this name over ROS 1; nothing is opened by asking."""
+    if importlib.util.find_spec("rospy") is None:
+        return [rospy_missing("rospy").as_finding()]
+    try:
+        master_of(name.options, timeout=_CHECKING_SECONDS).check()
+    except LinkError as error:
+        return [error.as_finding()]
+    return []
+
+
+def open_ros1_link(options: Mapping[str, str], clock: Clock, namespace: str = "") -> RobotLink:
+    """Join the graph and return the link to the robot of this namespace.
+
+    Args:
+        options: `master`: its address; left out, what ROS_MASTER_URI says.
+        clock: the run's, by which raw messages are stamped.
+        namespace: the robot's, such as `/alice`.
+
+    Raises:
+        LinkError: there is no such option, no master, or no rospy.
+    """
+    connect = partial(Ros1Transport, master_of(options), receive_clock(clock))
+    return GraphLink(connect, namespace, is_simulated=not isinstance(clock, SystemClock))
+
+
+def follows_graph_clock(options: Mapping[str, str]) -> bool:
+    """Whether the nodes of the graph live by the time on `/clock`: its parameter `/use_sim_time`.
+
+    Raises:
+        LinkError: there is no such option, or no master.
+    """
+    return bool(master_of(options).parameter("/use_sim_time"))
+
+
+def master_of(options: Mapping[str, str], *, timeout: float = 3.0) -> Master:
+    """Return the master that the options name.
+
+    Raises:
+        LinkError: there is no such option, or it cannot be the address of a master.
+    """
+    for name in options:
+        if name not in _OPTIONS:
+            raise LinkError(f"ros1 has no option {name!r}", where="robot", fix=did_you_mean(name, _OPTIONS))
+    return Master(options.get("master"), timeout=timeout)

@@ -1,0 +1,227 @@
+"""The ROS 1 master, asked over XML-RPC with a deadline; it takes no ROS to be installed.
+
+Source: wiki.ros.org/ROS/Master_API and wiki.ros.org/ROS/Parameter Server API.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import xmlrpc.client
+from dataclasses import dataclass
+from http.client import HTTPConnection, HTTPException
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+from xml.parsers.expat import ExpatError
+
+from robot_runner.core.errors import LinkError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = ["DEFAULT_MASTER", "Master", "SystemState", "master_address"]
+
+#: Where a master is, unless ROS_MASTER_URI says otherwise.
+DEFAULT_MASTER = "http://localhost:11311"
+_CALLER = "/robot_runner"
+_SUCCESS = 1
+_URI = "ROS_MASTER_URI"
+
+
+@dataclass(frozen=True, slots=True)
+class SystemState:
+    """The publishers, subscribers and services of a graph, by full names.
+
+    Attributes:
+        publishers: the nodes that publish each topic.
+        subscribers: the nodes that subscribe each topic.
+        services: the nodes that offer each service.
+    """
+
+    publishers: Mapping[str, tuple[str, ...]]
+    subscribers: Mapping[str, tuple[str, ...]]
+    services: Mapping[str, tuple[str, ...]]
+
+    @property
+    def nodes(self) -> tuple[str, ...]:
+        """All nodes, sorted."""
+        parts = (self.publishers, self.subscribers, self.services)
+        return tuple(sorted({node for part in parts for nodes in part.values() for node in nodes}))
+
+
+def master_address(uri: str) -> tuple[str, int]:
+    """Return the host and the port of a master.
+
+    Raises:
+        LinkError: the URI cannot be that of a master.
+
+    Example:
+        >>> master_address("http://robot:11311/")
+        ('robot', 11311)
+    """
+    try:
+        parts = urlsplit(uri)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host = port = None
+        parts = urlsplit("")
+    if parts.scheme != "http" or not host or not port:
+        raise LinkError(
+            f"{uri!r} cannot be the address of a ROS master",
+            where=_URI,
+            fix="Write it as in ROS_MASTER_URI=http://robot:11311, or robot = 'ros1:master=http://robot:11311'.",
+        )
+    return host, port
+
+
+class Master:
+    """A master, which may be on another computer; each question has a deadline.
+
+    Args:
+        uri: None for what ROS_MASTER_URI says.
+        timeout: how long an answer may take, s.
+
+    Raises:
+        LinkError: the URI cannot be that of a master.
+
+    Example:
+        >>> Master("http://robot:11311").uri
+        'http://robot:11311'
+    """
+
+    def __init__(self, uri: str | None = None, *, timeout: float = 3.0) -> None:
+        self.uri = uri or os.environ.get(_URI) or DEFAULT_MASTER
+        self._address = master_address(self.uri)
+        self._timeout = timeout
+
+    def check(self) -> None:
+        """See that it answers.
+
+        Raises:
+            LinkError: there is none.
+        """
+        self._ask("getPid")
+
+    def parameter(self, name: str) -> Any:
+        """Return a parameter of its parameter server, or None where it is not set.
+
+        Raises:
+            LinkError: the master does not answer.
+        """
+        code, _, value = self._answer("getParam", name)
+        return value if code == _SUCCESS else None
+
+    def set_parameter(self, name: str, *, value: bool) -> None:
+        """Set a parameter of its parameter server.
+
+        Raises:
+            LinkError: the master does not answer, or refuses.
+        """
+        self._ask("setParam", name, value)
+
+    def topic_types(self) -> dict[str, str]:
+        """Return the type of each topic that was ever registered.
+
+        Raises:
+            LinkError: the master does not answer.
+        """
+        return {name: topic_type for name, topic_type in self._ask("getTopicTypes") if topic_type != "*"}
+
+    def state(self) -> SystemState:
+        """Return the publishers, subscribers and services.
+
+        Raises:
+            LinkError: the master does not answer.
+        """
+        return SystemState(*({name: tuple(nodes) for name, nodes in part} for part in self._ask("getSystemState")))
+
+    def service(self, name: str) -> str | None:
+        """Return the URI of a service, or None where there is none.
+
+        Raises:
+            LinkError: the master does not answer.
+        """
+        code, _, uri = self._answer("lookupService", name)
+        return uri if code == _SUCCESS else None
+
+    def pid_of(self, node: str) -> int | None:
+        """Return the number of a node's process, as the node tells it itself, or None where there is no such node.
+
+        Raises:
+            LinkError: the master or the node does not answer.
+        """
+        code, _, uri = self._answer("lookupNode", node)
+        return Master(uri, timeout=self._timeout).pid() if code == _SUCCESS else None
+
+    def pid(self) -> int:
+        """Return the number of the process that answers; a node answers this question as a master does.
+
+        Raises:
+            LinkError: nothing answers.
+        """
+        return int(self._ask("getPid"))
+
+    def _ask(self, method: str, *arguments: str | bool) -> Any:
+        code, status, value = self._answer(method, *arguments)
+        if code != _SUCCESS:
+            raise LinkError(
+                f"the ROS master refuses {method}: {status}", where=self.uri, fix="Look at the master's log."
+            )
+        return value
+
+    def _answer(self, method: str, *arguments: str | bool) -> tuple[int, str, Any]:
+        transport = _Transport(self._timeout)
+        try:
+            with xmlrpc.client.ServerProxy(self.uri, transport=transport, use_builtin_types=True) as server:
+                code, status, value = getattr(server, method)(_CALLER, *arguments)
+        except TimeoutError as error:
+            raise self._silent() from error
+        except socket.gaierror as error:
+            raise self._unknown_host() from error
+        except OSError as error:
+            raise self._absent(error) from error
+        except (xmlrpc.client.Error, ExpatError, HTTPException, TypeError, ValueError) as error:
+            raise self._foreign() from error
+        return code, status, value
+
+    def _absent(self, error: OSError) -> LinkError:
+        fix = "Start one (roscore), or correct ROS_MASTER_URI."
+        return LinkError(f"there is not a ROS master at {self.uri}: {_reason(error)}", where=_URI, fix=fix)
+
+    def _silent(self) -> LinkError:
+        return LinkError(
+            f"the ROS master at {self.uri} does not answer within {self._timeout:g} s",
+            where=_URI,
+            fix="Look whether the robot is on and in this network, or correct ROS_MASTER_URI.",
+        )
+
+    def _unknown_host(self) -> LinkError:
+        return LinkError(
+            f"the host of the ROS master, {self._address[0]!r}, is not known",
+            where=_URI,
+            fix="Correct ROS_MASTER_URI, or give the host's address as a number.",
+        )
+
+    def _foreign(self) -> LinkError:
+        return LinkError(
+            f"what answers at {self.uri} is not a ROS master",
+            where=_URI,
+            fix="Correct ROS_MASTER_URI: a master is at port 11311, if not started elsewhere.",
+        )
+
+
+class _Transport(xmlrpc.client.Transport):
+    """XML-RPC over a connection with a deadline."""
+
+    def __init__(self, timeout: float) -> None:
+        super().__init__(use_builtin_types=True)
+        self._timeout = timeout
+
+    def make_connection(self, host: Any) -> HTTPConnection:
+        connection = HTTPConnection(host, timeout=self._timeout)
+        self._connection = host, connection  # where it is found when it is to be closed
+        return connection
+
+
+def _reason(error: OSError) -> str:
+    return (error.strerror or str(error)).lower()

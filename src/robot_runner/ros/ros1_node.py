@@ -1,0 +1,191 @@
+"""The one ROS 1 node that a process may be, shared by the links to all robots."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import tempfile
+import threading
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from robot_runner.core.errors import LinkError
+from robot_runner.ros.ros1_master import master_address
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    from robot_runner.ros.ros1_master import Master
+
+__all__ = ["REGISTERING_SECONDS", "join_graph", "own_address", "rospy_missing", "within"]
+
+T = TypeVar("T")
+
+#: How long the master may take to note one more publisher, subscriber or service, s.
+REGISTERING_SECONDS = 5.0
+_NAME = "robot_runner"
+_INSTALL = (
+    "Source the setup file of ROS 1 (on Debian: apt install python3-rospy) and start robot-runner from that shell."
+)
+#: rospy's own set-up of logging would take the handlers of the process away: this one leaves everything as it is.
+_LOGGING = "version: 1\nincremental: true\n"
+
+
+class _Joined:
+    """Which graph this process has joined: one at a time."""
+
+    master: str | None = None
+    process: int | None = None
+
+
+def join_graph(master: Master) -> Any:
+    """Be a node on the graph of a master, and return rospy; a second call does nothing more.
+
+    Signal handlers, terminal, log files and the process's own logging are left alone.
+
+    Raises:
+        LinkError: there is no such master, rospy is not installed, or the process has something open on another graph.
+    """
+    rospy = _rospy()
+    master.check()
+    if _Joined.master is not None:
+        _check_process()
+        if _Joined.master != master.uri:
+            _move(master)
+        return rospy
+    if not rospy.core.is_initialized():  # a config may have called rospy.init_node itself
+        _initialise(rospy, master)
+    _Joined.master, _Joined.process = master.uri, os.getpid()
+    return rospy
+
+
+def within(timeout: float, action: Callable[[], T], *, where: str, doing: str) -> T:
+    """Return what an action of rospy's returns, whose questions to the master have no deadline.
+
+    Args:
+        timeout: how long to wait, s; what takes longer is left to its thread.
+        action: what to do.
+        where: the topic or service.
+        doing: what it does, for the error.
+
+    Raises:
+        LinkError: it takes too long.
+    """
+    outcome: list[T] = []
+    faults: list[Exception] = []
+
+    def act() -> None:
+        try:
+            outcome.append(action())
+        except Exception as fault:  # noqa: BLE001 - it is raised in the thread that waits for it
+            faults.append(fault)
+
+    thread = threading.Thread(target=act, name=f"{doing} {where}", daemon=True)
+    thread.start()
+    thread.join(timeout)
+    if faults:
+        raise faults[0]
+    if not outcome:
+        fix = "Look whether the ROS master is alive."
+        raise LinkError(f"{doing} took longer than {timeout:g} s", where=where, fix=fix)
+    return outcome[0]
+
+
+def own_address(master: Master) -> str | None:
+    """Return the address by which this machine reaches a master on another; None where it is this machine's.
+
+    Nothing is sent by asking.
+    """
+    host, port = master_address(master.uri)
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.connect((host, port))
+            address: str = probe.getsockname()[0]
+    except OSError:
+        return None
+    return None if address.startswith("127.") else address
+
+
+def rospy_missing(name: str) -> LinkError:
+    """Return the error that a package of ROS 1 cannot be imported."""
+    return LinkError(f"robot is reached over ROS 1, but {name} cannot be imported", where="robot", fix=_INSTALL)
+
+
+def _rospy() -> Any:
+    own = logging.getLoggerClass()
+    try:
+        return import_module("rospy")
+    except ImportError as error:
+        raise rospy_missing(error.name or "rospy") from error
+    finally:
+        logging.setLoggerClass(own)  # rospy makes all loggers of the process its own kind
+
+
+def _check_process() -> None:
+    if _Joined.process != os.getpid():
+        raise LinkError(
+            "the orchestrating process is a ROS node already, which a run's process cannot be as well",
+            where="ros1",
+            fix="Connect to the robot within the run's events: from start_run on.",
+        )
+
+
+def _move(master: Master) -> None:
+    """Be a node of another master from now on, which rospy does not know of; nothing may be open on the one before.
+
+    Raises:
+        LinkError: something is.
+    """
+    registration = import_module("rospy.impl.registration")
+    topics, services = registration.get_topic_manager(), registration.get_service_manager()
+    if topics.pubs or topics.subs or services.get_services():
+        raise LinkError(
+            f"this process is a node of the master {_Joined.master}, and {master.uri} is another",
+            where="ros1",
+            fix="Name the same master for all robots of the experiment.",
+        )
+    for listener in registration.get_registration_listeners().listeners:
+        listener.master_uri = master.uri
+    os.environ["ROS_MASTER_URI"] = _Joined.master = master.uri
+
+
+def _initialise(rospy: Any, master: Master) -> None:
+    os.environ["ROS_MASTER_URI"] = master.uri
+    address = own_address(master)
+    if address is not None and not {"ROS_IP", "ROS_HOSTNAME"} & set(os.environ):
+        # Otherwise rospy tells the robot this machine's name, which the robot seldom can resolve.
+        os.environ["ROS_IP"] = address
+    logging.getLogger("rosout").addHandler(logging.NullHandler())  # without any handler it would print
+    with tempfile.TemporaryDirectory(prefix="robot-runner-ros-") as folder:
+        settings = Path(folder) / "python_logging.yaml"
+        settings.write_text(_LOGGING, encoding="ascii")
+        changed = {"ROS_LOG_DIR": folder, "ROS_HOME": folder, "ROS_PYTHON_LOG_CONFIG_FILE": str(settings)}
+        with _environment({**changed, "ROS_LOG_FILENAME": ""}):
+            within(REGISTERING_SECONDS, lambda: _init_node(rospy), where=master.uri, doing="joining the graph")
+
+
+def _init_node(rospy: Any) -> None:
+    rospy.init_node(
+        _NAME, argv=[_NAME], anonymous=True, disable_signals=True, disable_rostime=True, disable_rosout=True
+    )
+    # Services of each node to set the level of its logs: one that is ended by os._exit would leave them at the master.
+    services = import_module("rospy.impl.registration").get_service_manager()
+    for name, _ in services.get_services():
+        services.map[name].shutdown()
+
+
+@contextmanager
+def _environment(changed: Mapping[str, str]) -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in changed}
+    os.environ.update(changed)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

@@ -1,0 +1,156 @@
+"""Calls services of ROS 1 with a deadline, which rospy's own proxy has not.
+
+Source of the protocol: wiki.ros.org/ROS/TCPROS and wiki.ros.org/ROS/Connection Header.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import time
+from contextlib import contextmanager
+from io import BytesIO
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+from robot_runner.core.errors import LinkError
+from robot_runner.ros.graph_transport import service_timeout, wrong_service_type
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+__all__ = ["call_service", "service_type"]
+
+_LENGTH = struct.Struct("<I")
+_CALLER = "/robot_runner"
+#: What tells a service of another type, in the words of rospy and roscpp.
+_SIGNS_OF_ANOTHER_TYPE = ("md5sum", "datatype")
+
+
+class _Connection:
+    """A connection to a service on which nothing waits beyond a moment.
+
+    Args:
+        uri: `rosrpc://host:port`.
+        timeout: how long all of it may take, s.
+    """
+
+    def __init__(self, uri: str, timeout: float) -> None:
+        parts = urlsplit(uri)
+        self._deadline = time.monotonic() + timeout
+        self._socket = socket.create_connection((parts.hostname or "", parts.port or 0), timeout=timeout)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def send(self, data: bytes) -> None:
+        """Send bytes with their length before them."""
+        self._keep_deadline()
+        self._socket.sendall(_LENGTH.pack(len(data)) + data)
+
+    def block(self) -> bytes:
+        """Receive bytes that have their length before them."""
+        return self.exactly(_LENGTH.unpack(self.exactly(_LENGTH.size))[0])
+
+    def exactly(self, count: int) -> bytes:
+        data = bytearray()
+        while len(data) < count:
+            self._keep_deadline()
+            piece = self._socket.recv(count - len(data))
+            if not piece:
+                raise ConnectionResetError("it closed the connection")
+            data += piece
+        return bytes(data)
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def _keep_deadline(self) -> None:
+        left = self._deadline - time.monotonic()
+        if left <= 0:
+            raise TimeoutError
+        self._socket.settimeout(left)
+
+
+def call_service(name: str, uri: str, cls: Any, request: Any, *, timeout: float) -> Any:
+    """Call a service and return its response.
+
+    Args:
+        name: its full name.
+        uri: where it is, as the master says.
+        cls: the class of its type.
+        request: of the class of its type's request.
+        timeout: how long it may take, s.
+
+    Raises:
+        LinkError: it cannot be reached, has another type, refuses, or does not answer in time.
+    """
+    buffer = BytesIO()
+    request.serialize(buffer)
+    with _connected(name, uri, timeout) as connection:
+        refused = _greet(connection, {"service": name, "type": cls._type, "md5sum": cls._md5sum}).get("error")
+        if refused is not None:
+            raise _refused(name, uri, cls._type, refused)
+        connection.send(buffer.getvalue())
+        is_good = connection.exactly(1) == b"\x01"
+        answer = connection.block()
+    if not is_good:
+        text = answer.decode(errors="replace")
+        raise LinkError(f"the service failed: {text}", where=name, fix="Look at the log of its node.")
+    return cls._response_class().deserialize(answer)
+
+
+def service_type(name: str, uri: str, *, timeout: float) -> str:
+    """Return the type of a service.
+
+    Raises:
+        LinkError: it cannot be reached or does not answer in time.
+    """
+    with _connected(name, uri, timeout) as connection:
+        return _greet(connection, {"service": name, "md5sum": "*", "probe": "1"}).get("type", "")
+
+
+@contextmanager
+def _connected(name: str, uri: str, timeout: float) -> Iterator[_Connection]:
+    connection = None
+    try:
+        connection = _Connection(uri, timeout)
+        yield connection
+    except TimeoutError as error:
+        raise service_timeout(name, timeout) from error
+    except (OSError, struct.error) as error:
+        fix = "Start its node anew."
+        raise LinkError(f"the service cannot be reached at {uri}: {error}", where=name, fix=fix) from error
+    finally:
+        if connection is not None:
+            connection.close()
+
+
+def _greet(connection: _Connection, fields: Mapping[str, str]) -> dict[str, str]:
+    """Send the header of a connection and return the other side's."""
+    header = {"callerid": _CALLER, **fields}
+    connection.send(b"".join(_field(f"{name}={value}".encode()) for name, value in header.items()))
+    return _fields(connection.block())
+
+
+def _field(data: bytes) -> bytes:
+    return _LENGTH.pack(len(data)) + data
+
+
+def _fields(data: bytes) -> dict[str, str]:
+    found, at = {}, 0
+    while at < len(data):
+        (length,) = _LENGTH.unpack_from(data, at)
+        at += _LENGTH.size
+        name, _, value = data[at : at + length].decode(errors="replace").partition("=")
+        found[name] = value
+        at += length
+    return found
+
+
+def _refused(name: str, uri: str, wanted: str, refused: str) -> LinkError:
+    if not any(sign in refused for sign in _SIGNS_OF_ANOTHER_TYPE):
+        return LinkError(f"the service refuses: {refused}", where=name, fix="Look at the log of its node.")
+    true = service_type(name, uri, timeout=1.0)
+    if true == wanted:
+        problem = f"its node has another version of {wanted}"
+        return LinkError(problem, where=name, fix="Install the same version of its package on both machines.")
+    return wrong_service_type(name, true, wanted)

@@ -1,0 +1,297 @@
+"""Topics and services over rospy; the process is one node, whatever the number of robots."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from functools import partial
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.robot import Encoding, Qos
+from robot_runner.ros.graph_links import missing
+from robot_runner.ros.graph_transport import (
+    ReceivedBytes,
+    already_offered,
+    check_type,
+    nobody_publishes,
+    silent_publishers,
+)
+from robot_runner.ros.ros1_node import REGISTERING_SECONDS, join_graph, within
+from robot_runner.ros.ros1_services import call_service, service_type
+from robot_runner.ros.ros1_types import Ros1Types, as_mapping, as_message, message_class, service_class
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from robot_runner.core.links.robot import Message
+    from robot_runner.ros.graph_transport import Reception
+    from robot_runner.ros.ros1_master import Master
+
+__all__ = ["Ros1Transport"]
+
+_logger = logging.getLogger(__name__)
+
+#: How many messages wait for a slow subscriber, each; 0 is any number.
+_QUEUE_SIZES: Mapping[Qos, int] = MappingProxyType(
+    {Qos.DEFAULT: 10, Qos.SENSOR_DATA: 5, Qos.RELIABLE: 0, Qos.TRANSIENT_LOCAL: 1}
+)
+#: How long the subscribers that a topic has already may take to connect to a new publisher, s.
+_CONNECTING_SECONDS = 2.0
+#: How long each service may take to tell its type, s.
+_PROBING_SECONDS = 0.5
+#: How often a queue is looked at until it is empty, s.
+_POLL = 0.002
+_START = "Start the node that offers it."
+
+
+class Ros1Transport:
+    """The primitives of a graph link over rospy.
+
+    Every topic is received as bytes and decoded here, so that a recorder and a callback share one connection.
+
+    Args:
+        master: of the graph.
+        now_ns: the time that raw messages are stamped with.
+
+    Raises:
+        LinkError: there is no such master, or no rospy.
+    """
+
+    has_threads = True
+    encoding = Encoding.ROS1
+
+    def __init__(self, master: Master, now_ns: Callable[[], int]) -> None:
+        self.types = Ros1Types()
+        self._master = master
+        self._now_ns = now_ns
+        self._rospy = join_graph(master)
+
+    def advertise(self, topic: str, message_type: str, qos: Qos) -> _Publisher:
+        """Return a publisher, once the subscribers that are there already are connected."""
+        self._check_type(topic, message_type)
+        subscribers = len(self._master.state().subscribers.get(topic, ()))
+        return _Publisher(self._rospy, topic, message_class(message_type), qos, subscribers)
+
+    def subscribe(
+        self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
+    ) -> _Subscription:
+        """Have `receive` called with each message, from a thread of rospy's; in ROS 1 only publishers choose a QoS."""
+        del qos, is_raw
+        self._check_type(topic, message_type, publishers_only=True)
+        return _Subscription(self, topic, message_class(message_type), receive)
+
+    def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
+        """Call a service and return its response."""
+        cls = service_class(service_type)
+        uri = self._master.service(service)
+        if uri is None:
+            known = self._master.state().services
+            raise missing("service", service, known, where=f"ros1 {self._master.uri}", fix=_START)
+        return as_mapping(call_service(service, uri, cls, as_message(cls._request_class, request), timeout=timeout))
+
+    def serve(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> _Offer:
+        """Offer a service; rospy tells the caller that a request failed, and no more."""
+        self._check_free(service)
+        return _Offer(self._rospy, service, service_class(service_type), answer)
+
+    def topics(self) -> Mapping[str, str]:
+        """Return the type of each topic that has a publisher or a subscriber."""
+        state, types = self._master.state(), self._master.topic_types()
+        return {name: types.get(name, "") for name in sorted({*state.publishers, *state.subscribers})}
+
+    def services(self) -> Mapping[str, str]:
+        """Return the type of each service, asked of the service itself; those that do not answer are left out."""
+        found = {}
+        for name in sorted(self._master.state().services):
+            try:
+                uri = self._master.service(name)
+                found[name] = "" if uri is None else service_type(name, uri, timeout=_PROBING_SECONDS)
+            except LinkError as error:
+                _logger.info("%s", error)
+        return {name: known for name, known in found.items() if known}
+
+    def nodes(self) -> Iterable[str]:
+        """Return the names of the nodes that publish, subscribe or offer something."""
+        return self._master.state().nodes
+
+    def wait(self, event: threading.Event, seconds: float) -> None:
+        """Wait for an event, for so long at most."""
+        event.wait(seconds)
+
+    def close(self) -> None:
+        """Stay a node: rospy's can be left only with the process, and shows nowhere once nothing is open on it."""
+
+    def explain_silence(self, topic: str) -> str:
+        """Say what to do where nothing came on a topic."""
+        publishers = self._master.state().publishers
+        return silent_publishers(publishers[topic]) if topic in publishers else nobody_publishes(topic, publishers)
+
+    def open_subscriber(self, topic: str, receive: Callable[[Any], None]) -> Any:
+        """Return a subscriber of rospy's for messages of any type.
+
+        rospy shares one connection among all subscribers of a topic, with the class that the first of them asks for;
+        with its class for any message there is nothing that they can disagree about.
+        """
+        return within(
+            REGISTERING_SECONDS,
+            lambda: self._rospy.Subscriber(topic, self._rospy.AnyMsg, receive, tcp_nodelay=True),
+            where=topic,
+            doing="registering the subscriber",
+        )
+
+    def received(self, data: bytes, decode: Callable[[bytes], Message]) -> ReceivedBytes:
+        """Return bytes as a message that has arrived now."""
+        return ReceivedBytes(data, self._now_ns(), decode)
+
+    def _check_type(self, topic: str, wanted: str, *, publishers_only: bool = False) -> None:
+        true = self._master.topic_types().get(topic, wanted)
+        if true == wanted:
+            return
+        state = self._master.state()  # the master remembers the types of topics that are no more
+        if state.publishers.get(topic) or (not publishers_only and state.subscribers.get(topic)):
+            check_type(topic, wanted, [true])
+
+    def _check_free(self, service: str) -> None:
+        uri = self._master.service(service)
+        if uri is None:
+            return
+        try:
+            service_type(service, uri, timeout=_PROBING_SECONDS)
+        except LinkError:
+            return  # left behind by a node that died
+        raise already_offered(service, ", ".join(self._master.state().services.get(service, ("another node",))))
+
+
+class _Publisher:
+    """Publishes one topic; a subscriber that is there already receives the first message.
+
+    Raises:
+        LinkError: the master does not answer.
+    """
+
+    def __init__(self, rospy: Any, topic: str, cls: Any, qos: Qos, subscribers: int) -> None:
+        self._topic = topic
+        self._cls = cls
+        arrivals = _Arrivals()
+        self._publisher = within(
+            REGISTERING_SECONDS,
+            lambda: rospy.Publisher(
+                topic,
+                cls,
+                subscriber_listener=arrivals,
+                tcp_nodelay=True,  # a command is small, and should not wait for the next
+                latch=qos is Qos.TRANSIENT_LOCAL,
+                queue_size=_QUEUE_SIZES[qos],
+            ),
+            where=topic,
+            doing="registering the publisher",
+        )
+        self._await(arrivals, subscribers)
+
+    def publish(self, message: Message) -> None:
+        self._publisher.publish(as_message(self._cls, message))
+
+    def flush(self, seconds: float) -> None:
+        deadline = time.monotonic() + seconds
+        for connection in list(self._publisher.impl.connections):
+            while not _is_idle(connection):
+                if time.monotonic() > deadline:
+                    problem = f"a message is not taken within {seconds:g} s by {connection.endpoint_id}"
+                    raise LinkError(problem, where=self._topic, fix="Look whether the robot is on and in this network.")
+                time.sleep(_POLL)
+
+    def close(self) -> None:
+        within(REGISTERING_SECONDS, self._publisher.unregister, where=self._topic, doing="leaving the topic")
+
+    def _await(self, arrivals: _Arrivals, subscribers: int) -> None:
+        deadline = time.monotonic() + _CONNECTING_SECONDS
+        while self._publisher.get_num_connections() < subscribers:
+            left = deadline - time.monotonic()
+            if left <= 0:
+                connected = self._publisher.get_num_connections()
+                _logger.warning("%s: %d of its %d subscribers are reached", self._topic, connected, subscribers)
+                return
+            arrivals.wait(left)
+
+
+class _Arrivals:
+    """Tells that a subscriber has connected; rospy calls it."""
+
+    def __init__(self) -> None:
+        self._arrived = threading.Event()
+
+    def peer_subscribe(self, *_: object) -> None:
+        self._arrived.set()
+
+    def peer_unsubscribe(self, *_: object) -> None:
+        """Do nothing: rospy calls it, too."""
+
+    def wait(self, timeout: float) -> None:
+        self._arrived.wait(timeout)
+        self._arrived.clear()
+
+
+def _is_idle(connection: Any) -> bool:
+    """Whether rospy has handed all of a connection's messages to the system.
+
+    Its thread takes the whole queue and then sends it, so an empty queue says too little: it must wait for more.
+    """
+    wakes = connection._cond_data_available  # noqa: SLF001 - rospy tells it nowhere else
+    with connection._lock:  # noqa: SLF001 - as above
+        return connection.done or (not connection._queue and bool(wakes._waiters))  # noqa: SLF001 - as above
+
+
+class _Subscription:
+    """Receives one topic as bytes, and drops messages of another type than the one that was asked for."""
+
+    def __init__(self, transport: Ros1Transport, topic: str, cls: Any, receive: Callable[[Reception], None]) -> None:
+        self._transport = transport
+        self._topic = topic
+        self._cls = cls
+        self._type: str = cls._type
+        self._digests = {cls._md5sum, "*"}
+        self._receive = receive
+        self._foreign: set[str] = set()
+        self._subscriber = transport.open_subscriber(topic, self._take)
+
+    def explain(self) -> str:
+        return self._transport.explain_silence(self._topic)
+
+    def close(self) -> None:
+        within(REGISTERING_SECONDS, self._subscriber.unregister, where=self._topic, doing="leaving the topic")
+
+    def _take(self, message: Any) -> None:
+        header = message._connection_header  # noqa: SLF001 - where rospy documents it to be
+        if header["md5sum"] in self._digests:
+            self._receive(self._transport.received(message._buff, self._decode))  # noqa: SLF001 - as above
+        elif header["callerid"] not in self._foreign:
+            self._foreign.add(header["callerid"])
+            text = "%s: %s publishes %s, or another version of it, which is not received as %s"
+            _logger.error(text, self._topic, header["callerid"], header.get("type"), self._type)
+
+    def _decode(self, data: bytes) -> dict[str, Any]:
+        return as_mapping(self._cls().deserialize(data))
+
+
+class _Offer:
+    """A service that is offered."""
+
+    def __init__(self, rospy: Any, service: str, cls: Any, answer: Callable[[Message], Message]) -> None:
+        self._service = service
+
+        def respond(request: Any) -> Any:
+            return as_message(cls._response_class, answer(as_mapping(request)))
+
+        # Without a handler rospy would print what the answer raises; the link has logged it already.
+        self._offered = within(
+            REGISTERING_SECONDS,
+            partial(rospy.Service, service, cls, respond, error_handler=lambda *_: None),
+            where=service,
+            doing="registering the service",
+        )
+
+    def close(self) -> None:
+        within(REGISTERING_SECONDS, self._offered.shutdown, where=self._service, doing="withdrawing the service")

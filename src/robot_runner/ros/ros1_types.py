@@ -1,0 +1,131 @@
+"""Messages of ROS 1 to and from plain mappings; their types are the Python classes that ROS generates."""
+
+from __future__ import annotations
+
+import re
+from functools import lru_cache, partial
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.ros.generated_types import TypeKind, generated_class
+from robot_runner.ros.shapes import BYTE_KINDS, UNBOUNDED, Field, Shape
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+__all__ = ["Ros1Types", "as_mapping", "as_message", "message_class", "service_class", "shape_of"]
+
+_FIELD = re.compile(r"([\w/]+)(\[(\d*)\])?")
+#: What these names mean in ROS 1; in ROS 2 they are an octet and a uint8.
+_KINDS = {"byte": "int8", "char": "uint8"}
+_STAMPS = {"time": "Time", "duration": "Duration"}
+
+
+def message_class(message_type: str) -> Any:
+    """Return the class of a message type, such as `geometry_msgs/Twist`.
+
+    Raises:
+        LinkError: there is none, or its package is not on Python's path.
+    """
+    return generated_class(message_type, TypeKind.MESSAGE, _is_type)
+
+
+def service_class(service_type: str) -> Any:
+    """Return the class of a service type, such as `std_srvs/Trigger`.
+
+    Raises:
+        LinkError: as `message_class`.
+    """
+    return generated_class(service_type, TypeKind.SERVICE, _is_type)
+
+
+def _is_type(found: Any, name: str) -> bool:
+    return getattr(found, "_type", None) == name
+
+
+@lru_cache
+def shape_of(cls: Any) -> Shape:
+    """Return what a message class, or the class of a request or response, is made of."""
+    return Shape(cls._type, tuple(_field(*each) for each in zip(cls.__slots__, cls._slot_types, strict=True)))
+
+
+def _field(name: str, written: str) -> Field:
+    parts = _FIELD.fullmatch(written)
+    kind, array, number = parts.groups() if parts else (written, None, None)
+    count = None if not array else int(number) if number else UNBOUNDED
+    return Field(name, shape_of(message_class(kind)) if "/" in kind else _KINDS.get(kind, kind), count)
+
+
+def as_mapping(message: Any) -> dict[str, Any]:
+    """Return a message of ROS as a plain mapping."""
+    return {field.name: _plain(field, getattr(message, field.name)) for field in shape_of(message.__class__).fields}
+
+
+def _plain(field: Field, value: Any) -> Any:
+    kind = field.kind
+    if field.count is None:
+        if isinstance(kind, Shape):
+            return as_mapping(value)
+        return {"sec": value.secs, "nanosec": value.nsecs} if kind in _STAMPS else value
+    if isinstance(kind, Shape):
+        return [as_mapping(each) for each in value]
+    if kind in BYTE_KINDS:
+        return bytes(value)
+    return [{"sec": each.secs, "nanosec": each.nsecs} for each in value] if kind in _STAMPS else list(value)
+
+
+def as_message(cls: Any, complete: Mapping[str, Any]) -> Any:
+    """Return the message of ROS that a mapping with every field is; `robot_runner.ros.shapes.completed` makes one."""
+    message = cls.__new__(cls)  # its own initialisation fills every field with a default first
+    for name, convert in _conversions(cls):
+        setattr(message, name, complete[name] if convert is None else convert(complete[name]))
+    return message
+
+
+@lru_cache
+def _conversions(cls: Any) -> tuple[tuple[str, Callable[[Any], Any] | None], ...]:
+    """Return what makes each field's value of ROS; None where it is the same."""
+    return tuple((field.name, _conversion(field)) for field in shape_of(cls).fields)
+
+
+def _conversion(field: Field) -> Callable[[Any], Any] | None:
+    kind = field.kind
+    if isinstance(kind, Shape):
+        convert: Callable[[Any], Any] = partial(as_message, message_class(kind.type_name))
+    elif kind in _STAMPS:
+        convert = partial(_stamp, getattr(import_module("genpy"), _STAMPS[kind]))
+    else:
+        return None
+    return convert if field.count is None else partial(_each, convert)
+
+
+def _each(convert: Callable[[Any], Any], values: Iterable[Any]) -> list[Any]:
+    return [convert(value) for value in values]
+
+
+def _stamp(cls: Any, value: Mapping[str, int]) -> Any:
+    return cls(value["sec"], value["nanosec"])
+
+
+class Ros1Types:
+    """The types of the packages that are on Python's path; each method raises a `LinkError` for an unknown type."""
+
+    def shape(self, message_type: str) -> Shape:
+        """Return what a message type is made of."""
+        return shape_of(message_class(message_type))
+
+    def request(self, service_type: str) -> Shape:
+        """Return what the request of a service type is made of."""
+        cls = service_class(service_type)
+        return shape_of(cls._request_class)
+
+    def response(self, service_type: str) -> Shape:
+        """Return what the response of a service type is made of."""
+        cls = service_class(service_type)
+        return shape_of(cls._response_class)
+
+    def definition(self, message_type: str) -> str:
+        """Return the text of a type's definition, as the generated class carries it."""
+        cls = message_class(message_type)
+        text: str = cls._full_text
+        return text

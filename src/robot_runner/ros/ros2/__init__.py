@@ -1,1 +1,0 @@
-"""ROS 2 through its own client library, rclpy."""

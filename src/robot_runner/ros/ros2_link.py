@@ -1,0 +1,79 @@
+"""Opens a link over rclpy, and says what stands in its way; nothing of ROS is loaded before."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from functools import partial
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import Finding, LinkError, did_you_mean
+from robot_runner.core.events.context import SystemClock
+from robot_runner.ros.graph_link import GraphLink
+from robot_runner.ros.graph_transport import domain_id, receive_clock
+from robot_runner.ros.ros_environment import find_ros
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from robot_runner.core.events.context import Clock
+    from robot_runner.core.links.robot import RobotLink, RobotName
+
+__all__ = ["findings", "open_ros2_link"]
+
+_OPTIONS = ("domain",)
+_WITHOUT_ROS = "or reach the robot without a ROS: robot = 'dds'"
+
+
+def findings(name: RobotName) -> list[Finding]:
+    """Return what stands in the way of reaching a robot of this name over ROS 2; nothing is opened by asking."""
+    try:
+        _domain(name.options)
+        _check_installed()
+    except LinkError as error:
+        return [error.as_finding()]
+    return []
+
+
+def open_ros2_link(options: Mapping[str, str], clock: Clock, namespace: str = "") -> RobotLink:
+    """Join the graph and return the link to the robot of this namespace.
+
+    Args:
+        options: `domain`: DDS domain id; left out, what ROS_DOMAIN_ID says.
+        clock: the run's; where it is not this machine's, the node lives by the time on `/clock`.
+        namespace: the robot's, such as `/alice`.
+
+    Raises:
+        LinkError: an option cannot have its value, no ROS 2 is sourced, or the graph cannot be joined.
+    """
+    domain = _domain(options)
+    _check_installed()
+    from robot_runner.ros.ros2_transport import Ros2Transport  # noqa: PLC0415  # rclpy, which comes with a sourced ROS 2
+
+    is_simulated = not isinstance(clock, SystemClock)
+    connect = partial(Ros2Transport, domain, receive_clock(clock), use_sim_time=is_simulated)
+    return GraphLink(connect, namespace, is_simulated=is_simulated)
+
+
+def _domain(options: Mapping[str, str]) -> int | None:
+    for name in options:
+        if name not in _OPTIONS:
+            raise LinkError(f"ros2 has no option {name!r}", where="robot", fix=did_you_mean(name, _OPTIONS))
+    domain = domain_id(options, os.environ)
+    return domain if "domain" in options else None  # rclpy reads ROS_DOMAIN_ID itself
+
+
+def _check_installed() -> None:
+    ros = find_ros()
+    if ros is not None and ros.version == 1:
+        raise LinkError(
+            f"robot is reached over ROS 2, but ROS 1 {ros.distro or ''} is sourced, whose messages hide those of ROS 2",
+            where=ros.source,
+            fix=f"Start anew in a shell where a ROS 2 is sourced, {_WITHOUT_ROS}.",
+        )
+    if importlib.util.find_spec("rclpy") is None:
+        raise LinkError(
+            "robot is reached over ROS 2, but rclpy cannot be imported",
+            where="robot",
+            fix=f"Source a ROS 2 whose Python is ours (source /opt/ros/humble/setup.bash), {_WITHOUT_ROS}.",
+        )

@@ -1,0 +1,233 @@
+"""The one ROS 2 node of a process, shared by the links to all its robots, and what it knows of the graph."""
+
+from __future__ import annotations
+
+import logging
+import os
+import queue
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from robot_runner.core.errors import LinkError
+from robot_runner.ros.shapes import plain_type
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+__all__ = ["Graph", "GraphNode", "join_graph"]
+
+_logger = logging.getLogger(__name__)
+
+#: How long after joining a graph what is on it is known: DDS announces participants at once and answers to them.
+SETTLING = 1.0
+#: An executor looks whether it is to end at least this often, s.
+_SPIN = 0.2
+#: How long a thread may take to end, s.
+_JOIN = 5.0
+#: How often the graph is looked at where something is waited for, s.
+_POLL = 0.02
+
+_lock = threading.Lock()
+_shared: dict[tuple[int, int | None, bool], GraphNode] = {}
+
+
+def join_graph(domain: int | None, *, use_sim_time: bool) -> GraphNode:
+    """Return this process's node on the graph of a domain; `GraphNode.leave` must be called once for each call.
+
+    Args:
+        domain: DDS domain id; None for what ROS_DOMAIN_ID says.
+        use_sim_time: whether the node lives by the time on `/clock`.
+
+    Raises:
+        LinkError: the domain cannot be joined.
+    """
+    key = (os.getpid(), domain, use_sim_time)  # a node does not survive a fork
+    with _lock:
+        node = _shared.get(key)
+        if node is None:
+            node = _shared[key] = GraphNode(domain, use_sim_time=use_sim_time, forget=lambda: _shared.pop(key, None))
+        node.users += 1
+        return node
+
+
+class GraphNode:
+    """A context of its own, a node in it, and the threads that spin it and call back.
+
+    Callbacks are called from a thread that spins nothing, so that they may call services. Offered services are a node
+    of their own with an executor of its own: one that takes long to answer must not keep up messages and responses.
+
+    Attributes:
+        users: how many links use it.
+        node: for topics and calls.
+    """
+
+    def __init__(self, domain: int | None, *, use_sim_time: bool, forget: Callable[[], object]) -> None:
+        self.users = 0
+        self._forget = forget
+        self._use_sim_time = use_sim_time
+        self._context = Context()
+        self._spinning: list[_Spinning] = []
+        self._services: Any = None
+        self._todo: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        try:
+            # No arguments: those of our command line mean nothing to ROS. No handlers of signals: a run has its own.
+            self._context.init(args=[], initialize_logging=False, domain_id=domain)
+            self.node = self._new_node("robot_runner")
+        except Exception as error:  # rclpy raises what its middleware does
+            self._context.try_shutdown()
+            raise LinkError(
+                f"the graph of ROS 2 cannot be joined: {error}",
+                where="robot",
+                fix="Look at ROS_DOMAIN_ID and RMW_IMPLEMENTATION, and whether the network is up.",
+            ) from error
+        self._joined = time.monotonic()
+        self._caller = threading.Thread(target=self._call_back, name="ros2 callbacks", daemon=True)
+        self._caller.start()
+
+    def services(self) -> Any:
+        """Return the node for services that are offered; it is made when it is first needed."""
+        with _lock:
+            if self._services is None:
+                self._services = self._new_node("robot_runner_services")
+            return self._services
+
+    def later(self, todo: Callable[[], None]) -> None:
+        """Have something done in the thread that calls back, after what is to be done there already."""
+        self._todo.put(todo)
+
+    def until(self, claim: Callable[[], object], seconds: float) -> bool:
+        """Wait until something holds on the graph, for so long at most; return whether it does."""
+        deadline = time.monotonic() + seconds
+        while not claim():
+            if time.monotonic() >= deadline:
+                return False
+            time.sleep(_POLL)
+        return True
+
+    def settle(self, claim: Callable[[], object] = lambda: False) -> None:
+        """Wait until something holds, or the graph is known."""
+        self.until(claim, self._joined + SETTLING - time.monotonic())
+
+    def leave(self) -> None:
+        """Give it up; the last one to do so ends it."""
+        with _lock:
+            self.users -= 1
+            if self.users > 0:
+                return
+            self._forget()
+        self._todo.put(None)
+        if threading.current_thread() is not self._caller:
+            self._caller.join(_JOIN)
+        for spinning in self._spinning:
+            spinning.end()
+        self._context.try_shutdown()
+
+    def _new_node(self, name: str) -> Any:
+        node = Node(
+            f"{name}_{os.getpid()}",
+            context=self._context,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=[Parameter("use_sim_time", Parameter.Type.BOOL, self._use_sim_time)],
+        )
+        self._spinning.append(_Spinning(node, self._context))
+        return node
+
+    def _call_back(self) -> None:
+        while (todo := self._todo.get()) is not None:
+            try:
+                todo()
+            except Exception:
+                _logger.exception("a callback raised")
+
+
+class _Spinning:
+    """One node with the executor and the thread that spin it."""
+
+    def __init__(self, node: Any, context: Any) -> None:
+        self._node = node
+        self._context = context
+        self._is_over = threading.Event()
+        self._executor = SingleThreadedExecutor(context=context)
+        self._executor.add_node(node)
+        self._thread = threading.Thread(target=self._spin, name=f"ros2 {node.get_name()}", daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        while not self._is_over.is_set() and self._context.ok():
+            try:
+                self._executor.spin_once(timeout_sec=_SPIN)
+            except ExternalShutdownException:
+                return
+            except Exception:  # of an offered service, or of an entity that was destroyed just now
+                if not self._is_over.is_set():
+                    _logger.exception("a callback of %s raised", self._node.get_name())
+
+    def end(self) -> None:
+        """Spin no more, and take the node from the graph."""
+        self._is_over.set()
+        self._executor.wake()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(_JOIN)
+        self._executor.shutdown(timeout_sec=_JOIN)
+        self._node.destroy_node()
+
+
+class Graph:
+    """What rclpy knows of a graph.
+
+    Args:
+        node: on it.
+    """
+
+    def __init__(self, node: GraphNode) -> None:
+        self._node = node
+
+    def topics(self) -> dict[str, str]:
+        """Return the type of each topic by its full name."""
+        self._node.settle()
+        found = self._node.node.get_topic_names_and_types()
+        return {name: plain_type(types[0]) for name, types in sorted(found) if types}
+
+    def nodes(self) -> list[str]:
+        """Return the full names of the nodes, sorted."""
+        self._node.settle()
+        return sorted(f"{namespace.rstrip('/')}/{name}" for name, namespace in self._names())
+
+    def services(self) -> dict[str, str]:
+        """Return the type of each service that a node offers, by its full name."""
+        self._node.settle()
+        return self._offered()
+
+    def service_type(self, name: str) -> str | None:
+        """Return the type of a service, or None where there is none; it does not wait."""
+        return self._offered().get(name)
+
+    def publishers(self, topic: str) -> list[Any]:
+        """Return what there is to know about the publishers of a topic: `topic_type`, `qos_profile`, node's name."""
+        return list(self._node.node.get_publishers_info_by_topic(topic))
+
+    def subscriptions(self, topic: str) -> list[Any]:
+        """Return the same of the subscriptions of a topic."""
+        return list(self._node.node.get_subscriptions_info_by_topic(topic))
+
+    def _offered(self) -> dict[str, str]:
+        # Asked node by node: the list of all services has those that are merely called, too.
+        found: dict[str, str] = {}
+        for name, namespace in self._names():
+            try:
+                offered = self._node.node.get_service_names_and_types_by_node(name, namespace)
+            except RuntimeError:  # it left the graph just now
+                continue
+            found |= {service: plain_type(types[0]) for service, types in offered if types}
+        return dict(sorted(found.items()))
+
+    def _names(self) -> list[tuple[str, str]]:
+        return list(self._node.node.get_node_names_and_namespaces())

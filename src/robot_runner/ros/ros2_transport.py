@@ -1,0 +1,351 @@
+"""Topics and services over rclpy, where a ROS 2 is sourced; the process is one node, whatever the number of robots."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.robot import Encoding, Qos
+from robot_runner.ros.graph_links import missing
+from robot_runner.ros.graph_transport import (
+    ReceivedBytes,
+    already_offered,
+    check_type,
+    nobody_publishes,
+    service_timeout,
+    shortfall,
+    silent_publishers,
+    wrong_service_type,
+)
+from robot_runner.ros.ros2_node import Graph, GraphNode, join_graph
+from robot_runner.ros.ros2_types import Ros2Types, as_mapping, as_message, message_class, service_class
+
+try:
+    from rclpy.event_handler import SubscriptionEventCallbacks
+except ModuleNotFoundError:  # Humble
+    from rclpy.qos_event import SubscriptionEventCallbacks
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from robot_runner.core.links.robot import Message
+    from robot_runner.ros.graph_transport import Reception
+
+__all__ = ["Ros2Transport"]
+
+#: How much of a topic is kept while the callbacks are behind, where the user names no profile: a second of 1 kHz.
+_KEPT = 1000
+# rmw/qos_profiles.h of ROS 2, for the depths; 0 is as many as come.
+_DEPTHS = {Qos.DEFAULT: 10, Qos.SENSOR_DATA: 5, Qos.RELIABLE: 0, Qos.TRANSIENT_LOCAL: 1}
+#: How long a new publisher waits for the subscribers that are there already, s.
+_MATCHING = 1.0
+#: How long a service that is not there is waited for, s; a node that starts up takes as long.
+_PATIENCE = 1.5
+
+
+class Ros2Transport:
+    """The primitives of a graph link over rclpy.
+
+    Args:
+        domain: DDS domain id; None for what ROS_DOMAIN_ID says.
+        now_ns: the time that raw messages are stamped with.
+        use_sim_time: whether the node lives by the time on `/clock`.
+
+    Raises:
+        LinkError: the graph cannot be joined.
+    """
+
+    has_threads = True
+    encoding = Encoding.CDR
+
+    def __init__(self, domain: int | None, now_ns: Callable[[], int], *, use_sim_time: bool) -> None:
+        self.types = Ros2Types()
+        self._now_ns = now_ns
+        self._lock = threading.Lock()
+        self._clients: dict[tuple[str, str], _Client] = {}
+        self._node = join_graph(domain, use_sim_time=use_sim_time)
+        self._graph = Graph(self._node)
+
+    def advertise(self, topic: str, message_type: str, qos: Qos) -> _Publisher:
+        """Return a publisher, once the subscribers that are there already are reached."""
+        return _Publisher(self._node, self._graph, topic, message_type, qos)
+
+    def subscribe(
+        self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
+    ) -> _Subscription:
+        """Have `receive` called with each message, in the node's thread that calls back."""
+        del is_raw
+        cls = message_class(message_type)
+
+        def decode(data: bytes) -> Message:
+            return as_mapping(deserialize_message(data, cls))
+
+        def take(data: bytes) -> None:
+            reception = ReceivedBytes(bytes(data), self._now_ns(), decode)
+            self._node.later(lambda: receive(reception))
+
+        return _Subscription(self._node, self._graph, topic, message_type, take, qos)
+
+    def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
+        """Call a service and return its response; a client is kept, because it takes time to be discovered."""
+        with self._lock:
+            key = service, service_type
+            if key not in self._clients:
+                self._clients[key] = _Client(self._node, self._graph, service, service_type)
+            client = self._clients[key]
+        return client.call(request, timeout)
+
+    def serve(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> _Offer:
+        """Offer a service; a request at which `answer` raises is not answered: services of ROS 2 cannot say so."""
+        return _Offer(self._node, self._graph, service, service_type, answer)
+
+    def topics(self) -> Mapping[str, str]:
+        """Return the type of each topic that has a publisher or a subscriber."""
+        return self._graph.topics()
+
+    def services(self) -> Mapping[str, str]:
+        """Return the type of each service that a node offers."""
+        return self._graph.services()
+
+    def nodes(self) -> Iterable[str]:
+        """Return the full names of the nodes."""
+        return self._graph.nodes()
+
+    def wait(self, event: threading.Event, seconds: float) -> None:
+        """Wait for an event, for so long at most."""
+        event.wait(seconds)
+
+    def close(self) -> None:
+        """Leave the graph with the last link of the process."""
+        self._node.leave()
+
+
+class _Publisher:
+    """Publishes one topic.
+
+    Raises:
+        LinkError: the topic carries another type.
+    """
+
+    def __init__(self, node: GraphNode, graph: Graph, topic: str, message_type: str, qos: Qos) -> None:
+        self._node = node
+        self._cls = message_class(message_type)
+        node.settle(lambda: graph.publishers(topic) or graph.subscriptions(topic))
+        subscriptions = graph.subscriptions(topic)
+        _check_types(topic, message_type, [*graph.publishers(topic), *subscriptions])
+        profile = _writer_profile(qos)
+        reachable = sum(_incompatibility(each.qos_profile, profile) is None for each in subscriptions)
+        self._publisher = node.node.create_publisher(self._cls, topic, profile)
+        node.until(lambda: self._publisher.get_subscription_count() >= reachable, _MATCHING)
+
+    def publish(self, message: Message) -> None:
+        self._publisher.publish(as_message(self._cls, message))
+
+    def flush(self, seconds: float) -> None:
+        self._publisher.wait_for_all_acked(Duration(seconds=seconds))
+
+    def close(self) -> None:
+        self._node.node.destroy_publisher(self._publisher)
+
+
+class _Subscription:
+    """Receives one topic as bytes; adapts to the topic's publishers where no profile is asked for.
+
+    Raises:
+        LinkError: the topic carries another type, or its publishers offer less than `qos`.
+    """
+
+    def __init__(
+        self,
+        node: GraphNode,
+        graph: Graph,
+        topic: str,
+        message_type: str,
+        take: Callable[[bytes], None],
+        qos: Qos | None,
+    ) -> None:
+        self._node = node
+        self._graph = graph
+        self._topic = topic
+        self._cls = message_class(message_type)
+        self._take = take
+        self._lock = threading.Lock()
+        self._is_open = True
+        self._mismatch = ""
+        node.settle(lambda: graph.publishers(topic))
+        publishers = graph.publishers(topic)
+        _check_types(topic, message_type, publishers)
+        profile = _adapted([each.qos_profile for each in publishers]) if qos is None else _reader_profile(qos)
+        for each in publishers:
+            self._check_offer(profile, each)
+        self._is_adapting = qos is None
+        self._profile = profile
+        self._subscription = self._created(profile)
+
+    def explain(self) -> str:
+        if self._mismatch:
+            return self._mismatch
+        publishers = self._graph.publishers(self._topic)
+        if publishers:
+            return silent_publishers(each.node_name for each in publishers)
+        return nobody_publishes(self._topic, self._graph.topics())
+
+    def close(self) -> None:
+        with self._lock:
+            self._is_open = False
+            self._node.node.destroy_subscription(self._subscription)
+
+    def _created(self, profile: Any) -> Any:
+        events = SubscriptionEventCallbacks(incompatible_qos=self._note_mismatch)
+        return self._node.node.create_subscription(
+            self._cls, self._topic, self._take, profile, event_callbacks=events, raw=True
+        )
+
+    def _note_mismatch(self, event: Any) -> None:
+        del event
+        if self._is_adapting:
+            self._node.later(self._weaken)
+            return
+        for each in self._graph.publishers(self._topic):
+            self._mismatch = _incompatibility(self._profile, each.qos_profile) or self._mismatch
+
+    def _weaken(self) -> None:
+        """Take what the publisher that came now has to offer, too."""
+        with self._lock:
+            if self._is_open and self._is_adapting:
+                self._is_adapting = False  # every publisher satisfies the weakest
+                former, self._subscription = self._subscription, self._created(_weakest())
+                self._node.node.destroy_subscription(former)
+
+    def _check_offer(self, profile: Any, publisher: Any) -> None:
+        less = _incompatibility(profile, publisher.qos_profile)
+        if less is not None:
+            raise LinkError(
+                f"its publisher {_owner(publisher)} offers less than is asked for: {less}",
+                where=self._topic,
+                fix="Leave qos out, so that the subscription fits its publishers.",
+            )
+
+
+class _Client:
+    """The client of one service."""
+
+    def __init__(self, node: GraphNode, graph: Graph, service: str, service_type: str) -> None:
+        self._node = node
+        self._graph = graph
+        self._service = service
+        self._type = service_type
+        self._cls = service_class(service_type)
+        self._client = node.node.create_client(self._cls, service)
+
+    def call(self, request: Message, timeout: float) -> Message:
+        deadline = time.monotonic() + timeout
+        self._find(min(timeout, _PATIENCE))
+        answered = threading.Event()
+        future = self._client.call_async(as_message(self._cls.Request, request))
+        future.add_done_callback(lambda _: answered.set())
+        if not answered.wait(max(deadline - time.monotonic(), 0.0)):
+            self._client.remove_pending_request(future)
+            raise service_timeout(self._service, timeout)
+        return as_mapping(future.result())
+
+    def _find(self, seconds: float) -> None:
+        if self._node.until(self._client.service_is_ready, seconds):
+            return
+        true = self._graph.service_type(self._service)
+        if true is not None and true != self._type:
+            raise wrong_service_type(self._service, true, self._type)
+        fix = "Start the node that offers it."
+        raise missing("service", self._service, self._graph.services(), where="ros2", fix=fix)
+
+
+class _Offer:
+    """A service that is offered.
+
+    Raises:
+        LinkError: a service of this name is offered already.
+    """
+
+    def __init__(
+        self, node: GraphNode, graph: Graph, service: str, service_type: str, answer: Callable[[Message], Message]
+    ) -> None:
+        cls = service_class(service_type)
+        node.settle(lambda: graph.service_type(service))
+        if graph.service_type(service) is not None:
+            raise already_offered(service)
+
+        def respond(request: Any, _response: Any) -> Any:
+            return as_message(cls.Response, answer(as_mapping(request)))
+
+        self._host = node.services()
+        self._offered = self._host.create_service(cls, service, respond)
+        node.until(lambda: graph.service_type(service), _PATIENCE)
+
+    def close(self) -> None:
+        self._host.destroy_service(self._offered)
+
+
+def _check_types(topic: str, wanted: str, endpoints: Sequence[Any]) -> None:
+    for each in endpoints:
+        check_type(topic, wanted, [each.topic_type], owner=_owner(each))
+
+
+def _owner(endpoint: Any) -> str:
+    return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
+
+
+def _writer_profile(qos: Qos) -> QoSProfile:
+    """Return a profile of ROS for a publisher."""
+    return _profile(_DEPTHS[qos], is_reliable=qos is not Qos.SENSOR_DATA, is_kept=qos is Qos.TRANSIENT_LOCAL)
+
+
+def _reader_profile(qos: Qos) -> QoSProfile:
+    """Return a profile of ROS for a subscription."""
+    # The last message of each publisher: the depth of a reader is that of them all.
+    depth = _KEPT if qos is Qos.TRANSIENT_LOCAL else _DEPTHS[qos]
+    return _profile(depth, is_reliable=qos is not Qos.SENSOR_DATA, is_kept=qos is Qos.TRANSIENT_LOCAL)
+
+
+def _adapted(offers: Sequence[QoSProfile]) -> QoSProfile:
+    """Return the profile of a subscription that all these publishers satisfy, as strong as they allow.
+
+    Where there is none yet it is reliable, which is what most publishers are.
+    """
+    is_reliable = all(_is_reliable(offer) for offer in offers)
+    is_kept = is_reliable and bool(offers) and all(_is_kept(offer) for offer in offers)
+    return _profile(_KEPT, is_reliable=is_reliable, is_kept=is_kept)
+
+
+def _weakest() -> QoSProfile:
+    """Return the profile of a subscription that every publisher satisfies."""
+    return _profile(_KEPT, is_reliable=False, is_kept=False)
+
+
+def _incompatibility(asked: QoSProfile, offered: QoSProfile) -> str | None:
+    """Say which policy of an offer is less than what is asked for, or return None if none is."""
+    return shortfall(asked=(_is_reliable(asked), _is_kept(asked)), offered=(_is_reliable(offered), _is_kept(offered)))
+
+
+def _profile(depth: int, *, is_reliable: bool, is_kept: bool) -> QoSProfile:
+    history: dict[str, Any] = {"history": HistoryPolicy.KEEP_LAST if depth else HistoryPolicy.KEEP_ALL}
+    if depth:
+        history["depth"] = depth
+    return QoSProfile(
+        reliability=ReliabilityPolicy.RELIABLE if is_reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if is_kept else DurabilityPolicy.VOLATILE,
+        **history,
+    )
+
+
+def _is_reliable(profile: QoSProfile) -> bool:
+    return bool(profile.reliability != ReliabilityPolicy.BEST_EFFORT)
+
+
+def _is_kept(profile: QoSProfile) -> bool:
+    return bool(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL)

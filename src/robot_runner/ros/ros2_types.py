@@ -1,0 +1,176 @@
+"""Messages of ROS 2 to and from plain mappings; their types are the Python classes that ROS generates."""
+
+from __future__ import annotations
+
+from array import array
+from functools import lru_cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import LinkError
+from robot_runner.ros.generated_types import TypeKind, generated_class
+from robot_runner.ros.shapes import BYTE_KINDS, UNBOUNDED, Field, Shape, UpTo
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+__all__ = ["Ros2Types", "as_mapping", "as_message", "message_class", "service_class", "shape_of"]
+
+
+#: What the interface definition language calls some kinds.
+_KINDS = MappingProxyType({"boolean": "bool", "float": "float32", "double": "float64", "octet": "byte"})
+_OCTET = "byte"
+#: Between the definitions of two types in a bag.
+_SEPARATOR = "=" * 80
+
+
+def message_class(message_type: str) -> Any:
+    """Return the class of a message type, such as `geometry_msgs/Twist`.
+
+    Raises:
+        LinkError: there is none, or its package is not in the sourced ROS.
+    """
+    return generated_class(message_type, TypeKind.MESSAGE, _is_message)
+
+
+def service_class(service_type: str) -> Any:
+    """Return the class of a service type, such as `std_srvs/Trigger`.
+
+    Raises:
+        LinkError: as `message_class`.
+    """
+    return generated_class(service_type, TypeKind.SERVICE, _is_service)
+
+
+def _is_message(found: Any, _name: str) -> bool:
+    return hasattr(found, "get_fields_and_field_types")
+
+
+def _is_service(found: Any, _name: str) -> bool:
+    return hasattr(found, "Request")
+
+
+@lru_cache
+def shape_of(cls: Any) -> Shape:
+    """Return what a message class, or the class of a request or response, is made of."""
+    example = cls()
+    names = cls.get_fields_and_field_types()
+    fields = (_field(name, kind, getattr(example, name)) for name, kind in zip(names, cls.SLOT_TYPES, strict=True))
+    return Shape(f"{cls.__module__.partition('.')[0]}/{cls.__name__}", tuple(fields))
+
+
+def _field(name: str, written: Any, example: Any) -> Field:
+    element = getattr(written, "value_type", None)
+    kind = _kind(written if element is None else element)
+    limit = getattr(written if element is None else element, "maximum_size", None)
+    default = None if isinstance(kind, Shape) else _taken(Field(name, kind, _count(written)), example)
+    return Field(name, kind, _count(written), default or None, limit)
+
+
+def _count(written: Any) -> int | UpTo | None:
+    if not hasattr(written, "value_type"):
+        return None
+    size = getattr(written, "size", None)
+    if size is not None:
+        return int(size)
+    limit = getattr(written, "maximum_size", None)
+    return UNBOUNDED if limit is None else UpTo(int(limit))
+
+
+def _kind(written: Any) -> str | Shape:
+    if hasattr(written, "namespaces"):
+        return shape_of(message_class(f"{written.namespaces[0]}/{written.name}"))
+    if hasattr(written, "typename"):
+        name: str = written.typename
+        return _KINDS.get(name, name)
+    return "wstring" if "WString" in type(written).__name__ else "string"
+
+
+def as_mapping(message: Any) -> dict[str, Any]:
+    """Return a message of ROS as a plain mapping."""
+    cls: Any = type(message)
+    return {field.name: _taken(field, getattr(message, field.name)) for field in shape_of(cls).fields}
+
+
+def _taken(field: Field, value: Any) -> Any:
+    kind = field.kind
+    if field.count is None:
+        if isinstance(kind, Shape):
+            return as_mapping(value)
+        return value[0] if kind == _OCTET else value
+    if isinstance(kind, Shape):
+        return [as_mapping(each) for each in value]
+    if kind in BYTE_KINDS:
+        return b"".join(value) if kind == _OCTET else bytes(value)
+    return value.tolist() if hasattr(value, "tolist") else list(value)  # of arrays: numpy's and the standard library's
+
+
+def as_message(cls: Any, complete: Mapping[str, Any]) -> Any:
+    """Return the message of ROS that a mapping with every field is; `robot_runner.ros.shapes.completed` makes one."""
+    message = cls()
+    for field in shape_of(cls).fields:
+        setattr(message, field.name, _given(field, complete[field.name]))
+    return message
+
+
+def _given(field: Field, value: Any) -> Any:
+    kind = field.kind
+    if isinstance(kind, Shape):
+        cls = message_class(kind.type_name)
+        return as_message(cls, value) if field.count is None else [as_message(cls, each) for each in value]
+    if kind == _OCTET:
+        return bytes([value]) if field.count is None else [bytes([each]) for each in value]
+    if kind in BYTE_KINDS and isinstance(field.count, UpTo):
+        return array("B", value)  # which ROS takes as it is; it looks at each element of anything else
+    return list(value) if field.count is not None else value
+
+
+class Ros2Types:
+    """The types of the sourced ROS 2; each method raises a `LinkError` for an unknown type."""
+
+    def shape(self, message_type: str) -> Shape:
+        """Return what a message type is made of."""
+        return shape_of(message_class(message_type))
+
+    def request(self, service_type: str) -> Shape:
+        """Return what the request of a service type is made of."""
+        return shape_of(service_class(service_type).Request)
+
+    def response(self, service_type: str) -> Shape:
+        """Return what the response of a service type is made of."""
+        return shape_of(service_class(service_type).Response)
+
+    def definition(self, message_type: str) -> str:
+        """Return the text of a type's definition, followed by the types that it is made of, as bags store it.
+
+        Raises:
+            LinkError: there is no such type, or its package has no text of it.
+        """
+        shape = self.shape(message_type)
+        within = (f"{_SEPARATOR}\nMSG: {name}\n{_text(name)}" for name in dict.fromkeys(_within(shape)))
+        return "\n".join([_text(shape.type_name), *within])
+
+
+def _within(shape: Shape) -> Iterator[str]:
+    for field in shape.fields:
+        if isinstance(field.kind, Shape):
+            yield field.kind.type_name
+            yield from _within(field.kind)
+
+
+def _text(type_name: str) -> str:
+    from ament_index_python.packages import (  # noqa: PLC0415  # comes with a sourced ROS 2
+        PackageNotFoundError,
+        get_package_share_directory,
+    )
+
+    package, _, name = type_name.partition("/")
+    try:
+        return (Path(get_package_share_directory(package)) / "msg" / f"{name}.msg").read_text(encoding="utf-8")
+    except (PackageNotFoundError, OSError) as error:
+        raise LinkError(
+            f"the package {package!r} has no text of the definition: {error}",
+            where=type_name,
+            fix="Install the package with its share folder.",
+        ) from error

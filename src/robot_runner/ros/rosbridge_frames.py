@@ -1,0 +1,240 @@
+"""The WebSocket of a rosbridge: JSON and CBOR frames, fragments, and messages in the spelling of the protocol."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import math
+import socket
+import struct
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import LinkError
+from robot_runner.ros.shapes import BYTE_KINDS, Field, Shape
+
+if TYPE_CHECKING:
+    from contextlib import ExitStack
+
+    from cbor2 import CBORTag
+    from websockets.sync.client import ClientConnection
+
+    from robot_runner.ros.rosbridge_link import RosbridgeAddress
+
+__all__ = ["FrameReader", "as_json", "closed_reason", "connect", "from_protocol", "read", "send_errors", "to_protocol"]
+
+#: The elements of a typed array by its tag; 4 more is little endian. Those of octets (64, 68) stay bytes.
+_TYPED = MappingProxyType(
+    dict(zip((65, 66, 67, 69, 70, 71), (">H", ">I", ">Q", "<H", "<I", "<Q"), strict=True))
+    | dict(zip((72, 73, 74, 75, 77, 78, 79), (">b", ">h", ">i", ">q", "<h", "<i", "<q"), strict=True))
+    | dict(zip((80, 81, 82, 84, 85, 86), (">e", ">f", ">d", "<e", "<f", "<d"), strict=True))
+)
+
+
+def read(data: bytes) -> Any:
+    """Decode CBOR, in which a rosbridge sends what JSON cannot; typed arrays are lists, those of octets `bytes`.
+
+    Raises:
+        ValueError: the bytes are not CBOR.
+
+    Example:
+        >>> read(bytes.fromhex("a16161d84d4401000200"))
+        {'a': [1, 2]}
+    """
+    from cbor2 import CBORDecodeError, loads  # noqa: PLC0415  # an extra, only where it is asked for
+
+    try:
+        return loads(data, tag_hook=_untagged)
+    except CBORDecodeError as error:
+        raise ValueError(f"{len(data)} bytes are not CBOR: {error}") from error
+
+
+def _untagged(tagged: CBORTag, _is_immutable: bool) -> Any:
+    layout = _TYPED.get(tagged.tag)
+    return tagged.value if layout is None else _numbers(layout, tagged.value)
+
+
+def _numbers(layout: str, data: bytes) -> list[Any]:
+    count = len(data) // struct.calcsize(layout)
+    return list(struct.unpack(f"{layout[0]}{count}{layout[1]}", data))
+
+
+#: An operation in more fragments than this is a broken one, and would only fill the memory.
+_MOST_FRAGMENTS = 100_000
+#: So many operations may be incomplete at a time; of a server that drops fragments, the oldest are forgotten.
+_MOST_UNFINISHED = 100
+
+
+def as_json(operation: dict[str, Any]) -> str:
+    """Return an operation as it is sent. NaN and infinity are sent as Python writes them, which servers read."""
+    return json.dumps(operation, separators=(",", ":"), ensure_ascii=False)
+
+
+class FrameReader:
+    r"""Reads frames, and keeps the fragments of operations that are not whole yet.
+
+    Example:
+        >>> reader = FrameReader()
+        >>> reader.read('{"op": "fragment", "id": "a", "num": 1, "total": 2, "data": "status\\"}"}')
+        >>> reader.read('{"op": "fragment", "id": "a", "num": 0, "total": 2, "data": "{\\"op\\": \\""}')
+        {'op': 'status'}
+    """
+
+    def __init__(self) -> None:
+        self._parts: dict[str, dict[int, str]] = {}
+
+    def read(self, frame: str | bytes) -> dict[str, Any] | None:
+        """Return the operation that the frame is, or completes; None if more fragments are to come.
+
+        Raises:
+            ValueError: it is no operation of the protocol.
+        """
+        operation = read(frame) if isinstance(frame, bytes) else json.loads(frame)
+        if not isinstance(operation, dict) or not isinstance(operation.get("op"), str):
+            raise ValueError(f"{str(frame)[:80]!r} has no field 'op'")  # noqa: TRY004 - data, not an argument
+        return self._whole(operation) if operation["op"] == "fragment" else operation
+
+    def _whole(self, fragment: dict[str, Any]) -> dict[str, Any] | None:
+        number, total = fragment.get("num"), fragment.get("total")
+        text, name = fragment.get("data"), str(fragment.get("id"))
+        if not isinstance(number, int) or not isinstance(total, int) or not isinstance(text, str):
+            raise ValueError("a fragment lacks 'num', 'total' or 'data'")  # noqa: TRY004 - data, not an argument
+        if not 0 <= number < total <= _MOST_FRAGMENTS:
+            raise ValueError(f"fragment {number} of {total}")
+        parts = self._parts.setdefault(name, {})
+        parts[number] = text
+        if len(parts) < total:
+            while len(self._parts) > _MOST_UNFINISHED:
+                del self._parts[next(iter(self._parts))]
+            return None
+        del self._parts[name]
+        return self.read("".join(parts[index] for index in range(total)))
+
+
+_STAMPS = frozenset({"time", "duration"})
+_FLOATS = frozenset({"float32", "float64"})
+#: JSON has no spelling for NaN and the infinities, and a server writes null for all three.
+_NOT_A_NUMBER = math.nan
+
+
+def to_protocol(shape: Shape, message: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a complete message as the protocol has it: bytes in base64, ROS 1 times as `secs` and `nsecs`."""
+    return {field.name: _out(field, message[field.name]) for field in shape.fields}
+
+
+def from_protocol(shape: Shape, message: object, *, where: str) -> dict[str, Any]:
+    """Return a message of the protocol as ours.
+
+    Raises:
+        LinkError: it is not a message of this type.
+    """
+    if not isinstance(message, Mapping):
+        raise _other(shape, where, f"{message!r} is not a mapping")
+    try:
+        return {field.name: _in(field, message[field.name], where) for field in shape.fields}
+    except (KeyError, TypeError, ValueError, AttributeError, binascii.Error) as error:
+        raise _other(shape, where, f"{type(error).__name__} {error}") from error
+
+
+def _out(field: Field, value: Any) -> Any:
+    if field.count is None:
+        return _out_one(field.kind, value)
+    if isinstance(value, bytes):
+        return base64.b64encode(value).decode("ascii")
+    return value if field.kind in _FLOATS else [_out_one(field.kind, each) for each in value]
+
+
+def _out_one(kind: str | Shape, value: Any) -> Any:
+    if isinstance(kind, Shape):
+        return to_protocol(kind, value)
+    return {"secs": value["sec"], "nsecs": value["nanosec"]} if kind in _STAMPS else value
+
+
+def _in(field: Field, value: Any, where: str) -> Any:
+    if field.count is None:
+        return _in_one(field.kind, value, where)
+    if field.kind in BYTE_KINDS:
+        return base64.b64decode(value) if isinstance(value, str) else bytes(value)
+    return [_in_one(field.kind, each, where) for each in value]
+
+
+def _in_one(kind: str | Shape, value: Any, where: str) -> Any:
+    if isinstance(kind, Shape):
+        return from_protocol(kind, value, where=where)
+    if kind in _STAMPS:
+        seconds = value["secs"] if "secs" in value else value["sec"]
+        return {"sec": int(seconds), "nanosec": int(value["nsecs"] if "nsecs" in value else value["nanosec"])}
+    if kind in _FLOATS:
+        return _NOT_A_NUMBER if value is None else float(value)
+    return value
+
+
+def _other(shape: Shape, where: str, why: str) -> LinkError:
+    return LinkError(
+        f"the message is not a {shape.type_name}: {why}",
+        where=where,
+        fix="Name the robot's distribution, or give its definition: rosbridge://robot:9090?distro=…&types=….",
+    )
+
+
+#: How long, s, the other side may be silent before it is asked whether it is there, and how long it may think about it.
+_PING_INTERVAL, _PING_TIMEOUT = 3.0, 5.0
+_CLOSE_TIMEOUT = 2.0
+
+
+def connect(address: RosbridgeAddress, timeout: float, closing: ExitStack, *, where: str) -> ClientConnection:
+    """Open the WebSocket.
+
+    Args:
+        address: of the rosbridge.
+        timeout: how long it may take, s.
+        closing: closes it.
+        where: for the error.
+
+    Raises:
+        LinkError: it cannot be opened.
+    """
+    from websockets import exceptions  # noqa: PLC0415  # an extra, only where it is asked for
+    from websockets.sync.client import connect as open_connection  # noqa: PLC0415
+
+    try:
+        return closing.enter_context(
+            open_connection(
+                address.uri,
+                open_timeout=timeout,
+                close_timeout=_CLOSE_TIMEOUT,
+                ping_interval=_PING_INTERVAL,
+                ping_timeout=_PING_TIMEOUT,
+                compression=None,  # it would cost more on the robot than it saves on the network
+                max_size=None,
+                proxy=None,
+            )
+        )
+    except socket.gaierror as error:
+        fix = "Correct the robot's address, or give it as a number."
+        raise LinkError(f"the host {address.host!r} is not known", where=where, fix=fix) from error
+    except TimeoutError as error:
+        fix = "Look whether the robot is on and in this network, and whether a firewall drops the port."
+        raise LinkError(f"nothing answers there within {timeout:g} s", where=where, fix=fix) from error
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        fix = "Start it on the robot: roslaunch (ROS 2: ros2 launch) rosbridge_server, or correct the address."
+        raise LinkError(f"the rosbridge cannot be reached: {reason}", where=where, fix=fix) from error
+    except (exceptions.InvalidHandshake, exceptions.InvalidURI, EOFError) as error:
+        fix = "Name the port of the rosbridge server: 9090, if not started elsewhere."
+        raise LinkError(f"what listens there is not a rosbridge: {error}", where=where, fix=fix) from error
+
+
+def send_errors() -> tuple[type[Exception], ...]:
+    """Return what says that a connection is gone."""
+    from websockets.exceptions import ConnectionClosed  # noqa: PLC0415  # an extra, loaded by now
+
+    return (ConnectionClosed, OSError, EOFError)
+
+
+def closed_reason(error: Exception) -> str:
+    """Return why a connection is gone."""
+    text = str(error)
+    return "the robot does not answer any more" if "keepalive" in text else text

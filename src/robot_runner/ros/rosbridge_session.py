@@ -1,0 +1,288 @@
+"""A connection to a rosbridge: operations that are sent, and the answers that are awaited."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import queue
+import threading
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import LinkError
+from robot_runner.ros.graph_transport import service_timeout
+from robot_runner.ros.rosbridge_frames import FrameReader, as_json, closed_reason, connect, send_errors
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from robot_runner.ros.rosbridge_link import RosbridgeAddress
+
+__all__ = ["Reply", "Session"]
+
+_logger = logging.getLogger(__name__)
+
+#: How long the server may take to answer what it answers itself, s.
+ANSWER = 5.0
+#: Called to learn that the server has dealt with all that was sent before: it answers for each service, if only that
+#: there is none, and takes operations in their order.
+_BARRIER = "/rosapi/get_time"
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """The answer of a service.
+
+    Attributes:
+        is_good: whether the service succeeded.
+        values: its response, or what went wrong.
+    """
+
+    is_good: bool
+    values: Any
+
+
+@dataclass(slots=True)
+class _Pending:
+    event: threading.Event = field(default_factory=threading.Event)
+    reply: Reply | None = None
+
+
+class Session:
+    """A connection, with a thread that receives and one that calls back.
+
+    Args:
+        address: of the rosbridge.
+
+    Attributes:
+        on_message: called, in the thread that receives, with a topic's name and one of its messages.
+        on_request: called, in the same thread, with an operation that calls a service that is offered here.
+
+    Raises:
+        LinkError: it cannot be reached, or is no rosbridge.
+    """
+
+    def __init__(self, address: RosbridgeAddress) -> None:
+        self.where = f"rosbridge at {address.host}:{address.port}"
+        self.on_message: Callable[[str, Any], None] = lambda _topic, _message: None
+        self.on_request: Callable[[Mapping[str, Any]], None] = lambda _operation: None
+        self._numbers = itertools.count(1)
+        self._lock = threading.Lock()
+        self._pending: dict[str, _Pending] = {}
+        self._complaints: dict[str, str] = {}
+        self._waiting: set[threading.Event] = set()
+        self._lost: LinkError | None = None
+        self._is_closed = False
+        self._todo: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._closing = ExitStack()
+        self._connection = connect(address, ANSWER, self._closing, where=self.where)
+        self._threads = [
+            threading.Thread(target=target, name=f"rosbridge {name}", daemon=True)
+            for name, target in (("receiver", self._receive), ("callbacks", self._call_back))
+        ]
+        for thread in self._threads:
+            thread.start()
+        self._greet()
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether anything can be sent."""
+        return not self._is_closed and self._lost is None
+
+    def check_open(self, where: str) -> None:
+        """Raise a `LinkError` if the session was closed or lost."""
+        if self._is_closed:
+            raise LinkError("the link was closed", where=where, fix="Use it before the run ends.")
+        if self._lost is not None:
+            raise self._lost
+
+    def send(self, operation: dict[str, Any]) -> None:
+        """Send an operation that nothing comes back for.
+
+        Raises:
+            LinkError: the connection is lost.
+        """
+        self.check_open(self.where)
+        try:
+            self._connection.send(as_json(operation))
+        except send_errors() as error:
+            self._lose(closed_reason(error))
+            raise (self._lost or self._loss(str(error))) from error
+
+    def flush(self, *, where: str) -> None:
+        """Return when the server has dealt with all that was sent.
+
+        Raises:
+            LinkError: the server does not answer in time, or the connection is lost.
+        """
+        self.call(_BARRIER, {}, timeout=ANSWER, where=where)
+
+    def request(self, operation: dict[str, Any], *, where: str) -> None:
+        """Send an operation, and return when the server has dealt with it.
+
+        Raises:
+            LinkError: the server refuses it, does not answer in time, or the connection is lost.
+        """
+        name = operation.get("id") or self.fresh_id(operation["op"])
+        self.send({**operation, "id": name})
+        self.flush(where=where)
+        with self._lock:
+            complaint = self._complaints.pop(name, None)
+        if complaint is not None:
+            raise LinkError(f"the rosbridge refuses it: {complaint}", where=where, fix="Correct what it says.")
+
+    def call(self, service: str, request: Mapping[str, Any], *, timeout: float, where: str = "") -> Reply:
+        """Call a service and return what it answers, in the protocol's spelling.
+
+        Raises:
+            LinkError: it does not answer in time, or the connection is lost.
+        """
+        return self.calls([(service, request)], timeout=timeout, where=where)[0]
+
+    def calls(self, questions: list[tuple[str, Mapping[str, Any]]], *, timeout: float, where: str = "") -> list[Reply]:
+        """Call services all at once; as `call` in all else."""
+        names = [self._ask(service, request) for service, request in questions]
+        try:
+            return [
+                self._answer(name, timeout, where or service)
+                for name, (service, _) in zip(names, questions, strict=True)
+            ]
+        finally:
+            with self._lock:
+                for name in names:
+                    self._pending.pop(name, None)
+                    self._complaints.pop(name, None)
+
+    def wait(self, event: threading.Event, seconds: float) -> None:
+        """Wait for an event, for so long at most.
+
+        Raises:
+            LinkError: the connection is lost.
+        """
+        with self._lock:
+            self._waiting.add(event)
+        try:
+            if self._lost is None:
+                event.wait(seconds)
+        finally:
+            with self._lock:
+                self._waiting.discard(event)
+        if self._lost is not None:
+            raise self._lost
+
+    def later(self, todo: Callable[[], None]) -> None:
+        """Have something done in the thread that calls back, after what is to be done there already."""
+        self._todo.put(todo)
+
+    def fresh_id(self, what: str) -> str:
+        """Return a name that no operation of this session has."""
+        return f"robot_runner:{what}:{next(self._numbers)}"
+
+    def close(self) -> None:
+        """Leave; closing twice does nothing."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        self._todo.put(None)
+        with suppress(*send_errors()):
+            self._closing.close()
+        for thread in self._threads:
+            if thread is not threading.current_thread():
+                thread.join(ANSWER)
+
+    def _greet(self) -> None:
+        """See that it speaks the protocol."""
+        try:
+            self.flush(where=self.where)
+        except LinkError as error:
+            self.close()
+            if self._lost is not None:
+                raise
+            raise LinkError(
+                f"what listens there does not answer as a rosbridge within {ANSWER:g} s",
+                where=self.where,
+                fix="Name the port of the rosbridge server, or look at its log.",
+            ) from error
+
+    def _ask(self, service: str, request: Mapping[str, Any]) -> str:
+        name = self.fresh_id("call_service")
+        with self._lock:
+            self._pending[name] = _Pending()
+        self.send({"op": "call_service", "id": name, "service": service, "args": dict(request)})
+        return name
+
+    def _answer(self, name: str, timeout: float, where: str) -> Reply:
+        pending = self._pending[name]
+        self.wait(pending.event, timeout)
+        if pending.reply is None:
+            raise service_timeout(where, timeout)
+        return pending.reply
+
+    def _receive(self) -> None:
+        reader = FrameReader()
+        try:
+            for frame in self._connection:
+                try:
+                    operation = reader.read(frame)
+                except ValueError as error:
+                    _logger.warning("%s sent what is no operation: %s", self.where, error)
+                    continue
+                if operation is not None:
+                    self._take(operation)
+        except send_errors() as error:
+            self._lose(closed_reason(error))
+        finally:
+            self._lose("it closed the connection")
+
+    def _take(self, operation: dict[str, Any]) -> None:
+        match operation["op"]:
+            case "publish":
+                self.on_message(str(operation.get("topic")), operation.get("msg"))
+            case "service_response":
+                self._take_response(operation)
+            case "call_service":
+                self.on_request(operation)
+            case "status":
+                self._take_status(operation)
+            case other:
+                _logger.debug("%s sent %r, which is not needed here", self.where, other)
+
+    def _take_response(self, operation: Mapping[str, Any]) -> None:
+        with self._lock:
+            pending = self._pending.get(str(operation.get("id")))
+        if pending is not None:  # else: it came after its deadline
+            pending.reply = Reply(operation.get("result") is not False, operation.get("values"))
+            pending.event.set()
+
+    def _take_status(self, operation: Mapping[str, Any]) -> None:
+        text, name = str(operation.get("msg")), str(operation.get("id"))
+        if operation.get("level") != "error":
+            _logger.info("%s says: %s", self.where, text)
+            return
+        with self._lock:
+            if name in self._pending:
+                return  # its response says the same
+            self._complaints[name] = text
+        if not name.startswith("robot_runner:"):
+            _logger.warning("%s complains: %s", self.where, text)
+
+    def _call_back(self) -> None:
+        while (todo := self._todo.get()) is not None:
+            if not self._is_closed:
+                todo()
+
+    def _lose(self, reason: str) -> None:
+        with self._lock:
+            if self._lost is None and not self._is_closed:
+                self._lost = self._loss(reason)
+            events = [*self._waiting]
+        for event in events:
+            event.set()
+
+    def _loss(self, reason: str) -> LinkError:
+        return LinkError(
+            f"the connection is lost: {reason}",
+            where=self.where,
+            fix="Look whether the robot is on and in this network, and whether its rosbridge server runs.",
+        )

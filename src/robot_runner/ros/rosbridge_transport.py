@@ -1,0 +1,309 @@
+"""Topics and services over a rosbridge: one subscription and one publisher a topic, shared by all that use it here."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.robot import Encoding, Qos, RawMessage
+from robot_runner.ros.graph_links import missing
+from robot_runner.ros.graph_transport import already_offered, check_type, wrong_service_type
+from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
+from robot_runner.ros.rosbridge_session import Session
+from robot_runner.ros.rosbridge_types import RobotTypes, Rosapi
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from robot_runner.core.links.robot import Message
+    from robot_runner.ros.graph_transport import Reception
+    from robot_runner.ros.rosbridge_link import RosbridgeAddress
+    from robot_runner.ros.shapes import Shape
+
+__all__ = ["RosbridgeTransport"]
+
+_logger = logging.getLogger(__name__)
+
+#: Bytes as the robot has them; a server that does not know this compression sends JSON.
+_RAW = "cbor-raw"
+_RAW_FIELDS = frozenset({"bytes", "secs", "nsecs"})
+
+
+class RosbridgeTransport:
+    """The primitives of a graph link over a rosbridge, which runs on the robot, from a machine without ROS.
+
+    A rosbridge fits its own subscriptions to what a topic's publishers offer; of a QoS it takes `TRANSIENT_LOCAL`, for
+    what is published.
+
+    Args:
+        address: of the rosbridge.
+        now_ns: the time that raw messages are stamped with.
+
+    Raises:
+        LinkError: it cannot be reached, is not a rosbridge, or does not tell its generation of ROS.
+    """
+
+    has_threads = True
+
+    def __init__(self, address: RosbridgeAddress, now_ns: Callable[[], int]) -> None:
+        self._now_ns = now_ns
+        self._lock = threading.RLock()
+        self._topics: dict[str, _Topic] = {}
+        self._publishers: dict[str, _Publisher] = {}
+        self._answers: dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {}
+        self._session = Session(address)
+        try:
+            self._rosapi = Rosapi(self._session)
+            self.types = RobotTypes(self._rosapi, address)
+        except LinkError:
+            self._session.close()
+            raise
+        self._session.on_message = self._take_message
+        self._session.on_request = self._take_request
+
+    @property
+    def encoding(self) -> Encoding:
+        """That of the robot's generation of ROS."""
+        return self.types.encoding
+
+    def advertise(self, topic: str, message_type: str, qos: Qos) -> _Publisher:
+        """Return the publisher of a topic, a new one where messages are to be latched and were not before."""
+        self._session.check_open(topic)
+        is_latched = qos is Qos.TRANSIENT_LOCAL
+        with self._lock:
+            known = self._publishers.get(topic)
+            if known is not None and known.message_type == message_type and (known.is_latched or not is_latched):
+                return known
+            check_type(topic, message_type, self._told_type(topic))
+            if known is not None:
+                known.close()
+            fresh = _Publisher(self._session, topic, message_type, self.types, is_latched=is_latched)
+            self._rosapi.confirm_publisher(topic, message_type)
+            self._publishers[topic] = fresh
+            return fresh
+
+    def subscribe(
+        self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
+    ) -> _Subscription:
+        """Have `receive` called with each message, in the session's thread that calls back."""
+        self._session.check_open(topic)
+        with self._lock:
+            known = self._topics.get(topic) or self._subscribed(topic, message_type, is_raw=is_raw)
+            check_type(topic, message_type, [known.message_type])
+            if (is_raw and known.compression != _RAW) or (not is_raw and known.shape is None):
+                raise _one_form(topic, message_type)
+            known.receivers.append(receive)
+            if known.last is not None and qos is Qos.TRANSIENT_LOCAL:
+                receive(known.last)
+        return _Subscription(lambda: self._unsubscribe(known, receive))
+
+    def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
+        """Call a service and return its response."""
+        self._session.check_open(service)
+        values = to_protocol(self.types.request(service_type), request)
+        true = self._rosapi.service_type(service)
+        if true == "":
+            raise self._missing(service)
+        if true not in {None, service_type}:
+            raise wrong_service_type(service, str(true), service_type)
+        reply = self._session.call(service, values, timeout=timeout, where=service)
+        if not reply.is_good:
+            if "does not exist" in str(reply.values):
+                raise self._missing(service)
+            raise LinkError(f"the service failed: {reply.values}", where=service, fix="Look at the log of its node.")
+        return from_protocol(self.types.response(service_type), reply.values or {}, where=service)
+
+    def serve(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> _Subscription:
+        """Offer a service; requests are answered in threads of their own."""
+        self._session.check_open(service)
+        if service in self._answers or self._rosapi.service_type(service):
+            raise already_offered(service)
+        asked, answered = self.types.request(service_type), self.types.response(service_type)
+        self._answers[service] = lambda request: to_protocol(
+            answered, answer(from_protocol(asked, request, where=service))
+        )
+        wire_type = self.types.wire_name(service_type, "srv")
+        try:
+            self._session.request({"op": "advertise_service", "service": service, "type": wire_type}, where=service)
+            self._rosapi.confirm_service(service, service_type)
+        except LinkError:
+            del self._answers[service]
+            raise
+        return _Subscription(partial(self._withdraw, service))
+
+    def topics(self) -> Mapping[str, str]:
+        """Return the type of each topic; raises a `LinkError` where rosapi does not run beside the server."""
+        return self._rosapi.topics()
+
+    def services(self) -> Mapping[str, str]:
+        """Return the type of each service; raises as `topics`."""
+        return self._rosapi.services()
+
+    def nodes(self) -> Iterable[str]:
+        """Return the full names of the nodes; raises as `topics`."""
+        return self._rosapi.nodes()
+
+    def wait(self, event: threading.Event, seconds: float) -> None:
+        """Wait for an event; raises a `LinkError` as soon as the connection is lost."""
+        self._session.wait(event, seconds)
+
+    def close(self) -> None:
+        """Leave; the server forgets what is published, subscribed and offered here."""
+        self._session.close()
+
+    def _told_type(self, topic: str) -> list[str]:
+        told = self._rosapi.topic_type(topic)
+        return [] if told is None else [told]
+
+    def _subscribed(self, name: str, message_type: str, *, is_raw: bool) -> _Topic:
+        is_known = self.types.is_known_here(message_type)
+        shape = None if is_raw and not is_known else self.types.shape(message_type)
+        # A ROS 2 server's own CBOR fails at arrays of a fixed length, and its JSON has neither NaN nor infinity.
+        plain = "cbor" if self.types.generation == 1 else "none"
+        check_type(name, message_type, self._told_type(name))
+        request_id = self._session.fresh_id("subscribe")
+        topic = _Topic(name, message_type, shape, _RAW if is_known or is_raw else plain, request_id)
+        self._topics[name] = topic
+        operation = {"op": "subscribe", "id": request_id, "topic": name, "type": self.types.wire_name(message_type)}
+        try:
+            self._session.request({**operation, "compression": topic.compression}, where=name)
+            self._rosapi.confirm_subscription(name, message_type)
+        except LinkError:
+            del self._topics[name]
+            raise
+        return topic
+
+    def _unsubscribe(self, topic: _Topic, receive: Callable[[Reception], None]) -> None:
+        with self._lock:
+            topic.receivers = [each for each in topic.receivers if each is not receive]
+            if not topic.receivers and self._topics.pop(topic.name, None) is not None and self._session.is_usable:
+                self._session.send({"op": "unsubscribe", "id": topic.request_id, "topic": topic.name})
+
+    def _withdraw(self, service: str) -> None:
+        self._answers.pop(service, None)
+        if self._session.is_usable:
+            self._session.request({"op": "unadvertise_service", "service": service}, where=service)
+
+    def _missing(self, service: str) -> LinkError:
+        fix = "Start the node that offers it."
+        return missing("service", service, self._rosapi.service_names(), where=service, fix=fix)
+
+    def _take_message(self, name: str, message: Any) -> None:
+        topic = self._topics.get(name)
+        if topic is not None:
+            reception = _Reception(self.types, topic, message, self._now_ns())
+            self._session.later(partial(_hand_on, topic, reception))
+
+    def _take_request(self, operation: Mapping[str, Any]) -> None:
+        # In a thread of its own: one that takes long must hold up neither messages nor other services.
+        threading.Thread(target=self._respond, args=(operation,), name="rosbridge service", daemon=True).start()
+
+    def _respond(self, operation: Mapping[str, Any]) -> None:
+        service = str(operation.get("service"))
+        answer = self._answers.get(service)
+        try:
+            if answer is None:
+                raise LinkError("the service is not offered any more", where=service, fix="Offer it anew.")  # noqa: TRY301
+            outcome = {"values": answer(operation.get("args") or {}), "result": True}
+        except Exception as fault:  # noqa: BLE001 - the link has logged it; the client is told
+            outcome = {"values": str(fault), "result": False}
+        if self._session.is_usable:
+            try:
+                self._session.send({"op": "service_response", "service": service, "id": operation.get("id"), **outcome})
+            except LinkError as error:
+                _logger.warning("the response of %s is lost: %s", service, error)
+
+
+@dataclass(slots=True)
+class _Topic:
+    """A topic that the server sends here, and all that receive it."""
+
+    name: str
+    message_type: str
+    shape: Shape | None
+    compression: str
+    request_id: str
+    receivers: list[Callable[[Reception], None]] = field(default_factory=list)
+    last: Reception | None = None
+
+
+class _Subscription:
+    """A subscription or an offer, which closes itself."""
+
+    def __init__(self, close: Callable[[], None]) -> None:
+        self.close = close
+
+    def explain(self) -> str:
+        """Say nothing: a rosbridge does not tell the publishers of a topic."""
+        return ""
+
+
+class _Publisher:
+    """A topic that the server publishes for this link."""
+
+    def __init__(self, session: Session, topic: str, message_type: str, types: RobotTypes, *, is_latched: bool) -> None:
+        self.message_type = message_type
+        self.is_latched = is_latched
+        self._session = session
+        self._topic = topic
+        self._shape = types.shape(message_type)
+        self._id: str | None = session.fresh_id("advertise")
+        operation = {"op": "advertise", "id": self._id, "topic": topic, "type": types.wire_name(message_type)}
+        session.request({**operation, "latch": is_latched}, where=topic)
+
+    def publish(self, message: Message) -> None:
+        operation = {"op": "publish", "topic": self._topic, "msg": to_protocol(self._shape, message)}
+        self._session.send(operation)
+
+    def flush(self, seconds: float) -> None:
+        del seconds  # the session's own deadline: the server answers at once, or is gone
+        self._session.flush(where=self._topic)
+
+    def close(self) -> None:
+        """Leave the topic; closing twice does nothing: the link may publish with several QoS, this is all of them."""
+        advertised, self._id = self._id, None
+        if advertised is not None and self._session.is_usable:
+            self._session.send({"op": "unadvertise", "id": advertised, "topic": self._topic})
+
+
+class _Reception:
+    """One message as it came, decoded or encoded once, and only where that form is asked for."""
+
+    def __init__(self, types: RobotTypes, topic: _Topic, message: Any, received_ns: int) -> None:
+        self._types = types
+        self._topic = topic
+        self._message = message
+        self._received_ns = received_ns
+        is_raw = isinstance(message, dict) and message.keys() == _RAW_FIELDS and isinstance(message["bytes"], bytes)
+        self._data: bytes | None = message["bytes"] if is_raw else None
+
+    def message(self) -> Message:
+        topic = self._topic
+        if self._data is not None:
+            return self._types.deserialise(topic.message_type, self._data)
+        if topic.shape is None:
+            raise _one_form(topic.name, topic.message_type)
+        return from_protocol(topic.shape, self._message, where=topic.name)
+
+    def raw(self) -> RawMessage:
+        if self._data is None:
+            self._data = self._types.serialise(self._topic.message_type, self.message())
+        return RawMessage(self._data, self._received_ns)
+
+
+def _hand_on(topic: _Topic, reception: Reception) -> None:
+    topic.last = reception
+    for receive in list(topic.receivers):
+        receive(reception)
+
+
+def _one_form(topic: str, message_type: str) -> LinkError:
+    return LinkError(
+        f"messages of {message_type} can be received here as bytes or as messages, not as both",
+        where=topic,
+        fix="Give its definition: robot = 'rosbridge://robot:9090?types=path/to/its/package'.",
+    )

@@ -1,0 +1,287 @@
+"""The graph and the types behind a rosbridge, as rosapi tells them, and the types of the catalogue."""
+
+from __future__ import annotations
+
+import time
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.robot import Encoding
+from robot_runner.ros.rosbridge_session import ANSWER
+from robot_runner.ros.shapes import UNBOUNDED, Field, Shape, plain_type
+from robot_runner.ros.type_catalogue import TypeCatalogue
+from robot_runner.ros.type_store import ROS2_DISTROS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from robot_runner.ros.rosbridge_link import RosbridgeAddress
+    from robot_runner.ros.rosbridge_session import Reply, Session
+
+__all__ = ["RobotTypes", "Rosapi"]
+
+#: How long rosapi, which is a node of its own, may take to see what the server has done, and how often it is asked, s.
+_CONFIRMATION, _LOOK = 2.0, 0.02
+
+#: What every node of a generation offers, for the rosbridge server's own, as its launch file names it.
+_SIGNS = ((1, "/rosbridge_websocket/get_loggers"), (2, "/rosbridge_websocket/list_parameters"))
+
+
+class Rosapi:
+    """Asks rosapi, the node beside a rosbridge; what it cannot answer is None or empty unless a method raises.
+
+    Args:
+        session: over which it is asked.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def version(self) -> tuple[int, str | None]:
+        """Return the generation of the robot's ROS, and its distribution if it tells.
+
+        Raises:
+            LinkError: nothing there tells.
+        """
+        told = self._ask("get_ros_version")
+        if told.is_good and isinstance(told.values, dict):
+            return int(told.values.get("version", 2)), str(told.values.get("distro") or "") or None
+        if self._ask("get_time").is_good:
+            return 1, None
+        answers = self._session.calls([(service, {}) for _, service in _SIGNS], timeout=ANSWER)
+        for (generation, _), answer in zip(_SIGNS, answers, strict=True):
+            if answer.is_good:
+                return generation, None
+        raise LinkError(
+            "neither rosapi nor the server's own node tells which generation of ROS it is",
+            where=self._session.where,
+            fix="Start rosapi beside it, or say it: robot = 'rosbridge://robot:9090?ros=1' (or ros=2).",
+        )
+
+    def topics(self) -> dict[str, str]:
+        """Return the type of each topic by its full name; an empty text where it is not told.
+
+        Raises:
+            LinkError: rosapi does not answer.
+        """
+        values = self._must("topics")
+        return {name: plain_type(kind) for name, kind in zip(values["topics"], values["types"], strict=True)}
+
+    def services(self) -> dict[str, str]:
+        """Return the type of each service by its full name.
+
+        Raises:
+            LinkError: rosapi does not answer.
+        """
+        names: list[str] = self._must("services")["services"]
+        asked: list[tuple[str, Mapping[str, Any]]] = [("/rosapi/service_type", {"service": name}) for name in names]
+        answers = self._session.calls(asked, timeout=ANSWER)
+        types = [_text(answer, "type") for answer in answers]
+        return {name: plain_type(kind) for name, kind in zip(names, types, strict=True) if kind}
+
+    def service_names(self) -> list[str]:
+        """Return the full names of the services; none where rosapi does not answer."""
+        answer = self._ask("services")
+        return list(answer.values["services"]) if answer.is_good else []
+
+    def nodes(self) -> list[str]:
+        """Return the full names of the nodes.
+
+        Raises:
+            LinkError: rosapi does not answer.
+        """
+        return list(self._must("nodes")["nodes"])
+
+    def topic_type(self, topic: str) -> str | None:
+        """Return the type of a topic, or None where there is none or the graph does not tell."""
+        return plain_type(_text(self._ask("topic_type", {"topic": topic}), "type")) or None
+
+    def service_type(self, service: str) -> str | None:
+        """Return the type of a service, an empty text where there is none, None where the graph does not tell."""
+        answer = self._ask("service_type", {"service": service})
+        return plain_type(_text(answer, "type")) if answer.is_good else None
+
+    def confirm_publisher(self, topic: str, message_type: str) -> None:
+        """See that the server publishes a topic; without rosapi it cannot be seen.
+
+        The servers of today do not send the status messages of the protocol, they only write them to their log.
+
+        Raises:
+            LinkError: it does not.
+        """
+        wanted = plain_type(message_type)
+        self._confirm(topic, wanted, "the publisher", lambda: self.topic_type(topic) == wanted)
+
+    def confirm_subscription(self, topic: str, message_type: str) -> None:
+        """See that the server subscribes a topic; as `confirm_publisher` in all else."""
+        wanted = plain_type(message_type)
+        # Of a topic that nobody publishes, rosapi knows the name and not the type.
+        self._confirm(topic, wanted, "the subscription", lambda: self.topics().get(topic) in {"", wanted})
+
+    def confirm_service(self, service: str, service_type: str) -> None:
+        """See that the server offers a service; as `confirm_publisher` in all else."""
+        wanted = plain_type(service_type)
+        self._confirm(service, wanted, "the service", lambda: self.service_type(service) == wanted)
+
+    def _confirm(self, name: str, type_name: str, what: str, is_there: Callable[[], bool]) -> None:
+        if not self._ask("get_time").is_good:
+            return
+        deadline = time.monotonic() + _CONFIRMATION
+        while not is_there():
+            if time.monotonic() > deadline:
+                package = type_name.partition("/")[0]
+                raise LinkError(
+                    f"the rosbridge server does not take {what} of type {type_name}",
+                    where=name,
+                    fix=f"Install the package {package!r} on the robot, or look at the server's log.",
+                )
+            time.sleep(_LOOK)
+
+    def details(self, question: str, type_name: str) -> Sequence[Mapping[str, Any]]:
+        """Return what a type and those that it is made of are made of; nothing where the robot does not know it."""
+        answer = self._ask(question, {"type": type_name})
+        return list(answer.values.get("typedefs", [])) if answer.is_good and isinstance(answer.values, dict) else []
+
+    def raw_definitions(self) -> dict[str, str]:
+        """Return the text of the definition of the type of each topic, by the type's name."""
+        answer = self._ask("topics_and_raw_types")
+        if not answer.is_good or not isinstance(answer.values, dict):
+            return {}
+        names, texts = answer.values.get("types", []), answer.values.get("typedefs_full_text", [])
+        return {plain_type(name): text for name, text in zip(names, texts, strict=False)}
+
+    def _must(self, question: str) -> dict[str, Any]:
+        answer = self._ask(question)
+        if not answer.is_good or not isinstance(answer.values, dict):
+            raise LinkError(
+                f"the graph cannot be listed, because rosapi does not answer: {answer.values}",
+                where=self._session.where,
+                fix="Start rosapi beside the rosbridge server, as the server's own launch file does.",
+            )
+        return answer.values
+
+    def _ask(self, question: str, values: Mapping[str, Any] | None = None) -> Reply:
+        return self._session.call(f"/rosapi/{question}", values or {}, timeout=ANSWER, where=self._session.where)
+
+
+def _text(answer: Reply, field: str) -> str:
+    return str(answer.values.get(field) or "") if answer.is_good and isinstance(answer.values, dict) else ""
+
+
+#: What rosapi calls some kinds of field in ROS 2.
+_KINDS = MappingProxyType({"boolean": "bool", "float": "float32", "double": "float64", "octet": "byte"})
+_STAMPS = frozenset({"time", "duration"})
+
+
+class RobotTypes:
+    """What the types of one robot are made of.
+
+    Args:
+        rosapi: of the robot.
+        address: of the robot, which may say more.
+
+    Attributes:
+        generation: of the robot's ROS, 1 or 2.
+
+    Raises:
+        LinkError: the robot does not tell its generation, or a type definition cannot be used.
+    """
+
+    def __init__(self, rosapi: Rosapi, address: RosbridgeAddress) -> None:
+        self._rosapi = rosapi
+        self.generation, distro = (address.generation, address.distro)
+        if self.generation is None:
+            self.generation, distro = rosapi.version()
+        known = distro if self.generation == 1 or distro in ROS2_DISTROS else None
+        self._catalogue = TypeCatalogue.of(self.generation, None if self.generation == 1 else known, address.types)
+        self._told: dict[tuple[str, str], Shape] = {}
+
+    @property
+    def encoding(self) -> Encoding:
+        """How the bytes of messages are laid out."""
+        return Encoding.ROS1 if self.generation == 1 else Encoding.CDR
+
+    def wire_name(self, type_name: str, kind: str = "msg") -> str:
+        """Return a type's name as the robot's generation spells it; `kind` is `msg` or `srv`."""
+        name = plain_type(type_name)
+        return name if self.generation == 1 else name.replace("/", f"/{kind}/", 1)
+
+    def is_known_here(self, message_type: str) -> bool:
+        """Whether bytes of this type can be read here."""
+        try:
+            self._catalogue.shape(message_type)
+        except LinkError:
+            return False
+        return True
+
+    def shape(self, message_type: str) -> Shape:
+        """Return what a message type is made of.
+
+        Raises:
+            LinkError: neither the catalogue nor the robot knows it.
+        """
+        return self._shape(self._catalogue.shape, message_type, "message_details", "msg")
+
+    def request(self, service_type: str) -> Shape:
+        """Return what the request of a service type is made of; raises as `shape`."""
+        return self._shape(self._catalogue.request, service_type, "service_request_details", "srv")
+
+    def response(self, service_type: str) -> Shape:
+        """Return what the response of a service type is made of; raises as `shape`."""
+        return self._shape(self._catalogue.response, service_type, "service_response_details", "srv")
+
+    def definition(self, message_type: str) -> str:
+        """Return the text of a type's definition, followed by the types that it is made of.
+
+        Raises:
+            LinkError: neither the catalogue nor a topic of the robot has it.
+        """
+        try:
+            return self._catalogue.definition(message_type)
+        except LinkError:
+            text = self._rosapi.raw_definitions().get(plain_type(message_type))
+            if not text:
+                raise
+            return text
+
+    def serialise(self, message_type: str, message: Mapping[str, Any]) -> bytes:
+        """Return the bytes of a complete message; raises a `LinkError` where the catalogue lacks its type."""
+        return self._catalogue.serialise(message_type, message, self.encoding)
+
+    def deserialise(self, message_type: str, data: bytes) -> dict[str, Any]:
+        """Return the message that these bytes are; raises a `LinkError` where they are not of this type."""
+        return self._catalogue.deserialise(message_type, data, self.encoding)
+
+    def _shape(self, look_up: Callable[[str], Shape], name: str, question: str, kind: str) -> Shape:
+        told = self._told.get((question, name))
+        if told is not None:
+            return told
+        try:
+            return look_up(name)
+        except LinkError:
+            definitions = self._rosapi.details(question, self.wire_name(name, kind))
+            if not definitions:
+                raise
+            return self._told.setdefault((question, name), _assembled(name, definitions))
+
+
+def _assembled(name: str, definitions: Sequence[Mapping[str, Any]]) -> Shape:
+    """Return the shape that a type and those that it is made of are told to be; the first is the type itself."""
+    by_name = {plain_type(each["type"]): each for each in definitions}
+    shapes: dict[str, Shape] = {}
+
+    def shape(own: str, told: Mapping[str, Any], under: frozenset[str]) -> Shape:
+        if own not in shapes:
+            columns = zip(told["fieldnames"], told["fieldtypes"], told["fieldarraylen"], strict=True)
+            shapes[own] = Shape(own, tuple(field(*column, under | {own}) for column in columns))
+        return shapes[own]
+
+    def field(label: str, told: str, count: int, under: frozenset[str]) -> Field:
+        kind = _KINDS.get(told, plain_type(told))
+        length = None if count < 0 else count or UNBOUNDED
+        if kind in _STAMPS or kind not in by_name or kind in under:
+            return Field(label, kind, length)
+        return Field(label, shape(kind, by_name[kind], under), length)
+
+    return shape(plain_type(name), definitions[0], frozenset())

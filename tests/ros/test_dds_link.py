@@ -1,0 +1,237 @@
+"""The link over DDS beside a node of another process, which knows nothing of it."""
+
+from __future__ import annotations
+
+import json
+import queue
+import subprocess
+import sys
+import threading
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from tests.ros.dds_domain import LOOPBACK, claim_domain
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.robot import Qos
+from robot_runner.ros.dds_link import open_dds_link
+
+DOMAIN = claim_domain()
+STRING = "std_msgs/String"
+NODE = Path(__file__).with_name("bare_node.py")
+
+
+class OtherNode:
+    """The other process; what it says is looked through with a deadline."""
+
+    def __init__(self, **options):
+        chosen = {"domain": DOMAIN, "gid_bytes": 16, "reliable": True, "type_hashes": True} | options
+        command = [sys.executable, str(NODE), json.dumps(chosen)]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.said = queue.Queue()
+        self.reader = threading.Thread(target=self._read, daemon=True)
+        self.reader.start()
+        self.until(lambda fact: "ready" in fact)
+
+    def _read(self):
+        for line in self.process.stdout:
+            self.said.put(json.loads(line))
+
+    def until(self, is_so, timeout=60.0):
+        deadline = time.monotonic() + timeout
+        while True:
+            fact = self.said.get(timeout=max(0.01, deadline - time.monotonic()))
+            if is_so(fact):
+                return fact
+
+    def close(self):
+        self.process.terminate()
+        self.process.wait(60)
+        self.reader.join(60)
+        self.process.stdout.close()
+
+
+@pytest.fixture(autouse=True)
+def _loopback(monkeypatch):
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    monkeypatch.delenv("ROS_DISTRO", raising=False)
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+
+
+@pytest.fixture
+def closing():
+    with ExitStack() as stack:
+        yield stack
+
+
+@pytest.fixture
+def other(closing):
+    def start(**options):
+        node = OtherNode(**options)
+        closing.callback(node.close)
+        return node
+
+    return start
+
+
+@pytest.fixture
+def link(closing):
+    def opened(**options):
+        made = open_dds_link({"domain": str(DOMAIN)} | options, SystemClock())
+        closing.callback(made.close)
+        return made
+
+    return opened
+
+
+def test_a_node_that_is_no_link_hears_is_heard_and_answers(other, link):
+    node, mine = other(), link()
+    assert mine.wait_for("chatter", STRING, timeout=60.0) == {"data": "hello"}
+    assert mine.call("lamp", "std_srvs/SetBool", {"data": True}) == {"success": True, "message": "lamp is True"}
+    mine.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.25}})
+    assert node.until(lambda fact: "velocity" in fact) == {"velocity": 0.25}
+
+
+def test_the_graph_shows_the_other_node_and_the_other_node_this_one(other, link):
+    node, mine = other(), link()
+    mine.subscribe("chatter", STRING, lambda _: None)
+    fact = node.until(lambda fact: fact.get("endpoints") == 1)
+    assert fact["node"].startswith("/robot_runner_")
+    assert set(mine.nodes()) == {"/lamp_node", fact["node"]}
+    assert mine.topics() == {"/chatter": STRING, "/cmd_vel": "geometry_msgs/Twist"}
+    assert mine.services() == {"/lamp": "std_srvs/SetBool"}
+
+
+def test_a_node_that_is_gone_is_shown_no_more(other, link):
+    node, mine = other(), link()
+    assert "/lamp_node" in mine.nodes()
+    node.close()
+    deadline = time.monotonic() + 60.0
+    while "/lamp_node" in mine.nodes():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert "/chatter" not in mine.topics()
+
+
+def test_humble_is_told_by_its_want_of_type_hashes(other, link):
+    node, mine = other(gid_bytes=24, type_hashes=False), link()
+    assert "/lamp_node" in mine.nodes()
+    assert node.until(lambda fact: "node" in fact and fact["node"] != "/lamp_node")
+
+
+def test_the_distribution_can_be_named(other, link):
+    other(gid_bytes=24, type_hashes=False)
+    assert "/lamp_node" in link(distro="humble").nodes()
+
+
+def test_a_qos_that_the_publisher_does_not_offer_is_an_error_that_names_the_policy(other, link):
+    other(reliable=False)
+    mine = link()
+    with pytest.raises(LinkError, match="reliability: it is published best effort, and subscribed reliable"):
+        mine.subscribe("chatter", STRING, lambda _: None, qos=Qos.RELIABLE)
+    with pytest.raises(LinkError, match="best effort"):
+        mine.subscribe("chatter", STRING, lambda _: None, qos=Qos.TRANSIENT_LOCAL)
+    assert mine.wait_for("chatter", STRING, timeout=60.0) == {"data": "hello"}
+
+
+def test_a_volatile_publisher_is_not_heard_transient_local(other, link):
+    other()
+    mine = link()
+    with pytest.raises(LinkError, match="durability: it is published volatile, and subscribed transient local"):
+        mine.subscribe("chatter", STRING, lambda _: None, qos=Qos.TRANSIENT_LOCAL)
+
+
+def test_a_subscriber_that_asks_for_more_than_is_published_is_an_error_that_names_the_policy(other, link):
+    node, mine = other(), link()
+    with pytest.raises(LinkError, match="reliability: it is published best effort, and subscribed reliable"):
+        mine.publish("cmd_vel", "geometry_msgs/Twist", {}, qos=Qos.SENSOR_DATA)
+    mine.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.5}})
+    assert node.until(lambda fact: "velocity" in fact) == {"velocity": 0.5}
+
+
+def test_a_topic_of_another_type_is_an_error_that_names_both(other, link):
+    other()
+    mine = link()
+    with pytest.raises(LinkError, match="carries std_msgs/String, not std_msgs/Int32") as caught:
+        mine.wait_for("chatter", "std_msgs/Int32", timeout=30.0)
+    assert caught.value.where == "/chatter"
+    with pytest.raises(LinkError, match="is of the type std_srvs/SetBool, not std_srvs/Trigger"):
+        mine.call("lamp", "std_srvs/Trigger", timeout=30.0)
+
+
+def test_on_another_domain_nobody_is_there_and_the_error_says_so(other, closing):
+    other()
+    domain = claim_domain()
+    mine = open_dds_link({"domain": str(domain), "distro": "jazzy"}, SystemClock())
+    closing.callback(mine.close)
+    with pytest.raises(LinkError, match=f"Nobody else is on domain {domain}"):
+        mine.wait_for("chatter", STRING, timeout=0.2)
+    with pytest.raises(LinkError, match=f"Nobody else is on domain {domain}"):
+        mine.call("lamp", "std_srvs/SetBool", {"data": True}, timeout=0.2)
+
+
+def test_the_domain_of_the_environment_is_taken(other, closing, monkeypatch):
+    other()
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
+    mine = open_dds_link({}, SystemClock())
+    closing.callback(mine.close)
+    assert mine.wait_for("chatter", STRING, timeout=60.0) == {"data": "hello"}
+
+
+def test_a_subscription_that_was_there_first_adapts_to_its_publisher(link):
+    hearing, speaking = link(distro="jazzy"), link(distro="jazzy")
+    heard = []
+    hearing.subscribe("map_name", STRING, heard.append)
+    speaking.publish("map_name", STRING, {"data": "arena"}, qos=Qos.TRANSIENT_LOCAL)
+    deadline = time.monotonic() + 60.0
+    while not heard:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    late = []
+    link(distro="jazzy").subscribe("map_name", STRING, late.append)
+    while not late:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert heard == late == [{"data": "arena"}]
+
+
+def test_a_callback_may_call_and_wait(other, link):
+    other()
+    mine = link()
+    answers = []
+
+    def hear(_):
+        if not answers:
+            answers.append(mine.call("lamp", "std_srvs/SetBool", {"data": False}))
+            answers.append(mine.wait_for("chatter", STRING, timeout=60.0))
+
+    mine.subscribe("chatter", STRING, hear)
+    deadline = time.monotonic() + 60.0
+    while len(answers) < 2:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert answers == [{"success": True, "message": "lamp is False"}, {"data": "hello"}]
+
+
+def test_a_link_leaves_no_thread_behind(link):
+    mine = link(distro="jazzy")
+    mine.close()
+    assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("dds")]
+
+
+def test_types_come_from_the_user_s_files(link, tmp_path):
+    definition = tmp_path / "my_robot" / "msg" / "Wheel.msg"
+    definition.parent.mkdir(parents=True)
+    definition.write_text("float32 speed\nstring[<=2] names\n")
+    speaking, hearing = (link(distro="jazzy", types=str(tmp_path)) for _ in range(2))
+    heard = []
+    hearing.subscribe("wheel", "my_robot/Wheel", heard.append)
+    deadline = time.monotonic() + 60.0
+    while not heard:
+        speaking.publish("wheel", "my_robot/Wheel", {"speed": 0.5, "names": ["left"]})
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert heard[0] == {"speed": 0.5, "names": ["left"]}

@@ -1,0 +1,275 @@
+"""What the link over rospy does beyond the contract, on a real master."""
+
+from __future__ import annotations
+
+import logging
+import re
+import subprocess
+import sys
+import textwrap
+import threading
+import xmlrpc.client
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from tests.ros.ros1_master import free_port, quiet_about_rospy, ros1_environment, ros1_master
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import Resources, SystemClock
+from robot_runner.core.links.connect import open_clock
+from robot_runner.core.links.robot import Qos
+from robot_runner.ros import ros1_node as node
+from robot_runner.ros.graph_clock import GraphClock
+from robot_runner.ros.ros1_link import open_ros1_link
+from robot_runner.ros.ros1_master import Master
+from robot_runner.ros.ros1_types import as_mapping, as_message, message_class, shape_of
+from robot_runner.ros.shapes import completed
+
+STRING = "std_msgs/String"
+
+
+@pytest.fixture
+def opened(master_uri):
+    with ExitStack() as closing:
+
+        def open_link(namespace=""):
+            link = open_ros1_link({"master": master_uri}, SystemClock(), namespace)
+            closing.callback(link.close)
+            return link
+
+        yield open_link
+
+
+def own_nodes(uri):
+    """Return the nodes that links are, and not those of the robot's packages."""
+    return [name for name in Master(uri).state().nodes if re.fullmatch(r"/robot_runner_\d+_\d+", name)]
+
+
+def set_parameter(uri, name, value):
+    with xmlrpc.client.ServerProxy(uri) as server:
+        server.setParam("/test", name, value)
+
+
+@quiet_about_rospy
+class TestMessages:
+    def test_every_standard_message_goes_there_and_back(self):
+        for name in (
+            "nav_msgs/Odometry",
+            "sensor_msgs/LaserScan",
+            "sensor_msgs/BatteryState",
+            "sensor_msgs/PointCloud2",
+        ):
+            cls = message_class(name)
+            message = completed(shape_of(cls), {}, where=name)
+            assert as_mapping(as_message(cls, message)) == message
+
+    def test_a_header_keeps_its_sequence_number(self, opened):
+        robot, link = opened(), opened()
+        heard = []
+        link.subscribe("odom", "nav_msgs/Odometry", heard.append)
+        done = threading.Event()
+        link.subscribe("odom", "nav_msgs/Odometry", lambda message: message["child_frame_id"] and done.set())
+        for name in ("", "", "last"):
+            robot.publish("odom", "nav_msgs/Odometry", {"child_frame_id": name}, qos=Qos.RELIABLE)
+        assert done.wait(60.0)
+        assert [message["header"]["seq"] for message in heard] == [1, 2, 3]
+
+    def test_durations_may_be_negative(self):
+        cls = message_class("std_msgs/Duration")
+        message = completed(shape_of(cls), {"data": {"sec": -2, "nanosec": 500_000_000}}, where="test")
+        assert as_mapping(as_message(cls, message)) == {"data": {"sec": -2, "nanosec": 500_000_000}}
+
+    @pytest.mark.parametrize(
+        ("name", "fix"),
+        [
+            ("geometry_msgs/Twits", "'Twist'"),
+            ("geometri_msgs/Twist", "install its package"),
+            ("Twist", "geometry_msgs/"),
+        ],
+    )
+    def test_an_unknown_type_is_named_with_the_nearest(self, name, fix):
+        with pytest.raises(LinkError) as caught:
+            message_class(name)
+        assert fix in caught.value.fix
+
+
+@quiet_about_rospy
+class TestGraph:
+    def test_the_first_message_reaches_who_listens_already(self, opened):
+        robot, link = opened(), opened()
+        heard = threading.Event()
+        robot.subscribe("cmd_vel", "geometry_msgs/Twist", lambda _: heard.set())
+        link.publish("cmd_vel", "geometry_msgs/Twist", {})  # once, as a robot is stopped by a process that is new
+        assert heard.wait(60.0)
+
+    def test_nothing_is_left_at_the_master(self, opened, master_uri):
+        link = opened()
+        link.publish("lamp", STRING, {"data": "on"})
+        link.subscribe("door", STRING, print)
+        link.offer("bell", "std_srvs/Trigger", lambda _: {})
+        assert own_nodes(master_uri)
+        link.close()
+        assert own_nodes(master_uri) == []
+
+    def test_one_node_is_all_robots_of_a_process(self, opened, master_uri):
+        alice, bob = opened("alice"), opened("bob")
+        alice.publish("lamp", STRING, {})
+        bob.publish("lamp", STRING, {})
+        assert len(own_nodes(master_uri)) == 1
+
+    def test_a_service_that_a_dead_node_left_behind_can_be_offered_and_not_called(self, opened, master_uri):
+        with xmlrpc.client.ServerProxy(master_uri) as server:
+            nobody = f"http://127.0.0.1:{free_port()}"
+            server.registerService("/dead", "/left", f"rosrpc://127.0.0.1:{free_port()}", nobody)
+        robot, link = opened(), opened()
+        with pytest.raises(LinkError, match="cannot be reached"):
+            link.call("left", "std_srvs/Trigger", timeout=1.0)
+        robot.offer("left", "std_srvs/Trigger", lambda _: {"success": True})
+        assert link.call("left", "std_srvs/Trigger")["success"]
+
+    def test_who_waits_in_vain_is_told_of_the_nearest_topic(self, opened):
+        robot, link = opened(), opened()
+        robot.publish("odometry", "nav_msgs/Odometry", {})
+        with pytest.raises(LinkError) as caught:
+            link.wait_for("odometri", "nav_msgs/Odometry", timeout=0.1)
+        assert "did you mean '/odometry'?" in caught.value.fix
+
+    def test_a_publisher_of_another_type_that_comes_later_is_not_heard(self, opened, master_uri, caplog, tmp_path):
+        link = opened()
+        heard = []
+        link.subscribe("later", STRING, heard.append)
+        with caplog.at_level(logging.ERROR):
+            execute(
+                master_uri,
+                """
+                import rospy, std_msgs.msg
+                rospy.init_node("other", disable_signals=True)
+                publisher = rospy.Publisher("later", std_msgs.msg.Int32, queue_size=1, latch=True)
+                publisher.publish(7)
+                deadline = time.monotonic() + 60
+                while not publisher.get_num_connections() and time.monotonic() < deadline:
+                    time.sleep(0.01)
+                time.sleep(0.2)
+                rospy.signal_shutdown("done")
+            """,
+                folder=tmp_path,
+            )
+        assert heard == []
+        assert "/other publishes std_msgs/Int32" in caplog.text
+
+    def test_a_master_that_hangs_holds_nobody_up(self):
+        with pytest.raises(LinkError, match=r"took longer than 0\.1 s"):
+            node.within(0.1, threading.Event().wait, where="/odom", doing="registering the subscriber")
+
+    def test_a_process_is_on_one_graph_at_a_time(self, opened, tmp_path):
+        first = opened()
+        first.publish("lamp", STRING, {})
+        with ros1_master(tmp_path) as uri:
+            with pytest.raises(LinkError, match="is another") as caught:
+                open_ros1_link({"master": uri}, SystemClock())
+            assert "same master" in caught.value.fix
+            first.close()
+            second = open_ros1_link({"master": uri}, SystemClock())
+            heard = threading.Event()
+            second.subscribe("lamp", STRING, lambda _: heard.set())
+            second.publish("lamp", STRING, {})
+            assert heard.wait(60.0)
+            assert "/lamp" in second.topics()
+            second.close()
+        again = opened()
+        again.publish("lamp", STRING, {})
+        assert "/lamp" in again.topics()
+
+
+@quiet_about_rospy
+class TestClock:
+    def test_a_real_robot_lives_by_this_machine_s_clock(self, master_uri):
+        resources = Resources()
+        assert isinstance(open_clock(f"ros1:master={master_uri}", resources, 1), SystemClock)
+        resources.close()
+
+    def test_with_use_sim_time_the_run_lives_by_what_is_on_the_clock_topic(self, opened, master_uri):
+        set_parameter(master_uri, "/use_sim_time", True)
+        try:
+            robot = opened()
+            robot.publish("/clock", "rosgraph_msgs/Clock", {"clock": {"sec": 42}}, qos=Qos.TRANSIENT_LOCAL)
+            resources = Resources()
+            clock = open_clock(f"ros1:master={master_uri}", resources, 1)
+            assert isinstance(clock, GraphClock)
+            assert clock.now() == 42.0
+            assert isinstance(open_clock(f"ros1:master={master_uri},clock=system", resources, 1), SystemClock)
+            resources.close()
+        finally:
+            set_parameter(master_uri, "/use_sim_time", False)
+
+
+def execute(uri, program, *, folder=None):
+    """Execute a program in a process of its own and return what it printed."""
+    environment = {
+        "PATH": "/usr/bin:/bin",
+        "HOME": "/nonexistent",
+        **ros1_environment(uri, folder or Path("/nonexistent")),
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", "import time\n" + textwrap.dedent(program)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout + done.stderr
+
+
+@quiet_about_rospy
+class TestProcess:
+    LINK = """
+        import logging, os, signal, sys, threading
+        before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+        handlers, kind = list(logging.getLogger().handlers), logging.getLoggerClass()
+        from robot_runner.core.events.context import SystemClock
+        from robot_runner.ros.ros1_link import open_ros1_link
+        link = open_ros1_link({}, SystemClock())
+        link.publish("lamp", "std_msgs/String", {"data": "on"})
+        link.subscribe("lamp", "std_msgs/String", lambda _: None)
+        link.offer("bell", "std_srvs/Trigger", lambda _: {})
+    """
+
+    def test_it_takes_no_signals_prints_nothing_and_writes_no_logs(self, master_uri, tmp_path):
+        printed = execute(
+            master_uri,
+            self.LINK
+            + """
+        assert before == (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM))
+        assert handlers == logging.getLogger().handlers and kind is logging.getLoggerClass()
+        link.close()
+        """,
+            folder=tmp_path,
+        )
+        assert printed == ""
+        assert list(tmp_path.iterdir()) == []
+
+    def test_a_process_that_is_ended_hard_after_closing_leaves_nothing_behind(self, master_uri):
+        execute(master_uri, self.LINK.rstrip() + "; link.close(); os._exit(0)\n")
+        assert own_nodes(master_uri) == []
+
+    def test_a_run_s_process_cannot_use_the_orchestrator_s_node(self, master_uri):
+        printed = execute(
+            master_uri,
+            self.LINK
+            + """
+        if os.fork() == 0:
+            try:
+                open_ros1_link({}, SystemClock())
+            except Exception as error:
+                print(error)
+            sys.stdout.flush()
+            os._exit(0)
+        os.wait()
+        link.close()
+        """,
+        )
+        assert "the orchestrating process is a ROS node already" in printed
+        assert "from start_run on" in printed

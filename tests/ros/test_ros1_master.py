@@ -1,0 +1,103 @@
+"""The master is asked with a deadline, and what is wrong with its address is said."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from http.server import BaseHTTPRequestHandler, HTTPServer
+
+import pytest
+from tests.ros.ros1_master import free_port, needs_ros1
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.connect import link_findings
+from robot_runner.ros.ros1_master import Master, master_address
+
+
+@pytest.mark.parametrize(
+    "uri", ["robot:11311", "http://robot", "http://:11311", "https://robot:11311", "http://robot:port", "http://[::1"]
+)
+def test_an_address_that_cannot_be_is_named(uri):
+    with pytest.raises(LinkError) as caught:
+        Master(uri)
+    assert repr(uri) in caught.value.problem
+    assert "ROS_MASTER_URI=http://robot:11311" in caught.value.fix
+
+
+def test_the_environment_names_the_master_and_an_option_goes_before(monkeypatch):
+    monkeypatch.setenv("ROS_MASTER_URI", "http://alice:11311")
+    assert Master().uri == "http://alice:11311"
+    assert Master("http://bob:11312").uri == "http://bob:11312"
+    monkeypatch.delenv("ROS_MASTER_URI")
+    assert master_address(Master().uri) == ("localhost", 11311)
+
+
+def test_where_nobody_listens_there_is_no_master():
+    with pytest.raises(LinkError, match="connection refused") as caught:
+        Master(f"http://127.0.0.1:{free_port()}").check()
+    assert "roscore" in caught.value.fix
+
+
+def test_an_unknown_host_is_named(monkeypatch):
+    def unknown(*_, **__):
+        raise socket.gaierror(-2, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    with pytest.raises(LinkError, match="'turtle', is not known"):
+        Master("http://turtle:11311").check()
+
+
+def test_a_master_that_is_silent_is_given_up_at_the_deadline():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        begun = time.monotonic()
+        with pytest.raises(LinkError, match=r"does not answer within 0\.3 s"):
+            Master(f"http://127.0.0.1:{server.getsockname()[1]}", timeout=0.3).check()
+        assert time.monotonic() - begun < 20.0
+
+
+class _WebServer(BaseHTTPRequestHandler):
+    def do_POST(self):
+        body = b"<html>no master</html>" if self.path == "/page" else b""
+        self.send_response(200 if body else 404)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_):
+        pass
+
+
+@pytest.mark.parametrize("path", ["", "/page"])
+def test_what_answers_as_a_web_server_is_no_master(path):
+    with HTTPServer(("127.0.0.1", 0), _WebServer) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        try:
+            with pytest.raises(LinkError, match="not a ROS master") as caught:
+                Master(f"http://127.0.0.1:{server.server_port}{path}", timeout=5.0).check()
+            assert "11311" in caught.value.fix
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+@needs_ros1
+def test_a_real_master_says_who_does_what_and_what_is_set(master_uri):
+    master = Master(master_uri)
+    master.check()
+    assert master.parameter("/no_such") is None
+    assert master.service("/no_such") is None
+    assert isinstance(master.topic_types(), dict)
+    assert master.state().nodes == tuple(sorted(master.state().nodes))
+
+
+@needs_ros1
+def test_the_check_of_a_config_asks_for_the_master_and_opens_nothing(master_uri):
+    assert link_findings(f"ros1:master={master_uri}") == []
+    (finding,) = link_findings(f"ros1:master=http://127.0.0.1:{free_port()}")
+    assert finding.is_error
+    (finding,) = link_findings("ros1:mastr=http://127.0.0.1:1")
+    assert "'master'" in finding.fix
+    (finding,) = link_findings("ros1:clock=wall")
+    assert "clock=system" in finding.fix

@@ -1,0 +1,107 @@
+"""What is particular to rclpy: late publishers, kinds of field, callbacks that call. Executed where ROS 2 is there."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from contextlib import closing
+
+import pytest
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.robot import Qos
+from robot_runner.ros.ros2_link import open_ros2_link
+from robot_runner.testing import FakeClock
+
+pytest.importorskip("rclpy", reason="no ROS 2 is sourced")
+
+DOMAIN = str(1 + os.getpid() % 100)
+SCAN = "sensor_msgs/LaserScan"
+TRIGGER = "std_srvs/Trigger"
+
+
+@pytest.fixture(autouse=True)
+def on_loopback(monkeypatch):
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
+    monkeypatch.setenv("ROS_LOCALHOST_ONLY", "1")
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
+@pytest.fixture
+def link():
+    with closing(open_ros2_link({"domain": DOMAIN}, SystemClock())) as opened:
+        yield opened
+
+
+def until(claim, do=lambda: None):
+    deadline = time.monotonic() + 60.0
+    while not claim():
+        assert time.monotonic() < deadline
+        do()
+        time.sleep(0.02)
+
+
+def test_a_subscription_fits_a_publisher_that_comes_later(link):
+    heard = []
+    link.subscribe("scan", SCAN, heard.append)
+    until(lambda: heard, lambda: link.publish("scan", SCAN, {"angle_max": 1.0}, qos=Qos.SENSOR_DATA))
+    assert heard[0]["angle_max"] == 1.0
+
+
+def test_qos_that_is_not_offered_is_named(link):
+    link.publish("scan", SCAN, {}, qos=Qos.SENSOR_DATA)
+    until(lambda: "/scan" in link.topics())
+    with pytest.raises(LinkError, match="reliability: it is published best effort, and subscribed reliable"):
+        link.subscribe("scan", SCAN, print, qos=Qos.RELIABLE)
+    link.publish("map_name", "std_msgs/String", {})
+    until(lambda: "/map_name" in link.topics())
+    with pytest.raises(LinkError, match="durability"):
+        link.subscribe("map_name", "std_msgs/String", print, qos=Qos.TRANSIENT_LOCAL)
+
+
+def test_every_kind_of_field_arrives(link):
+    sent = {
+        "std_msgs/ByteMultiArray": {"data": b"\x00\xff"},
+        "std_msgs/Byte": {"data": 200},
+        "std_msgs/Int64MultiArray": {"data": [-(2**63), 2**63 - 1]},
+        "std_msgs/Bool": {"data": True},
+        "std_msgs/Char": {"data": 65},
+        "sensor_msgs/JointState": {"name": ["a", "é"], "position": [0.5]},
+        "geometry_msgs/PoseWithCovariance": {"covariance": [float(number) for number in range(36)]},
+    }
+    for message_type, message in sent.items():
+        topic, heard = message_type.replace("/", "_"), []
+        link.subscribe(topic, message_type, heard.append)
+        until(lambda heard=heard: heard, lambda a=topic, b=message_type, c=message: link.publish(a, b, c))
+        assert {name: heard[0][name] for name in message} == message
+
+
+def test_a_field_that_is_left_out_holds_its_default(link):
+    heard = []
+    link.subscribe("turn", "geometry_msgs/Quaternion", heard.append)
+    until(lambda: heard, lambda: link.publish("turn", "geometry_msgs/Quaternion", {}))
+    assert heard[0] == {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+
+
+def test_a_callback_may_call_a_service(link):
+    link.offer("lamp", TRIGGER, lambda _: {"success": True, "message": "on"})
+    answers = []
+    link.subscribe("chatter", "std_msgs/String", lambda _: answers.append(link.call("lamp", TRIGGER)))
+    until(lambda: answers, lambda: link.publish("chatter", "std_msgs/String", {}))
+    assert answers[0]["message"] == "on"
+
+
+def test_a_process_is_one_node_whatever_the_number_of_robots(link):
+    with closing(open_ros2_link({"domain": DOMAIN}, SystemClock(), "/alice")) as alice:
+        assert len(alice.nodes()) == 1
+        assert alice.nodes() == link.nodes()
+
+
+def test_nothing_is_left_behind(link):
+    before = threading.active_count()
+    with closing(open_ros2_link({"domain": DOMAIN}, FakeClock())) as other:
+        assert other.is_simulated
+        other.offer("lamp", TRIGGER, lambda _: {})
+    assert threading.active_count() <= before

@@ -1,0 +1,34 @@
+"""The link through a rosbridge keeps what every link to a graph promises, with both generations of ROS."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from robot_runner.core.events.context import SystemClock
+from robot_runner.ros.rosbridge_link import open_rosbridge_link
+from robot_runner.testing.graph_link_contract import GraphLinkContract
+from robot_runner.testing.rosbridge_server import RosbridgeServer
+
+if TYPE_CHECKING:
+    from robot_runner.core.links.robot import RobotLink
+
+
+class _RosbridgeContract(GraphLinkContract):
+    generation: ClassVar[int]
+
+    def setup_method(self) -> None:
+        self.server = RosbridgeServer(generation=self.generation)
+
+    def teardown_method(self) -> None:
+        self.server.close()
+
+    def make_link(self, namespace: str = "") -> RobotLink:
+        return open_rosbridge_link(self.server.url, SystemClock(), namespace)
+
+
+class TestRosbridgeToRos1(_RosbridgeContract):
+    generation = 1
+
+
+class TestRosbridgeToRos2(_RosbridgeContract):
+    generation = 2

@@ -1,0 +1,221 @@
+"""What goes wrong with a rosbridge is an error with cause and remedy, within its deadline."""
+
+from __future__ import annotations
+
+import itertools
+import socket
+import threading
+import time
+from contextlib import closing
+from http.server import BaseHTTPRequestHandler, HTTPServer
+
+import pytest
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.robot import Encoding, RobotName
+from robot_runner.ros import rosbridge_types
+from robot_runner.ros.rosbridge_link import findings, open_rosbridge_link
+from robot_runner.ros.type_catalogue import TypeCatalogue
+from robot_runner.testing import RosbridgeServer
+
+STRING = "std_msgs/String"
+TRIGGER = "std_srvs/Trigger"
+
+
+def linked(server, query=""):
+    return open_rosbridge_link(server.url + query, SystemClock())
+
+
+@pytest.fixture
+def server():
+    with closing(RosbridgeServer()) as served:
+        yield served
+
+
+def until(claim):
+    deadline = time.monotonic() + 60.0
+    while not claim():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_nobody_at_the_port_is_said():
+    with closing(socket.socket()) as unused:
+        unused.bind(("127.0.0.1", 0))
+        port = unused.getsockname()[1]
+        with pytest.raises(LinkError, match="connection refused") as caught:
+            open_rosbridge_link(f"rosbridge://127.0.0.1:{port}", SystemClock())
+    assert "rosbridge_server" in caught.value.fix
+
+
+def test_an_unknown_host_is_said():
+    with pytest.raises(LinkError, match=r"'no-such-robot.invalid' is not known"):
+        open_rosbridge_link("rosbridge://no-such-robot.invalid:9090", SystemClock())
+
+
+def test_a_web_server_is_no_rosbridge():
+    web = HTTPServer(("127.0.0.1", 0), BaseHTTPRequestHandler)
+    serving = threading.Thread(target=web.handle_request)
+    serving.start()
+    try:
+        with pytest.raises(LinkError, match="not a rosbridge"):
+            open_rosbridge_link(f"rosbridge://127.0.0.1:{web.server_port}", SystemClock())
+    finally:
+        serving.join()
+        web.server_close()
+
+
+@pytest.mark.parametrize("name", ["rosbridge://", "rosbridge://robot:port", "rosbridge://robot?host=a"])
+def test_a_malformed_address_is_a_finding(name):
+    (finding,) = findings(RobotName.parse(name))
+    assert finding.is_error
+    assert finding.fix
+
+
+def test_a_distribution_of_the_other_generation_is_a_finding():
+    (finding,) = findings(RobotName.parse("rosbridge://robot?ros=1&distro=humble"))
+    assert "humble" in finding.problem
+
+
+def test_a_wait_ends_when_the_connection_is_lost(server):
+    with closing(linked(server)) as link:
+        threading.Timer(0.2, server.drop_connections).start()
+        begun = time.monotonic()
+        with pytest.raises(LinkError, match="connection is lost"):
+            link.wait_for("odom", "nav_msgs/Odometry", timeout=60.0)
+        assert time.monotonic() - begun < 30.0
+        with pytest.raises(LinkError, match="connection is lost"):
+            link.publish("cmd_vel", "geometry_msgs/Twist", {})
+
+
+def test_a_call_ends_when_the_connection_is_lost(server):
+    server.offer("/last", TRIGGER, lambda _: server.drop_connections() or {})
+    with closing(linked(server)) as link, pytest.raises(LinkError, match="connection is lost"):
+        link.call("last", TRIGGER, timeout=60.0)
+
+
+def test_a_type_that_the_robot_has_not_installed_is_refused(server, tmp_path):
+    (tmp_path / "my_robot" / "msg").mkdir(parents=True)
+    (tmp_path / "my_robot" / "msg" / "Lamp.msg").write_text("bool on\n")
+    with closing(linked(server, f"?types={tmp_path}")) as link:
+        with pytest.raises(LinkError, match="does not take the publisher of type my_robot/Lamp") as caught:
+            link.publish("lamp", "my_robot/Lamp", {"on": True})
+        assert "'my_robot'" in caught.value.fix
+
+
+@pytest.mark.parametrize(
+    ("question", "not_yet", "ask"),
+    [
+        ("topic_type", {"type": ""}, lambda link: link.publish("chatter", STRING, {"data": "a"})),
+        ("topics", {"topics": [], "types": []}, lambda link: link.subscribe("chatter", STRING, print)),
+        ("service_type", {"type": ""}, lambda link: link.offer("lamp", TRIGGER, lambda _: {})),
+    ],
+    ids=["publisher", "subscription", "service"],
+)
+def test_a_rosbridge_that_confirms_late_is_waited_for_until_it_does(server, monkeypatch, question, not_yet, ask):
+    monkeypatch.setattr(rosbridge_types, "_CONFIRMATION", 60.0)
+    answer, looks = server._rosapi.answer, itertools.count(1)
+
+    def lagging(service, request):
+        if service == f"/rosapi/{question}" and next(looks) <= 5:
+            return not_yet
+        return answer(service, request)
+
+    monkeypatch.setattr(server._rosapi, "answer", lagging)
+    with closing(linked(server)) as link:
+        begun = time.monotonic()
+        ask(link)
+        assert next(looks) > 6
+        assert time.monotonic() - begun < 30.0
+
+
+def test_an_answer_that_comes_after_its_deadline_is_not_taken_for_the_next_one(server):
+    asked, released = [], threading.Event()
+
+    def answer(_):
+        asked.append(released.wait(60.0))
+        return {"success": True, "message": f"answer {len(asked)}"}
+
+    server.offer("/lamp", TRIGGER, answer)
+    with closing(linked(server)) as link:
+        try:
+            with pytest.raises(LinkError, match="does not answer within"):
+                link.call("lamp", TRIGGER, timeout=0.1)
+        finally:
+            released.set()
+        assert link.call("lamp", TRIGGER, timeout=60.0)["message"] == "answer 2"
+
+
+def test_a_status_message_is_the_error():
+    with (
+        closing(RosbridgeServer(has_rosapi=False, tells=True)) as server,
+        closing(linked(server, "?ros=1")) as link,
+        closing(linked(server, "?ros=1")) as other,
+    ):
+        link.publish("chatter", STRING, {"data": "a"})
+        with pytest.raises(LinkError, match="already established with type std_msgs/String"):
+            other.publish("chatter", "std_msgs/Int32", {"data": 1})
+
+
+def test_without_rosapi_the_graph_cannot_be_listed():
+    with closing(RosbridgeServer(has_rosapi=False)) as server:
+        with pytest.raises(LinkError, match="which generation") as caught:
+            linked(server)
+        assert "?ros=1" in caught.value.fix
+        with closing(linked(server, "?ros=1")) as link:
+            with pytest.raises(LinkError, match="rosapi does not answer"):
+                link.topics()
+            server.offer("/lamp", TRIGGER, lambda _: {"success": True})
+            assert link.call("lamp", TRIGGER)["success"]
+
+
+@pytest.mark.parametrize("generation", [1, 2])
+@pytest.mark.parametrize("compressions", [("none",), ("none", "cbor")])
+def test_a_server_that_knows_fewer_compressions_is_heard(generation, compressions):
+    with (
+        closing(RosbridgeServer(generation=generation, compressions=compressions)) as server,
+        closing(linked(server)) as link,
+    ):
+        heard, raw = [], []
+        link.subscribe("image", "sensor_msgs/Image", heard.append)
+        link.subscribe_raw("image", "sensor_msgs/Image", raw.append)
+        stamp = {"sec": 5, "nanosec": 6}
+        server.publish("/image", "sensor_msgs/Image", {"data": b"\x00\xff", "header": {"stamp": stamp}})
+        until(lambda: heard and raw)
+        encoding = Encoding.ROS1 if generation == 1 else Encoding.CDR
+        again = TypeCatalogue.of(generation).deserialise("sensor_msgs/Image", raw[0].data, encoding)
+        assert (heard[0]["data"], heard[0]["header"]["stamp"]) == (b"\x00\xff", stamp)
+        assert (again["data"], again["header"]["stamp"]) == (b"\x00\xff", stamp)
+
+
+@pytest.mark.parametrize("generation", [1, 2])
+def test_a_type_that_only_the_robot_knows_is_asked_of_it(generation, tmp_path):
+    (tmp_path / "my_robot" / "msg").mkdir(parents=True)
+    (tmp_path / "my_robot" / "msg" / "Arm.msg").write_text(
+        "float64[] angles\nfloat32[2] limits\nuint8[] key\ngeometry_msgs/Point[] path\nstring name\n"
+    )
+    arm = {
+        "angles": [0.5, 1.5],
+        "limits": [1.0, 2.0],
+        "key": b"ab",
+        "path": [{"x": 1.0, "y": 0.0, "z": 0.0}],
+        "name": "a",
+    }
+    with closing(RosbridgeServer(generation=generation, types=[tmp_path])) as server, closing(linked(server)) as link:
+        heard = []
+        link.subscribe("arm", "my_robot/Arm", heard.append)
+        server.publish("/arm", "my_robot/Arm", arm)
+        until(lambda: heard)
+        assert heard == [arm]
+        assert "float64[] angles" in link.definition("my_robot/Arm")
+
+
+def test_a_callback_may_call_a_service(server):
+    server.offer("/lamp", TRIGGER, lambda _: {"success": True, "message": "on"})
+    with closing(linked(server)) as link:
+        answers = []
+        link.subscribe("chatter", STRING, lambda _: answers.append(link.call("lamp", TRIGGER)))
+        server.publish("/chatter", STRING, {"data": "a"})
+        until(lambda: answers)
+        assert answers == [{"success": True, "message": "on"}]
