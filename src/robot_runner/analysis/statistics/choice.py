@@ -1,4 +1,4 @@
-"""Which test fits the design and the data, and why."""
+"""Which test fits the design and the data, and why; the checks of assumptions that the choice rests on."""
 
 from __future__ import annotations
 
@@ -32,8 +32,6 @@ __all__ = [
     "quantile_pairs",
 ]
 
-
-# Whether the assumptions of parametric tests hold: normal residuals (Shapiro-Wilk) and equal variances (Levene).
 
 SHAPIRO_WILK = "Shapiro-Wilk"
 LEVENE = "Levene"

@@ -22,9 +22,6 @@ if TYPE_CHECKING:
 __all__ = ["bootstrap_interval", "describe", "quiet"]
 
 
-# Computing without warnings where their cause shows in the result, and is told there.
-
-
 @contextmanager
 def quiet() -> Iterator[None]:
     """Keep libraries from warning, of values that hardly vary say: what they cannot compute is no finite number."""

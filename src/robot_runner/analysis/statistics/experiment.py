@@ -1,4 +1,4 @@
-"""The statistics of a whole experiment."""
+"""The statistics of a whole experiment: of each measure, and of the hypotheses that were fixed beforehand."""
 
 from __future__ import annotations
 
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 __all__ = ["analyse", "judge", "measure_statistics"]
 
-
-# Everything about one measure.
 
 _Found = TypeVar("_Found")
 
@@ -106,8 +104,8 @@ def _described(gathered: _Gathered, data: MeasureData, factors: tuple[str, ...])
 def _power(gathered: _Gathered, data: MeasureData, alpha: float) -> Power | None:
     if len(data.factors) > 1:
         why = f"it is for one factor, and {len(data.factors)} are varied: power depends on the effects of all of them."
-        gathered.take(NotComputed("power", why))
-    if len(data.factors) != 1:
+        return gathered.take(NotComputed("power", why))
+    if not data.factors:
         return None
     return gathered.take(power_of(data.groups(data.factors), alpha, is_blocked=data.is_blocked))
 
@@ -137,9 +135,6 @@ def _assumptions(
         groups = []
     of_groups = [gathered.take(normality(group.values, alpha, group.treatments)) for group in groups]
     return tuple(check for check in (*deciding, *of_groups) if check is not None)
-
-
-# What came of the hypotheses that were fixed before the experiment.
 
 
 def judge(

@@ -237,7 +237,7 @@ class DesignSummary:
 
 @dataclass(frozen=True, slots=True)
 class HypothesisOutcome:
-    """What came of a hypothesis that was fixed before the experiment.
+    """The outcome of a hypothesis that was fixed before the experiment.
 
     Attributes:
         p_value: of the effect that it is about; None where it could not be tested.
