@@ -13,7 +13,7 @@ from benchmarks.table import Row, print_table
 _HELP = [str(Path(sys.executable).with_name("robot-runner")), "--help"]
 _INTERPRETER = [sys.executable, "-c", "pass"]
 _TIMES = 20
-_BOUND = 7
+_BOUND = 3
 
 
 def main() -> None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import subprocess
+import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -11,7 +14,17 @@ from tests.analysis.experiment_folders import Folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from pathlib import Path
+
+#: The console script, which lies beside the interpreter.
+PROGRAM = Path(sys.executable).with_name("robot-runner")
+
+
+@pytest.fixture(scope="session")
+def executed_demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder in which the demo was executed, once for all tests that only read it."""
+    folder = tmp_path_factory.mktemp("demo")
+    subprocess.run([PROGRAM, "demo", "--folder", folder], check=True, capture_output=True, timeout=200)
+    return folder
 
 
 @pytest.fixture

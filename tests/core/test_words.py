@@ -8,7 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from robot_runner.cli.console import Column, aligned, fitting
-from robot_runner.core.words import listed, one_line, plain, shown_duration, shown_value
+from robot_runner.core.words import enumerated, listed, one_line, plain, shown_duration, shown_value
 
 
 @given(st.text())
@@ -46,6 +46,11 @@ def test_durations_never_show_sixty_of_what_makes_the_next_unit(seconds: float) 
 def test_lists_do_not_hide_a_single_name() -> None:
     assert listed("abcde") == "a, b, c, d, e"
     assert listed("abcdef") == "a, b, c, d and 2 more"
+
+
+def test_an_enumeration_hides_nothing_and_may_be_empty() -> None:
+    assert enumerated("abcdef") == "a, b, c, d, e and f"
+    assert (enumerated([]), enumerated("a"), enumerated("ab")) == ("", "a", "a and b")
 
 
 @given(st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(), st.tuples(st.integers())))

@@ -30,7 +30,7 @@ def test_every_static_parameter_has_its_row() -> None:
     rows = [
         f"| `{each.name}` | `{each.type_name.replace('|', chr(92) + '|')}` | {_default(each.default)} "
         f"| {each.description} |"
-        for each in PARAMETERS
+        for each in PARAMETERS.values()
     ]
     header = "| parameter | type | default | meaning |\n|---|---|---|---|\n"
     table = PAGE.partition(header)[2].partition("\n\n")[0]

@@ -9,8 +9,8 @@ import pytest
 
 from robot_runner.cli.main import main
 from robot_runner.legacy.profilers.profiler_catalogue import PLUGINS
-from robot_runner.legacy.stand_ins.catalogue import MODULES
 from robot_runner.legacy.stand_ins.events import RobotRunnerEvents, RunnerEvents
+from robot_runner.legacy.stand_ins.modules import MODULES
 
 PAGE = (Path(__file__).parents[2] / "docs" / "migration.md").read_text(encoding="utf-8")
 OLD, NEW = re.findall(r"^```py\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)

@@ -9,8 +9,7 @@ from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.measure import Origin
 from robot_runner.core.links import ssh_host
 from robot_runner.core.links.host import ProcessUtilisation, SamplingReport
-from robot_runner.meters import psutil
-from robot_runner.meters.utilisation import Selection, Utilisation
+from robot_runner.core.links.utilisation import Selection, Utilisation
 from robot_runner.plugins import Circumstances, Window
 from robot_runner.plugins.profilers import PsUtil
 from robot_runner.testing import (
@@ -148,7 +147,7 @@ def test_this_machine_is_no_simulated_robots_computer():
 
 
 def test_without_psutil_the_check_says_how_to_get_it(monkeypatch):
-    monkeypatch.setattr(psutil.importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     (finding,) = PsUtil(host="localhost").check(Circumstances())
     assert finding.is_error
     assert "robot-runner[psutil]" in finding.fix

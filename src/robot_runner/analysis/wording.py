@@ -1,50 +1,128 @@
-"""Numbers in sentences."""
+"""Numbers of statistics in sentences and cells: significant digits, p-values, intervals, units."""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
+from robot_runner.core.words import counted
+from robot_runner.core.words import listed as _shortened
+
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
-__all__ = ["counted", "in_figures", "listed", "p_in_words"]
+    from robot_runner.analysis.statistics.outcome import Interval
 
+__all__ = [
+    "ALPHA",
+    "MINUS",
+    "MISSING",
+    "RHO",
+    "TIMES",
+    "counted",
+    "enumerated",
+    "listed",
+    "p_in_words",
+    "sentence",
+    "shown_interval",
+    "shown_number",
+    "shown_p",
+    "with_unit",
+]
+
+#: Stands where a value is missing.
+MISSING = "\N{EN DASH}"
+MINUS = "\N{MINUS SIGN}"
+TIMES = "\N{MULTIPLICATION SIGN}"
+ALPHA = "\N{GREEK SMALL LETTER ALPHA}"
+RHO = "\N{GREEK SMALL LETTER RHO}"
 _SMALLEST_P = 0.001
+_DIGITS = 4
+_LARGE, _SMALL, _HUGE = 1e4, 1e-4, 1e7
 
 
-def counted(count: int, noun: str) -> str:
-    """Return how many there are.
+def shown_number(value: float | None, digits: int = _DIGITS) -> str:
+    """Return a number in so many significant digits; whole parts are never rounded away.
 
     Example:
-        >>> counted(1, "run"), counted(1500, "run")
-        ('1 run', '1,500 runs')
+        >>> [shown_number(each) for each in (877.1234, 0.012346, 16, 123456.7)]
+        ['877.1', '0.01235', '16', '123,457']
     """
-    return f"{count:,} {noun}{'' if count == 1 else 's'}"
+    if value is None or not math.isfinite(value):
+        return MISSING
+    if value == 0:
+        return "0"
+    if isinstance(value, int) or (_LARGE <= abs(value) < _HUGE):
+        text = f"{value:,.0f}"
+    elif abs(value) < _SMALL or abs(value) >= _HUGE:
+        text = f"{value:.{digits - 1}e}"
+    else:
+        text = f"{value:#.{digits}g}".rstrip(".")
+        text = f"{value:,.0f}" if "e" in text and abs(value) > 1 else text  # it was rounded up to where exponents begin
+    return text.replace("-", MINUS, 1) if text.startswith("-") else text
 
 
-def listed(words: Sequence[str]) -> str:
-    """Return words as an enumeration, as in `a, b and c`."""
-    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1] if words else ""]))
+def with_unit(value: float | None, unit: str, digits: int = _DIGITS) -> str:
+    """Return a number with its unit, as in `877.1 J`."""
+    number = shown_number(value, digits)
+    return f"{number} {unit}" if unit not in {"", "1"} and number != MISSING else number
+
+
+def shown_p(p_value: float | None) -> str:
+    """Return a p-value as papers print it.
+
+    Example:
+        >>> shown_p(0.0002), shown_p(0.04321)
+        ('< 0.001', '0.043')
+    """
+    if p_value is None or not math.isfinite(p_value):
+        return MISSING
+    return f"< {_SMALLEST_P}" if p_value < _SMALLEST_P else f"{p_value:.3f}"
 
 
 def p_in_words(p_value: float) -> str:
-    """Return a p-value as a paper prints it.
+    """Return a p-value as it stands in a sentence.
 
     Example:
         >>> p_in_words(0.0159), p_in_words(2e-16)
         ('p = 0.016', 'p < 0.001')
     """
-    return f"p < {_SMALLEST_P}" if p_value < _SMALLEST_P else f"p = {p_value:.3f}"
+    return f"p {'' if p_value < _SMALLEST_P else '= '}{shown_p(p_value)}"
 
 
-def in_figures(value: float) -> str:
-    """Return a number with four significant figures, without an exponent where it can be avoided.
+def shown_interval(interval: Interval | None, digits: int = _DIGITS) -> str:
+    """Return a confidence interval in brackets, as in `[1.2, 3.4]`."""
+    if interval is None:
+        return MISSING
+    return f"[{shown_number(interval.low, digits)}, {shown_number(interval.high, digits)}]"
+
+
+def sentence(text: str) -> str:
+    """Return a text that begins with a capital letter and ends with a full stop.
 
     Example:
-        >>> in_figures(867.0963), in_figures(0.0123456), in_figures(1086351234.5)
-        ('867.1', '0.01235', '1,086,000,000')
+        >>> sentence("the measure is not a number")
+        'The measure is not a number.'
     """
-    text = f"{value:.4g}"
-    if "e+" in text:
-        return f"{float(text):,.0f}"
-    return text
+    text = text.strip()
+    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith(('.', '!', '?')) else '.'}" if text else ""
+
+
+def listed(names: Iterable[object], shown: int = 6) -> str:
+    """Return names as a list that does not grow without end; a report has room for more than a terminal.
+
+    Example:
+        >>> listed("abc"), listed(range(9), shown=3)
+        ('a, b, c', '0, 1, 2 and 6 more')
+    """
+    return _shortened(map(str, names), shown)
+
+
+def enumerated(words: Sequence[str]) -> str:
+    """Return all words as an enumeration.
+
+    Example:
+        >>> enumerated(["a", "b", "c"])
+        'a, b and c'
+    """
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1] if words else ""]))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = ["counted", "listed", "one_line", "plain", "shown_duration", "shown_treatment", "shown_value"]
+__all__ = ["counted", "enumerated", "listed", "one_line", "plain", "shown_duration", "shown_treatment", "shown_value"]
 
 _MINUTE = 60
 _HOUR = 3600
@@ -41,7 +41,7 @@ def counted(number: int, noun: str) -> str:
 
 
 def listed(names: Iterable[str], shown: int = _SHOWN) -> str:
-    """Return names as a list that does not grow without end.
+    """Return names as a list that does not grow without end; for all of them in a sentence, `enumerated`.
 
     Example:
         >>> listed(["r_1", "r_2", "r_3"]), listed(map(str, range(9)))
@@ -52,6 +52,17 @@ def listed(names: Iterable[str], shown: int = _SHOWN) -> str:
     if len(everything) <= shown + 1:
         return ", ".join(everything)
     return f"{', '.join(everything[:shown])} and {len(everything) - shown:,} more"
+
+
+def enumerated(words: Iterable[str]) -> str:
+    """Return all words as a sentence enumerates them.
+
+    Example:
+        >>> enumerated(["numpy"]), enumerated(["Task", "Speed", "Floor"])
+        ('numpy', 'Task, Speed and Floor')
+    """
+    *most, last = list(words) or [""]
+    return f"{', '.join(most)} and {last}" if most else last
 
 
 def shown_duration(seconds: float) -> str:

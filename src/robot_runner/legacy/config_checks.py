@@ -14,9 +14,8 @@ from robot_runner.legacy.experiment import check_callback
 from robot_runner.legacy.profilers.profiler_catalogue import EarlierPlugin, plugin_of
 from robot_runner.legacy.recognition import Dialect, Recognised, is_earlier_import
 from robot_runner.legacy.run_ids import Clone, clone_around
-from robot_runner.legacy.stand_ins.base_configs import CONTEXT_ATTRIBUTES
-from robot_runner.legacy.stand_ins.catalogue import MODULES, PACKAGES, names_in
-from robot_runner.legacy.stand_ins.events import RobotRunnerEvents, RunnerEvents, own_event
+from robot_runner.legacy.stand_ins.events import CONTEXT_ATTRIBUTES, RobotRunnerEvents, RunnerEvents, own_event
+from robot_runner.legacy.stand_ins.modules import MODULES, PACKAGES, names_in
 from robot_runner.legacy.syntax import ImportedName, bound_names, classes_of, imports_of, used_names
 
 if TYPE_CHECKING:
@@ -78,7 +77,7 @@ def _unknown_imports(recognised: Recognised) -> Iterator[Finding]:
         if not is_earlier_import(each.module) or each.is_guarded or _is_in_clone(each, clone):
             continue
         where = f"{recognised.path}:{each.line}"
-        plugin = plugin_of(f"{each.module}.{each.name}") or plugin_of(each.module)
+        plugin = plugin_of(f"{each.module}.{each.name}")
         if plugin is not None and not plugin.names:
             yield Finding.error(where, f"{plugin.name} has nothing that stands in for it", plugin.note)
         elif each.module not in MODULES and each.module not in PACKAGES:
@@ -266,7 +265,7 @@ def _used_plugins(files: Iterable[Path]) -> Iterator[tuple[str, EarlierPlugin]]:
             continue
         used = used_names(tree)
         for each in imports_of(tree):
-            plugin = plugin_of(f"{each.module}.{each.name}") or plugin_of(each.module)
+            plugin = plugin_of(f"{each.module}.{each.name}")
             if plugin is not None and plugin.names and not each.is_guarded and each.bound_as in used:
                 yield f"{file}:{each.line}", plugin
 

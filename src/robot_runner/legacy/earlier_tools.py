@@ -33,7 +33,7 @@ class _EarlierTools:
 
     def stand_in_modules(self) -> frozenset[str]:
         """Return the top-level packages of the earlier tools, which stand-ins take the place of."""
-        from robot_runner.legacy.stand_ins.catalogue import MODULES, PACKAGES  # noqa: PLC0415 - own configs need none
+        from robot_runner.legacy.stand_ins.modules import MODULES, PACKAGES  # noqa: PLC0415 - own configs need none
 
         return frozenset(name.partition(".")[0] for name in (*MODULES, *PACKAGES))
 

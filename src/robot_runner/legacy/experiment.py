@@ -16,7 +16,7 @@ from robot_runner.legacy.recognition import Dialect
 from robot_runner.legacy.run_data import as_mapping, publish_row
 from robot_runner.legacy.run_tables import value_of
 from robot_runner.legacy.session import Session, active_session
-from robot_runner.legacy.stand_ins.base_configs import EarlierContext
+from robot_runner.legacy.stand_ins.events import EarlierContext
 from robot_runner.legacy.stand_ins.machinery import RunProgress
 from robot_runner.legacy.stand_ins.models import MISSING
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
     from robot_runner.core.plugin import Plugin
     from robot_runner.legacy.run_tables import EarlierDesign
-    from robot_runner.legacy.stand_ins.finder import StandIns
+    from robot_runner.legacy.stand_ins.modules import StandIns
 
 __all__ = ["EarlierExperiment", "call", "check_callback", "printed_to_log"]
 

@@ -38,7 +38,7 @@ from robot_runner.legacy.experiment import EarlierExperiment
 from robot_runner.legacy.profilers.self_measure import COLUMN, SelfMeasure
 from robot_runner.legacy.run_tables import EarlierDesign, design_of
 from robot_runner.legacy.session import Session, active_session
-from robot_runner.legacy.stand_ins.finder import StandIns
+from robot_runner.legacy.stand_ins.modules import StandIns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -74,24 +74,16 @@ def exits_raised() -> Iterator[None]:
         os._exit = end
 
 
-#: What the earlier tools called a static parameter, where it has another name here.
-_EARLIER_NAMES = {"experiment_name": "name"}
-#: Parameters that the earlier tools did not have: an attribute of that name means something else in their configs.
-_NEW_PARAMETERS = frozenset(
-    {
-        "analysis",
-        "attempts",
-        "authors",
-        "citation",
-        "event_deadline_in_s",
-        "grace_in_s",
-        "licence",
-        "on_failure",
-        "robot",
-        "run_deadline_in_s",
-        "run_process",
-    }
-)
+#: The static parameters that the earlier tools had, by our names, and what they called them: an attribute that is
+#: called like another one of ours means something else in their configs.
+_EARLIER_NAMES = {
+    "experiment_name": "name",
+    "results_output_path": "results_output_path",
+    "operation_type": "operation_type",
+    "time_between_runs_in_ms": "time_between_runs_in_ms",
+    "required_ros_version": "required_ros_version",
+    "required_ros_distro": "required_ros_distro",
+}
 _TABLE_METHODS = ("create_run_table_model", "create_run_table")
 _UNFIT_FOR_NAME = re.compile(r"[^A-Za-z0-9 ._-]")
 
@@ -206,12 +198,12 @@ class _Lifting:
         return (self._recognised.path, *self._local_modules)
 
     def _value(self, name: str, default: Any) -> Any:
-        if name in _NEW_PARAMETERS:
-            return self._set.get(name, default)
-        return getattr(self._config, _EARLIER_NAMES.get(name, name), default)
+        if name in _EARLIER_NAMES:
+            return getattr(self._config, _EARLIER_NAMES[name], default)
+        return self._set.get(name, default)
 
     def _parameters(self) -> dict[str, Any]:
-        values = {parameter.name: self._value(parameter.name, parameter.default) for parameter in PARAMETERS}
+        values = {parameter.name: self._value(parameter.name, parameter.default) for parameter in PARAMETERS.values()}
         if values["robot"] is None and is_robot_operated(self._files):
             values["robot"] = "auto"  # the earlier tools took the ROS that is sourced
         name = values["experiment_name"]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-__all__ = ["Dialect", "Recognised", "is_earlier_import", "recognise"]
+__all__ = ["EARLIER_PACKAGES", "Dialect", "Recognised", "is_earlier_import", "recognise"]
 
 
 class Dialect(Enum):
@@ -59,6 +59,8 @@ _EARLIER_ROOTS = frozenset(
 )
 #: For some weeks Robot Runner wrote `plugins` in lower case; its folders kept their capitals.
 _EARLIER_PREFIXES = ("plugins.Profilers", "plugins.Systems")
+#: What is in `sys.modules` if any module of the earlier tools is.
+EARLIER_PACKAGES = (*sorted(_EARLIER_ROOTS), *_EARLIER_PREFIXES)
 _OWN_PREFIXES = ("plugins.systems", "plugins.profilers", "robot_runner")
 
 _OF_ROBOT_RUNNER = frozenset({"RobotRunnerConfig", "RobotRunnerContext", "RobotRunnerEvents"})

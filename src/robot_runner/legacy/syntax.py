@@ -1,24 +1,42 @@
-"""What the syntax tree of a config file says, without anything of it being executed."""
+"""A config file's syntax tree: what it tells without anything being executed, and changes to the text at its nodes."""
 
 from __future__ import annotations
 
 import ast
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator
 
 __all__ = [
+    "Edits",
     "ImportedName",
+    "attributes_of",
     "bound_names",
     "classes_of",
     "has_star_import",
     "imports_of",
     "names_of_types",
+    "nodes",
     "used_names",
     "walk_bodies",
 ]
+
+
+N = TypeVar("N", bound=ast.AST)
+
+
+def nodes(tree: ast.AST, kind: type[N]) -> Iterator[N]:
+    """Yield the nodes of a kind, from the outer ones to the inner ones."""
+    return (node for node in ast.walk(tree) if isinstance(node, kind))
+
+
+def attributes_of(tree: ast.AST, owners: Collection[str]) -> Iterator[tuple[ast.Name, ast.Attribute]]:
+    """Yield where an attribute of a name is used (`context.run_nr`), with the node of the name."""
+    for node in nodes(tree, ast.Attribute):
+        if isinstance(node.value, ast.Name) and node.value.id in owners:
+            yield node.value, node
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,21 +59,18 @@ class ImportedName:
 
 def imports_of(tree: ast.Module) -> tuple[ImportedName, ...]:
     """Return everything that a file imports, wherever the statement stands; relative imports are left out."""
-    guarded = {id(node) for each in ast.walk(tree) if isinstance(each, ast.Try) for node in ast.walk(each)}
+    guarded = {id(node) for each in nodes(tree, ast.Try) for node in ast.walk(each)}
     found: list[ImportedName] = []
     for node in ast.walk(tree):
+        is_guarded = id(node) in guarded
         if isinstance(node, ast.Import):
-            found += [
-                ImportedName(
-                    alias.name, "", alias.asname or alias.name.partition(".")[0], node.lineno, id(node) in guarded
-                )
-                for alias in node.names
-            ]
+            for alias in node.names:
+                bound = alias.asname or alias.name.partition(".")[0]
+                found.append(ImportedName(alias.name, "", bound, node.lineno, is_guarded))
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            found += [
-                ImportedName(node.module, alias.name, alias.asname or alias.name, node.lineno, id(node) in guarded)
-                for alias in node.names
-            ]
+            for alias in node.names:
+                bound = alias.asname or alias.name
+                found.append(ImportedName(node.module, alias.name, bound, node.lineno, is_guarded))
     return tuple(sorted(found, key=lambda each: each.line))
 
 
@@ -83,7 +98,7 @@ def bound_names(body: list[ast.stmt]) -> dict[str, int]:
             case ast.ClassDef(name=name) | ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name):
                 names[name] = node.lineno
             case ast.Assign(targets=targets):
-                names |= {each.id: node.lineno for target in targets for each in _targets(target)}
+                names |= {each.id: node.lineno for target in targets for each in nodes(target, ast.Name)}
             case ast.AnnAssign(target=ast.Name(id=name)):
                 names[name] = node.lineno
             case ast.Import(names=aliases) | ast.ImportFrom(names=aliases):
@@ -99,13 +114,13 @@ def has_star_import(tree: ast.Module) -> bool:
 
 
 def used_names(tree: ast.Module) -> set[str]:
-    """Return the names that a file uses other than to say of what type something is."""
+    """Return the names that a file uses, apart from those in annotations."""
     annotations = {id(node) for node in _annotations(tree)}
-    return {node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in annotations}
+    return {node.id for node in nodes(tree, ast.Name) if id(node) not in annotations}
 
 
 def names_of_types(tree: ast.Module) -> set[str]:
-    """Return the names with which a file says of what type something is."""
+    """Return the names that stand in a file's annotations."""
     return {node.id for node in _annotations(tree) if isinstance(node, ast.Name)}
 
 
@@ -116,5 +131,96 @@ def _annotations(tree: ast.Module) -> Iterator[ast.AST]:
                 yield from ast.walk(annotation)
 
 
-def _targets(target: ast.expr) -> Iterator[ast.Name]:
-    return (node for node in ast.walk(target) if isinstance(node, ast.Name))
+@dataclass(frozen=True, slots=True, order=True)
+class _Edit:
+    start: int
+    end: int
+    text: str
+
+
+class Edits:
+    """Gathers changes and applies them all at once; a change inside a part that is replaced as a whole is dropped.
+
+    Example:
+        >>> import ast
+        >>> tree = ast.parse("a + b  # kept")
+        >>> edits = Edits("a + b  # kept")
+        >>> edits.replace(tree.body[0].value.right, "c")
+        >>> edits.applied()
+        'a + c  # kept'
+    """
+
+    def __init__(self, text: str) -> None:
+        self._bytes = text.encode()
+        starts = [0]
+        for line in self._bytes.splitlines(keepends=True):
+            starts.append(starts[-1] + len(line))
+        self._line_starts = starts
+        self._edits: list[_Edit] = []
+
+    def replace(self, node: ast.AST, text: str) -> None:
+        """Put `text` in the place of a node."""
+        self._edits.append(_Edit(self.start_of(node), self.end_of(node), text))
+
+    def replace_span(self, start: int, end: int, text: str) -> None:
+        """Put `text` in the place of some bytes."""
+        self._edits.append(_Edit(start, end, text))
+
+    def insert(self, position: int, text: str) -> None:
+        """Put `text` before the byte at `position`."""
+        self._edits.append(_Edit(position, position, text))
+
+    def remove_paragraph(self, first: int, last: int) -> None:
+        """Remove whole lines, and the blank one after them."""
+        following = self._bytes[self._line_starts[last] :].partition(b"\n")[0]
+        self.remove_lines(first, last if following.strip() else min(last + 1, len(self._line_starts) - 1))
+
+    def remove_lines(self, first: int, last: int) -> None:
+        """Remove whole lines, counted from 1."""
+        self._edits.append(_Edit(self._line_starts[first - 1], self._line_starts[last], ""))
+
+    def source(self, node: ast.AST) -> str:
+        """Return the text of a node as it was."""
+        return self._bytes[self.start_of(node) : self.end_of(node)].decode()
+
+    def edited(self, node: ast.AST) -> str:
+        """Return the text of a node with the changes so far that lie inside it."""
+        start, end = self.start_of(node), self.end_of(node)
+        inside = [edit for edit in self._edits if start <= edit.start and edit.end <= end]
+        return _applied(self._bytes[start:end], [_Edit(e.start - start, e.end - start, e.text) for e in inside])
+
+    def start_of(self, node: ast.AST) -> int:
+        """Return where a node begins, in bytes; a class or function begins with its first decorator."""
+        first = min([node, *getattr(node, "decorator_list", [])], key=lambda each: each.lineno)
+        return self._position(first.lineno, first.col_offset) - (first is not node)
+
+    def end_of(self, node: ast.AST) -> int:
+        """Return where a node ends, in bytes."""
+        return self._position(node.end_lineno, node.end_col_offset)  # type: ignore[attr-defined]
+
+    def line_start(self, line: int) -> int:
+        """Return where a line begins, in bytes; lines are counted from 1."""
+        return self._line_starts[min(line, len(self._line_starts)) - 1]
+
+    def find(self, text: str, after: int) -> int:
+        """Return where `text` stands first after a position, in bytes."""
+        return self._bytes.index(text.encode(), after)
+
+    def applied(self) -> str:
+        """Return the text with all changes."""
+        return _applied(self._bytes, self._edits)
+
+    def _position(self, line: int, column: int) -> int:
+        return self._line_starts[line - 1] + column
+
+
+def _applied(text: bytes, edits: list[_Edit]) -> str:
+    # What is put before a place comes first, then the widest change there: it stands for those inside it.
+    ordered = sorted(dict.fromkeys(edits), key=lambda edit: (edit.start, edit.end > edit.start, -edit.end))
+    pieces, position = [], 0
+    for edit in ordered:
+        if edit.start < position:
+            continue
+        pieces += [text[position : edit.start], edit.text.encode()]
+        position = edit.end
+    return b"".join([*pieces, text[position:]]).decode()

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.links.measured_machine import clock_details, machine_clock, simulation_findings
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.quality import write_quality
 from robot_runner.core.sampling.series import Window
-from robot_runner.meters.polled import clock_details, machine_clock, simulation_findings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
 
-__all__ = ["CodeCarbon"]
+__all__ = ["CodeCarbon", "started_tracker", "stop_tracker"]
 
 _INSTALL = "Install it: pip install 'robot-runner[codecarbon]'."
 _JOULES = 3.6e6  # in a kilowatt hour
@@ -91,7 +91,7 @@ class CodeCarbon(Profiler):
         """Return what stands in the way: the library is not installed."""
         if importlib.util.find_spec("codecarbon") is None:
             return [Finding.error(f"plugin {self.name}", "codecarbon is not installed", _INSTALL)]
-        return simulation_findings(self.name, circumstances)
+        return simulation_findings(self.name, circumstances.robot)
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Forget the run before."""
@@ -104,15 +104,9 @@ class CodeCarbon(Profiler):
         Raises:
             PluginError: the library is not installed.
         """
-        try:
-            library = import_module("codecarbon")
-        except ModuleNotFoundError as error:
-            raise PluginError("codecarbon is not installed", where=self.name, fix=_INSTALL) from error
         plain = {"save_to_file": False, "log_level": "error", "allow_multiple_runs": True}
-        self._tracker = library.OfflineEmissionsTracker(
-            **{"country_iso_code": self.country, "measure_power_secs": self.interval_s, **plain, **self.options}
-        )
-        self._tracker.start()
+        named = {"country_iso_code": self.country, "measure_power_secs": self.interval_s}
+        self._tracker = started_tracker("OfflineEmissionsTracker", **{**named, **plain, **self.options})
         self._start = machine_clock(context).now()
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
@@ -121,10 +115,7 @@ class CodeCarbon(Profiler):
         if tracker is None:
             return
         self._window = Window(self._start, machine_clock(context).now())
-        try:
-            tracker.stop()
-        finally:
-            _end_threads(tracker)
+        stop_tracker(tracker)
         # It swallows its own exceptions, and then has nothing to say.
         self._data = getattr(tracker, "final_emissions_data", None)
         self._hardware = list(map(str, getattr(tracker, "_conf", {}).get("hardware", [])))
@@ -173,9 +164,32 @@ class CodeCarbon(Profiler):
             yield f"CodeCarbon does not know the country {self.country!r} and reckoned with the world's electricity mix"
 
 
-def _end_threads(tracker: Any) -> None:
-    """End what a tracker leaves behind whose `stop` failed: a new thread for each reading, while the process lives."""
-    for name in ("_scheduler", "_scheduler_monitor_power"):
-        scheduler = getattr(tracker, name, None)
-        if scheduler is not None:
-            scheduler.stop()
+def started_tracker(kind: str, *arguments: Any, **settings: Any) -> Any:
+    """Return a tracker of the library that has been started.
+
+    Raises:
+        PluginError: the library is not installed.
+    """
+    try:
+        library = import_module("codecarbon")
+    except ModuleNotFoundError as error:
+        raise PluginError("codecarbon is not installed", where="CodeCarbon", fix=_INSTALL) from error
+    tracker = getattr(library, kind)(*arguments, **settings)
+    tracker.start()
+    return tracker
+
+
+def stop_tracker(tracker: Any) -> float | None:
+    """Stop a tracker; returns the emissions, kg of CO2 equivalent.
+
+    Where its `stop` fails, the tracker goes on to start a thread for each reading while the process lives: its
+    schedulers are ended here in any case.
+    """
+    try:
+        emissions: float | None = tracker.stop()
+        return emissions
+    finally:
+        for name in ("_scheduler", "_scheduler_monitor_power"):
+            scheduler = getattr(tracker, name, None)
+            if scheduler is not None:
+                scheduler.stop()

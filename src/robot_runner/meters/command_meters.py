@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.links.measured_machine import simulation_findings
 from robot_runner.meters.command import CommandProfiler, Measured
 from robot_runner.meters.command_output import Aggregate, CommandColumn, Row, TimeColumn, TimeKind, parse_csv
-from robot_runner.meters.polled import simulation_findings
 from robot_runner.meters.rapl import POWERCAP, permission_findings
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ class EnergiBridge(CommandProfiler):
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no program, or no right to read the registers."""
-        findings = [*super().check(circumstances), *simulation_findings(self.name, circumstances)]
+        findings = [*super().check(circumstances), *simulation_findings(self.name, circumstances.robot)]
         registers = self.devices / "0" / "msr"
         if sys.platform == "linux" and not os.access(registers, os.R_OK):
             fix = "Give the right: sudo modprobe msr; sudo chgrp -R msr /dev/cpu/*/msr; sudo chmod g+r /dev/cpu/*/msr."
@@ -229,7 +229,7 @@ class PowerJoular(CommandProfiler):
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no program, or no counters that it could read, so that it would say 0 W."""
-        findings = [*super().check(circumstances), *simulation_findings(self.name, circumstances)]
+        findings = [*super().check(circumstances), *simulation_findings(self.name, circumstances.robot)]
         if self.origin is Origin.MEASURED and "-m" not in self.command:
             findings += permission_findings(self.name, self.powercap, ("package",))
         return findings
@@ -342,4 +342,4 @@ class Powermetrics(CommandProfiler):
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: this is no Mac, or the program is not there."""
-        return [*self._missing_programs(*self._programs), *simulation_findings(self.name, circumstances)]
+        return [*self._missing_programs(*self._programs), *simulation_findings(self.name, circumstances.robot)]

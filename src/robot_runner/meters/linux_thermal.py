@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure
+from robot_runner.core.links.measured_machine import simulation_findings
 from robot_runner.core.sampling.quality import Column
 from robot_runner.core.sampling.series import Series, mean
-from robot_runner.meters.polled import PolledProfiler, simulation_findings
+from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -170,7 +171,7 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
         warnings = [
             Finding.warning(where, f"this machine does not tell of {measures}: no value") for measures in missing
         ]
-        return [*warnings, *simulation_findings(self.name, circumstances)]
+        return [*warnings, *simulation_findings(self.name, circumstances.robot)]
 
     def open(self, context: RobotRunnerContext) -> _Machine:
         """Return the machine's files.

@@ -10,17 +10,18 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure
+from robot_runner.core.links.measured_machine import machine_clock, simulation_findings
+from robot_runner.core.sampling.meter_process import MeterProcess
 from robot_runner.core.sampling.quality import Column
-from robot_runner.meters.meter_process import MeterProcess
-from robot_runner.meters.polled import PolledProfiler, machine_clock, simulation_findings
+from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
+    from robot_runner.core.sampling.meter_process import Ending
     from robot_runner.core.sampling.periodic import Sampling
-    from robot_runner.meters.meter_process import Ending
 
 __all__ = ["Network", "counted"]
 
@@ -124,7 +125,7 @@ class Network(PolledProfiler[Counters]):
         if self.capture and shutil.which("tshark") is None:
             fix = "Install it: sudo apt install tshark. Or leave capture out."
             findings.append(Finding.error(where, "capture=True needs the program 'tshark', which is not there", fix))
-        return [*findings, *simulation_findings(self.name, circumstances)]
+        return [*findings, *simulation_findings(self.name, circumstances.robot)]
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Forget the run before."""

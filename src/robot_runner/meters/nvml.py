@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure
+from robot_runner.core.links.measured_machine import simulation_findings
 from robot_runner.core.sampling.quality import Column
 from robot_runner.core.sampling.series import Series, cut, energy, mean
-from robot_runner.meters.polled import PolledProfiler, simulation_findings
+from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -145,7 +146,7 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
             _Gpus(self.gpus).close()
         except PluginError as error:
             return [Finding.error(where, error.problem, error.fix)]
-        return simulation_findings(self.name, circumstances)
+        return simulation_findings(self.name, circumstances.robot)
 
     def open(self, context: RobotRunnerContext) -> _Gpus:
         """Return the GPUs.

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure
+from robot_runner.core.links.measured_machine import simulation_findings
 from robot_runner.meters.command import CommandProfiler, Measured
 from robot_runner.meters.command_output import Aggregate, CommandColumn, Row, TimeColumn, TimeKind
-from robot_runner.meters.polled import simulation_findings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -117,7 +117,7 @@ class PerfStat(CommandProfiler):
         findings = list(super().check(circumstances))
         if not findings:
             findings = self._refused_scope() or self._refused_events()
-        return [*findings, *simulation_findings(self.name, circumstances)]
+        return [*findings, *simulation_findings(self.name, circumstances.robot)]
 
     def doubts(self, measured: Measured) -> Iterable[str]:
         """Yield what is doubtful, which events were not counted, and which only for a share of the time."""

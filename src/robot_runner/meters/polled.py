@@ -6,9 +6,9 @@ import math
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from robot_runner.core.errors import Finding, PluginError
-from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import Origin
-from robot_runner.core.links.connect import SIMULATED, is_simulated, lives_by_simulation
+from robot_runner.core.links.connect import SIMULATED
+from robot_runner.core.links.measured_machine import clock_details, machine_clock
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.periodic import PeriodicSampler
 from robot_runner.core.sampling.quality import Column, report_quality, write_samples
@@ -16,32 +16,11 @@ from robot_runner.core.sampling.quality import Column, report_quality, write_sam
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from robot_runner.core.events.context import Clock, RobotRunnerContext
+    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
     from robot_runner.core.sampling.periodic import Sampling
 
-__all__ = ["Meter", "PolledProfiler", "clock_details", "machine_clock", "reach_findings", "simulation_findings"]
-
-
-def machine_clock(context: RobotRunnerContext) -> Clock:
-    """Return the clock of what is measured on this machine: the run's, unless that is the clock of a simulation.
-
-    A simulated mission of 95 s takes a few real ones, and a watt is a joule in a real second.
-    """
-    return SystemClock() if lives_by_simulation(context) else context.clock
-
-
-def clock_details(context: RobotRunnerContext) -> Mapping[str, str]:
-    """Return, for `quality.json`, whose clock the times in the raw data are of."""
-    return {"clock": "machine" if lives_by_simulation(context) else "run"}
-
-
-def simulation_findings(name: str, circumstances: Circumstances) -> list[Finding]:
-    """Return a warning where a plugin measures this machine while the robot is a simulated one."""
-    if not is_simulated(circumstances.robot):
-        return []
-    problem = "the robot is simulated, and this plugin measures the machine that simulates it"
-    return [Finding.warning(f"plugin {name}", problem, "Do not take its values for the robot's.")]
+__all__ = ["Meter", "PolledProfiler", "reach_findings"]
 
 
 _FIX = f"Name it in the config: robot = {SIMULATED!r}. Or: --set robot={SIMULATED}."

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
+from robot_runner.core.errors import LinkError, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin
-from robot_runner.core.links.connect import SIMULATED, connect_host, is_simulated
+from robot_runner.core.links.connect import connect_host
 from robot_runner.core.links.host import (
     LOCAL,
     EndingSampler,
@@ -19,62 +18,21 @@ from robot_runner.core.links.host import (
     SamplingReport,
     process_selector,
 )
+from robot_runner.core.links.measured_machine import host_findings, machine_clock
 from robot_runner.core.links.on_board_session import FORMS
-from robot_runner.core.links.ssh_host import ssh_findings
+from robot_runner.core.links.utilisation import Selection, Utilisation
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.series import Window
-from robot_runner.meters.polled import machine_clock, simulation_findings
-from robot_runner.meters.utilisation import Selection, Utilisation
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
+    from robot_runner.core.errors import Finding
     from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.links.host import HostLink, UtilisationSample, UtilisationSampler
     from robot_runner.core.plugin import Circumstances
 
-__all__ = ["PsUtil", "host_findings"]
-
-
-_INSTALL = "Install it: pip install 'robot-runner[psutil]'."
-_NAME_ONE = f"Name it: host='localhost' for this machine, or host='user@robot'. Or: --set robot={SIMULATED}."
-
-
-def host_findings(
-    plugin: str, circumstances: Circumstances, *, host: str | None, ssh_config: Path | None, has_selection: bool
-) -> list[Finding]:
-    """Return what stands in the way of sampling a computer.
-
-    Args:
-        plugin: the name of the plugin that asks.
-        circumstances: of the experiment.
-        host: the computer; None for the on-board one of a simulated robot.
-        ssh_config: a file to take the place of the user's ssh config.
-        has_selection: whether single processes or cores are asked for.
-
-    Example:
-        >>> from robot_runner.core.plugin import Circumstances
-        >>> host_findings("PsUtil", Circumstances("simulated"), host=None, ssh_config=None, has_selection=False)
-        []
-    """
-    where = f"plugin {plugin}"
-    if host is None:
-        return _on_board(where, circumstances, has_selection=has_selection)
-    findings = simulation_findings(plugin, circumstances)
-    if host != LOCAL:
-        return [*findings, *ssh_findings(where, host, config=ssh_config)]
-    if importlib.util.find_spec("psutil") is None:
-        findings.append(Finding.error(where, "psutil, which samples this machine, cannot be imported", _INSTALL))
-    return findings
-
-
-def _on_board(where: str, circumstances: Circumstances, *, has_selection: bool) -> list[Finding]:
-    if not is_simulated(circumstances.robot):
-        return [Finding.error(where, "it measures a computer, and none is named", _NAME_ONE)]
-    if has_selection:
-        problem = "the computer of a simulated robot does not tell of single processes or cores"
-        return [Finding.error(where, problem, "Leave processes and cores out.")]
-    return []
+__all__ = ["PsUtil"]
 
 
 _REMEDY = "Look at the load of the computer, at the network and at samples.csv before you use this run."
@@ -162,7 +120,11 @@ class PsUtil(Profiler):
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no computer is named, or it cannot be reached."""
         return host_findings(
-            self.name, circumstances, host=self.host, ssh_config=self.ssh_config, has_selection=self._has_selection
+            self.name,
+            circumstances.robot,
+            host=self.host,
+            ssh_config=self.ssh_config,
+            has_selection=self._has_selection,
         )
 
     def start_run(self, context: RobotRunnerContext) -> None:

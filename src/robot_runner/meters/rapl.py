@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure
+from robot_runner.core.links.measured_machine import simulation_findings
 from robot_runner.core.sampling.quality import Column
-from robot_runner.meters.polled import PolledProfiler, simulation_findings
+from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -175,7 +176,7 @@ class Rapl(PolledProfiler[Counters]):
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no counters, not this domain, or no right to read them."""
         findings = permission_findings(self.name, self.root, ("package", *self.domains))
-        return [*findings, *simulation_findings(self.name, circumstances)]
+        return [*findings, *simulation_findings(self.name, circumstances.robot)]
 
     def open(self, context: RobotRunnerContext) -> _Counters:
         """Return the counters.

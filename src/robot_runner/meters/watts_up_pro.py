@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from robot_runner.core.links.serial_line import SerialLine
     from robot_runner.core.plugin import Circumstances
 
-__all__ = ["WattsUpPro", "WattsUpSample", "parse_record"]
+__all__ = ["Recording", "WattsUpPro", "WattsUpSample", "parse_record"]
 
 #: Source of what is said and answered: Electronic Educational Devices, Watts up? PRO communications protocol (2009):
 #: `#L,W,3,E,<reserved>,<interval in s>;` begins to log to the line, `#L,R,0;` ends it. A record is
@@ -71,8 +71,8 @@ def parse_record(record: str, time: float) -> WattsUpSample | None:
     return WattsUpSample(time, watts / 10, volts / 10, milliamperes / 1000)
 
 
-class _Recording:
-    """What a line has said so far."""
+class Recording:
+    """The records that have come over a line so far."""
 
     def __init__(self, line: SerialLine) -> None:
         self.line = line
@@ -141,7 +141,7 @@ class WattsUpPro(Profiler):
         if not port:
             raise PluginError(f"port is {port!r}", where=self.name, fix="Give its serial port: port='/dev/ttyUSB0'.")
         self.port = port
-        self._recording: _Recording | None = None
+        self._recording: Recording | None = None
         self._start: float | None = None
         self._window: Window | None = None
         self._is_over = False
@@ -163,7 +163,7 @@ class WattsUpPro(Profiler):
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
         """Have the meter log to the line, and wait for a first record."""
-        recording = _Recording(open_serial_line(context, self.port))
+        recording = Recording(open_serial_line(context, self.port))
         recording.line.write(_BEGIN)
         recording.wait(lambda: bool(recording.samples), context.clock, _PATIENCE)
         self._recording, self._start = recording, context.clock.now()

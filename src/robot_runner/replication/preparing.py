@@ -229,7 +229,9 @@ def identical_values(original: Path, replication: Path) -> dict[str, Sameness]:
         if (other := theirs.place_of(ours.run_id(place))) is not None
         and ours.status(place) is theirs.status(other) is RunStatus.DONE
     ]
-    return {name: _sameness(ours, theirs, name, pairs) for name in ours.layout.measures if name in theirs.layout.measures}
+    return {
+        name: _sameness(ours, theirs, name, pairs) for name in ours.layout.measures if name in theirs.layout.measures
+    }
 
 
 def _sameness(ours: RunTableRows, theirs: RunTableRows, name: str, pairs: list[tuple[int, int]]) -> Sameness:

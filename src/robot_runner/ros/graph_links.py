@@ -13,6 +13,7 @@ from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.graph_names import full_name, missing, namespace_prefix
 from robot_runner.core.links.kinds import link_key
+from robot_runner.core.words import enumerated
 from robot_runner.ros.graph_clock import GraphClock
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def not_installed(missing: Sequence[str], *, way: str, extra: str) -> LinkError:
         Install it: pip install 'robot-runner[dds]'.
     """
     return LinkError(
-        f"robot is reached {way}, but {' and '.join(missing)} cannot be imported",
+        f"robot is reached {way}, but {enumerated(missing)} cannot be imported",
         where="robot",
         fix=f"Install it: pip install 'robot-runner[{extra}]'.",
     )

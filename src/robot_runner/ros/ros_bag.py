@@ -18,7 +18,7 @@ from robot_runner.core.links.host import LOCAL
 from robot_runner.core.links.robot import Encoding
 from robot_runner.core.links.ssh_host import remedy, ssh_command, ssh_findings
 from robot_runner.core.plugin import Profiler
-from robot_runner.meters.meter_process import MeterProcess
+from robot_runner.core.sampling.meter_process import MeterProcess
 from robot_runner.ros.bag_file import LinkRecorder, messages_in
 from robot_runner.ros.topic_statistics import found_topics, robot_findings, topic_label
 

@@ -19,12 +19,11 @@ from robot_runner.core.links.host import (
     SamplingReport,
     process_selector,
 )
+from robot_runner.core.links.measured_machine import host_findings, machine_clock
 from robot_runner.core.links.robot import RobotName
+from robot_runner.core.links.utilisation import Selection, Utilisation
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.series import Window
-from robot_runner.meters.polled import machine_clock
-from robot_runner.meters.psutil import host_findings
-from robot_runner.meters.utilisation import Selection, Utilisation
 from robot_runner.ros.ros1_link import master_of
 from robot_runner.ros.topic_statistics import robot_findings
 
@@ -115,7 +114,9 @@ class RosGraph(Profiler):
         if is_simulated(circumstances.robot):
             problem = "the computer of a simulated robot does not tell of the processes of nodes"
             return [*findings, Finding.error(f"plugin {self.name}", problem, "Leave nodes out.")]
-        reach = host_findings(self.name, circumstances, host=self.host, ssh_config=self.ssh_config, has_selection=True)
+        reach = host_findings(
+            self.name, circumstances.robot, host=self.host, ssh_config=self.ssh_config, has_selection=True
+        )
         return [*findings, *reach]
 
     def start_run(self, context: RobotRunnerContext) -> None:

@@ -8,6 +8,7 @@ from math import inf
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, LinkError, did_you_mean
+from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -96,7 +97,7 @@ def _simulation(name: RobotName, resources: Resources, seed: int) -> Simulation:
 
 def _not_installed(missing: list[str]) -> LinkError:
     return LinkError(
-        f"robot is {_NAME!r}, but {' and '.join(missing)} cannot be imported",
+        f"robot is {_NAME!r}, but {enumerated(missing)} cannot be imported",
         where=_WHERE,
         fix="Install the simulator: pip install 'robot-runner[sim]'.",
     )

@@ -80,11 +80,11 @@ def test_everything_can_be_said_by_options(tmp_path, capsys):
     ("words", "problem"),
     [
         (["--unit", "energy"], "'energy' names no unit"),
-        (["--unit", "energy=Jule"], "'Jule' is no unit that is known"),
+        (["--unit", "energy=Jule"], "'Jule' is not a unit that is known"),
         (["--samples", "power.csv"], "'power.csv' names no column"),
         (["--samples", "power.csv:t:weeks"], "times cannot be in 'weeks'"),
         (["--sample-unit", "power=mW"], "'power=mW' names no file"),
-        (["--recompute", "energy"], "'energy' is no recipe"),
+        (["--recompute", "energy"], "'energy' is not a recipe"),
         (["--description", "none.toml"], "cannot be read"),
     ],
 )

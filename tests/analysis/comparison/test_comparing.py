@@ -11,6 +11,7 @@ from robot_runner.analysis.comparison.compared import Verdict
 from robot_runner.analysis.comparison.comparing import compare
 from robot_runner.analysis.comparison.comparison_document import comparison_document, json_of_comparison
 from robot_runner.analysis.comparison.equivalence import Bound
+from robot_runner.analysis.results import load_results
 from robot_runner.core.errors import AnalysisError, StorageError
 
 
@@ -63,7 +64,7 @@ def test_without_a_bound_nothing_is_equivalent(two_tasks):
 
 
 def test_the_narrow_interval_decides_as_the_two_tests_do(two_tasks):
-    first = two_tasks().root
+    first = load_results(two_tasks().root)
     for shift in np.linspace(0.0, 6.0, 25):
         second = compare(first, two_tasks(shifted(VIDEO, shift)).root, bound=3.0)
         video = second.measure("Energy").differences[0]

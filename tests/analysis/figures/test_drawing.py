@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,10 +16,16 @@ from hypothesis import strategies as st
 from matplotlib.colors import to_rgb
 
 from robot_runner.analysis.figures.courses import PhaseSpan, course_of_run, mean_course
-from robot_runner.analysis.figures.differences import Estimate, draw_agreement, draw_differences
-from robot_runner.analysis.figures.distribution import Group, draw_distribution, draw_quantiles
-from robot_runner.analysis.figures.effects import AttemptSpan, Mean, draw_interaction, draw_run_order, draw_timeline
-from robot_runner.analysis.figures.missions import Way, draw_mean_courses, draw_single_courses, draw_trajectories
+from robot_runner.analysis.figures.distribution import Group, draw_distribution, draw_quantiles, draw_run_order
+from robot_runner.analysis.figures.effects import Estimate, Mean, draw_agreement, draw_differences, draw_interaction
+from robot_runner.analysis.figures.missions import (
+    AttemptSpan,
+    Way,
+    draw_mean_courses,
+    draw_single_courses,
+    draw_timeline,
+    draw_trajectories,
+)
 from robot_runner.analysis.figures.style import COLUMN, PAGE, FigureFormat, figure_bytes, file_name, looks, verbatim
 
 ROOT = Path(__file__).parents[3]
@@ -99,7 +106,8 @@ DRAWINGS = {
     ),
 }
 
-each_drawing = pytest.mark.parametrize("draw", DRAWINGS.values(), ids=DRAWINGS)
+# Each is drawn once, for all tests that only look at it.
+each_drawing = pytest.mark.parametrize("draw", [cache(draw) for draw in DRAWINGS.values()], ids=DRAWINGS)
 
 
 @each_drawing
@@ -135,9 +143,9 @@ def test_letters_in_a_pdf_are_of_a_truetype_font():
 
 
 def test_crowds_of_points_and_bars_are_kept_as_pixels():
-    spans = [AttemptSpan(f"r_{n}", "Video", n, n + 0.9, (n + 0.1, n + 0.8), is_done=True) for n in range(1000)]
+    spans = [AttemptSpan(f"r_{n}", "Video", n, n + 0.9, (n + 0.1, n + 0.8), is_done=True) for n in range(400)]
     for few, many in (
-        (distribution(), distribution(3, 1000)),
+        (distribution(), distribution(3, 250)),
         (draw_timeline(spans[:20], order=["Video"]), draw_timeline(spans, order=["Video"])),
     ):
         assert b"<image" not in figure_bytes(few, FigureFormat.SVG)

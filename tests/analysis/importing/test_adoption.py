@@ -11,8 +11,7 @@ from tests.analysis.importing.foreign_folder import make_earlier_folder, write
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.importing.adoption import adopt
-from robot_runner.analysis.importing.description import ImportDescription, parse_recipe
-from robot_runner.analysis.importing.description_file import read_description
+from robot_runner.analysis.importing.description import ImportDescription, parse_recipe, read_description
 from robot_runner.analysis.importing.recomputation import agreements
 from robot_runner.analysis.importing.understanding import understand
 from robot_runner.analysis.report.document import report_document

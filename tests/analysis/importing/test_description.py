@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from robot_runner.analysis.importing.description import Aggregation, ImportDescription, SamplesDescription, parse_recipe
-from robot_runner.analysis.importing.description_file import read_description
+from robot_runner.analysis.importing.description import (
+    Aggregation,
+    ImportDescription,
+    SamplesDescription,
+    parse_recipe,
+    read_description,
+)
 from robot_runner.core.errors import AnalysisError, StorageError
 
 WHOLE = """
@@ -72,18 +77,18 @@ def test_the_command_line_counts_more(tmp_path):
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("name = ", "it is no TOML"),
+        ("name = ", "the file is not TOML"),
         ("nmae = 'x'", "there is no entry nmae"),
         ("name = 3", "name is 3"),
         ("columns = 3", "columns is 3"),
         ("[columns]\nfactor = ['a']", "there is no entry columns.factor"),
         ("[columns]\nfactors = [1]", r"factors is \[1\]"),
-        ("[units]\na = 'mWatt'", "'mWatt' is no unit that is known"),
+        ("[units]\na = 'mWatt'", "'mWatt' is not a unit that is known"),
         ("[[samples]]\ntime = 't'", "samples names no file"),
         ("[[samples]]\nfile = 'a'\ntime_unit = 'weeks'", "times cannot be in 'weeks'"),
         ("[recompute]\na = 'integrl(b:c)'", "there is no way 'integrl'"),
         ("[recompute]\na = 'integral(b)'", "names no column"),
-        ("[recompute]\na = 'b'", "is no recipe"),
+        ("[recompute]\na = 'b'", "is not a recipe"),
         ("origin = 'guessed'", "origin is 'guessed'"),
     ],
 )

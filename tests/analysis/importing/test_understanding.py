@@ -58,7 +58,7 @@ def test_samples_and_their_times_are_seen(root):
 
 
 def test_what_no_sample_is_stays_as_it_is(root):
-    assert "notes.csv is left as it is: no column is told to be the time" in understand(root, NOTHING).notes
+    assert "notes.csv is left as it is: no column is recognised as the time" in understand(root, NOTHING).notes
 
 
 def test_which_measure_comes_out_of_which_samples_is_guessed(root):
@@ -273,15 +273,19 @@ def test_a_table_of_thousands_of_runs_is_looked_at_once(tmp_path, monkeypatch):
 
 REFUSED = {
     "no folder": (None, {}, "there is no such folder"),
-    "no table": ({}, {}, "there is no CSV file in it"),
+    "no table": ({}, {}, "there is no CSV file in the folder"),
     "which table": ({"a.csv": "x\n1\n", "b.csv": "x\n1\n"}, {}, "which of a.csv, b.csv is the run table?"),
-    "empty": ({"run_table.csv": "\n\n"}, {}, "it is empty"),
-    "no rows": ({"run_table.csv": "__run_id,__done,a,b\n"}, {}, "there are no runs in it"),
+    "empty": ({"run_table.csv": "\n\n"}, {}, "the table is empty"),
+    "no rows": ({"run_table.csv": "__run_id,__done,a,b\n"}, {}, "there are no runs in the table"),
     "heading twice": ({"run_table.csv": "__run_id,a,a\nrun_0,1,2\n"}, {}, "heading 'a' is there twice"),
     "a row too long": ({"run_table.csv": "__run_id,a\nrun_0,1,2\n"}, {}, "the row has 3 cells, the heading has 2"),
     "no id": ({"run_table.csv": "__run_id,t,e\nrun_0,a,1\n,a,2\n"}, {}, "the run has no id"),
-    "status": ({"run_table.csv": "__run_id,__done,t,e\nrun_0,MAYBE,a,1\n"}, {}, "'MAYBE' is no status"),
-    "repetition": ({"run_table.csv": "__run_id,repetition,e\nrun_0,first,1\n"}, {}, "it is no number of a repetition"),
+    "status": ({"run_table.csv": "__run_id,__done,t,e\nrun_0,MAYBE,a,1\n"}, {}, "'MAYBE' is not a status"),
+    "repetition": (
+        {"run_table.csv": "__run_id,repetition,e\nrun_0,first,1\n"},
+        {},
+        "'first' is not a repetition number",
+    ),
     "factor": ({"run_table.csv": "__run_id,t,e\nrun_0,a,1\n"}, {"factors": ("task",)}, "there is no column 'task'"),
     "samples": (
         {"run_table.csv": "__run_id,t,e\nrun_0,a,1\n", "run_0/power.csv": "time,p\n0,1\n"},

@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.analysis.report.blocks import Cell, Column, Place, Table
-from robot_runner.analysis.report.markdown import csv_of, latex_of, latex_text, markdown_text
-from robot_runner.analysis.report.names import SafeNames
-from robot_runner.analysis.report.numbers import MISSING
+from robot_runner.analysis.report.rendering import SafeNames, csv_of, latex_of, latex_text, markdown_text
+from robot_runner.analysis.wording import MISSING
 
 texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=40)
 

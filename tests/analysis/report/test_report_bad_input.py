@@ -5,12 +5,20 @@ from __future__ import annotations
 import html
 import itertools
 import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import pytest
+from tests.analysis.experiment_folders import Folder
 
 from robot_runner.analysis.figures.style import FigureFormat
-from robot_runner.analysis.report.markdown import csv_of, latex_of
+from robot_runner.analysis.report.rendering import csv_of, latex_of
 from robot_runner.analysis.report.writing import ReportFormat, write_report
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from robot_runner.analysis.report.writing import WrittenReport
 
 HOSTILE = [
     "<script>alert(1)</script>",
@@ -140,28 +148,45 @@ def test_two_factors_are_drawn_and_told_together(make_folder):
     assert "a / slow" in text
 
 
-@pytest.fixture
-def hostile(make_folder):
-    """An experiment in which every name is an attack."""
+@dataclass(frozen=True)
+class Hostile:
+    """An experiment in which every name is an attack, with its report: a page, Markdown, and files of figures."""
+
+    root: Path
+    page: str
+    markdown: str
+    written: WrittenReport
+    strays: set[Path]
+
+
+@pytest.fixture(scope="module")
+def hostile(tmp_path_factory):
+    around = tmp_path_factory.mktemp("hostile")
     factor, measure = HOSTILE[1], HOSTILE[2]
-    rows = [(level, 10.0 + place + repeat * 0.5) for place, level in enumerate(HOSTILE) for repeat in range(3)]
-    folder = make_folder(
+    folder = Folder(
+        around / "experiment",
         factors={factor: HOSTILE},
-        rows=rows,
+        rows=[(level, 10.0 + place + repeat * 0.5) for place, level in enumerate(HOSTILE) for repeat in range(3)],
         measures={measure: "<b>J</b>"},
         name=HOSTILE[0],
         failure=HOSTILE[1],
         statuses={0: "Failed"},
         manifest={"deviations": {"robot": HOSTILE[0]}, "robot": HOSTILE[0], "host": {"system": HOSTILE[1]}},
     )
+    folder.write()
     folder.write_samples(
         "Meter", "samples.csv", "time_s,<i>power</i>_W", lambda place: [f"{t},{place}" for t in range(30)]
     )
-    return folder
+    before = set(around.rglob("*"))
+    written = write_report(folder.root, figures=(FigureFormat.PNG,))
+    strays = {path for path in around.rglob("*") if "report" not in path.parts} ^ before
+    markdown = write_report(folder.root, ReportFormat.MARKDOWN, output=around / "markdown", figures=()).document
+    texts = (path.read_text(encoding="utf-8") for path in (written.document, markdown))
+    return Hostile(folder.root, *texts, written, strays)
 
 
 def test_names_are_text_in_the_page(hostile):
-    page = write_report(hostile.root, figures=()).document.read_text(encoding="utf-8")
+    page = hostile.page
     assert page.count("<script>alert") == 0
     assert "<img src=x" not in page
     assert "<b>J</b>" not in page
@@ -173,8 +198,7 @@ def test_names_are_text_in_the_page(hostile):
 
 
 def test_names_are_text_in_latex(hostile):
-    written = write_report(hostile.root, figures=())
-    for path in written.tables:
+    for path in hostile.written.tables:
         if path.suffix == ".tex":
             body = path.read_text(encoding="utf-8")
             assert r"\input" not in body
@@ -183,18 +207,16 @@ def test_names_are_text_in_latex(hostile):
 
 
 def test_names_are_text_in_markdown(hostile):
-    text = write_report(hostile.root, ReportFormat.MARKDOWN, figures=()).document.read_text(encoding="utf-8")
-    prose = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+    prose = re.sub(r"```.*?```", "", hostile.markdown, flags=re.DOTALL)
     assert "<script>" not in prose.replace("\\<", "")
     rows = [line for line in prose.splitlines() if line.startswith("|")]
     assert all(len(re.findall(r"(?<!\\)\|", line)) >= 2 for line in rows)
     assert not re.search(r"(?<!\\)\]\(javascript:", prose)
 
 
-def test_files_are_written_nowhere_else(hostile, tmp_path):
-    before = {path for path in tmp_path.rglob("*") if "report" not in path.parts}
-    written = write_report(hostile.root, figures=(FigureFormat.PNG,))
-    assert {path for path in tmp_path.rglob("*") if "report" not in path.parts} == before
+def test_files_are_written_nowhere_else(hostile):
+    written = hostile.written
+    assert hostile.strays == set()
     for path in (*written.tables, *written.figures):
         assert re.fullmatch(r"[A-Za-z0-9_-]+\.(csv|tex|svg|pdf|png)", path.name)
     assert len(set(written.tables)) == len(written.tables)

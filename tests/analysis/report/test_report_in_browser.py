@@ -2,36 +2,17 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
 
 from robot_runner.analysis.comparison.comparing import compare
 from robot_runner.analysis.comparison.comparison_document import write_comparison
 from robot_runner.analysis.report.writing import write_report
 
-PROGRAM = Path(sys.executable).with_name("robot-runner")
 VISIBLE = "[...document.querySelectorAll('{}')].filter(each => each.getClientRects().length > 0)"
 
 
-@pytest.fixture
-def sampled(two_tasks):
-    """An experiment with samples of power and phases of a mission."""
-    folder = two_tasks()
-    power = [f"{t / 10},{7 + (t > 40) + (t % 3) / 10}" for t in range(100)]
-    folder.write_samples("Meter", "samples.csv", "time_s,power_W", lambda place: power)
-    phases = ["1,sleep,0.0,4.0", "2,task,4.0,10.0"]
-    folder.write_samples("Robot", "phases.csv", "number,phase,start_s,end_s", lambda place: phases)
-    way = [f"{t / 10},{t / 100},{t / 500},0.0" for t in range(100)]
-    folder.write_samples("Robot", "trajectory.csv", "time_s,x_m,y_m,heading_rad", lambda place: way)
-    return folder
-
-
-def test_the_demo_s_report_shows_its_sections_and_asks_for_nothing(browser, tmp_path):
-    subprocess.run([PROGRAM, "demo", "--folder", tmp_path], check=True, capture_output=True, timeout=100)
-    page = write_report(tmp_path / "basic_experiment", figures=()).document
+def test_the_demo_s_report_shows_its_sections_and_asks_for_nothing(browser, executed_demo, tmp_path):
+    page = write_report(executed_demo / "basic_experiment", output=tmp_path, figures=()).document
     assert page.stat().st_size < 3_000_000
     browser.open(page)
     assert browser.complaints == []
@@ -52,16 +33,16 @@ def test_the_demo_s_report_shows_its_sections_and_asks_for_nothing(browser, tmp_
     assert "simulated" in browser.evaluate("document.querySelector('.masthead').textContent")
 
 
-def test_links_lead_to_sections(browser, sampled):
-    browser.open(write_report(sampled.root, figures=()).document)
+def test_links_lead_to_sections(browser, sampled_page):
+    browser.open(sampled_page)
     links = "[...document.querySelectorAll('a[href^=\"#\"]')].map(each => decodeURIComponent(each.hash.slice(1)))"
     names = browser.evaluate("[...document.querySelectorAll('[id]')].map(each => each.id)")
     assert set(browser.evaluate(links)) <= set(names)
     assert len(set(names)) == len(names)
 
 
-def test_a_chart_answers_to_the_pointer(browser, sampled):
-    browser.open(write_report(sampled.root, figures=()).document)
+def test_a_chart_answers_to_the_pointer(browser, sampled_page):
+    browser.open(sampled_page)
     chart = "figure[data-chart=course]"
     browser.point_at(f"{chart} .u-over", 0.7, 0.5)
     told = browser.evaluate(f"document.querySelector('{chart} .readout').textContent")
@@ -71,8 +52,8 @@ def test_a_chart_answers_to_the_pointer(browser, sampled):
     assert browser.complaints == []
 
 
-def test_a_chart_shows_single_runs_and_hides_treatments(browser, sampled):
-    browser.open(write_report(sampled.root, figures=()).document)
+def test_a_chart_shows_single_runs_and_hides_treatments(browser, sampled_page):
+    browser.open(sampled_page)
     chart = "document.querySelector('figure[data-chart=course]')"
     browser.evaluate(f"{chart}.querySelectorAll('.controls button')[1].click()")
     browser.evaluate(f"{chart}.querySelector('.legend button').click()")
@@ -84,8 +65,8 @@ def test_a_chart_shows_single_runs_and_hides_treatments(browser, sampled):
     assert browser.complaints == []
 
 
-def test_a_point_tells_its_run_and_its_value(browser, sampled):
-    browser.open(write_report(sampled.root, figures=()).document)
+def test_a_point_tells_its_run_and_its_value(browser, sampled_page):
+    browser.open(sampled_page)
     chart = "figure[data-chart=points]"
     said = set()
     for share in (0.06, 0.16, 0.25, 0.35, 0.45):
@@ -96,15 +77,14 @@ def test_a_point_tells_its_run_and_its_value(browser, sampled):
 
 
 @pytest.mark.parametrize("width", [320, 390, 800])
-def test_a_narrow_screen_is_not_wider_than_itself(browser, sampled, width):
-    browser.open(write_report(sampled.root, figures=()).document, width=width, height=800, is_phone=True)
+def test_a_narrow_screen_is_not_wider_than_itself(browser, sampled_page, width):
+    browser.open(sampled_page, width=width, height=800, is_phone=True)
     assert browser.evaluate("document.documentElement.scrollWidth") <= width
     assert browser.complaints == []
 
 
-def test_paper_shows_figures_that_a_screen_folds_away(browser, sampled):
-    page = write_report(sampled.root, figures=()).document
-    browser.open(page)
+def test_paper_shows_figures_that_a_screen_folds_away(browser, sampled_page):
+    browser.open(sampled_page)
     assert browser.evaluate("document.querySelectorAll('details[open]').length") == 0
     folded = "document.querySelectorAll('details:not([open])').length"
     browser.evaluate(f"addEventListener('beforeprint', () => {{ window.folded = {folded}; }})")

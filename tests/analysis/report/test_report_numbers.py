@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.analysis.report.document import plain
-from robot_runner.analysis.report.numbers import MINUS, MISSING, shown_number, shown_p, with_unit
+from robot_runner.analysis.wording import MINUS, MISSING, shown_number, shown_p, with_unit
 
 
 @given(st.floats(min_value=1e-300, max_value=1e300))

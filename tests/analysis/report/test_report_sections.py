@@ -6,9 +6,9 @@ import pytest
 
 from robot_runner.analysis.report.blocks import Chart, Paragraph, Part, Remarks, Tone
 from robot_runner.analysis.report.document import report_document
-from robot_runner.analysis.report.markdown import markdown_of
 from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.report.mission_figures import Mission, mission_parts, sampled_measures
+from robot_runner.analysis.report.rendering import markdown_of
 from robot_runner.analysis.report.threats_section import threats_of
 from robot_runner.analysis.results import load_results
 from robot_runner.analysis.statistics.experiment import analyse

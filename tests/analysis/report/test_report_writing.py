@@ -24,38 +24,35 @@ SECTIONS = [
 ]
 
 
-def test_the_sections_stand_in_their_order_with_links(two_tasks):
-    page = write_report(two_tasks().root, figures=()).document.read_text(encoding="utf-8")
+def test_the_sections_stand_in_their_order_with_links(lone_page):
+    page = lone_page.document.read_text(encoding="utf-8")
     assert re.findall(r'<section id="([^"]+)"', page) == SECTIONS
     assert re.findall(r'<a href="#([^"]+)">', page)[: len(SECTIONS)] == SECTIONS
 
 
-def test_it_lies_in_the_experiment_s_folder_unless_told_otherwise(two_tasks, tmp_path):
-    folder = two_tasks()
-    assert write_report(folder.root, figures=()).document == folder.root / "report" / "report.html"
-    other = tmp_path / "elsewhere" / "deep"
-    assert write_report(folder.root, output=other, figures=()).document == other / "report.html"
+def test_it_lies_in_the_experiment_s_folder_unless_told_otherwise(plain_report, lone_page):
+    assert plain_report.document.parts[-3:] == ("trial", "report", "report.html")
+    assert lone_page.document.parts[-3:] == ("elsewhere", "deep", "report.html")
 
 
-def test_each_figure_is_written_in_each_format(two_tasks):
-    written = write_report(two_tasks().root)
-    kinds = [{path.stem for path in written.figures if path.suffix == f".{kind.value}"} for kind in FigureFormat]
+def test_each_figure_is_written_in_each_format(plain_report):
+    kinds = [{path.stem for path in plain_report.figures if path.suffix == f".{kind.value}"} for kind in FigureFormat]
     assert kinds[0] == kinds[1] == kinds[2]
     assert {"distribution_Energy_by_Task", "qq_Energy", "order_Energy", "timeline"} <= kinds[0]
     heads = {".svg": b"<?xml", ".pdf": b"%PDF", ".png": b"\x89PNG"}
-    assert all(path.read_bytes().startswith(heads[path.suffix]) for path in written.figures)
+    assert all(path.read_bytes().startswith(heads[path.suffix]) for path in plain_report.figures)
 
 
-def test_figures_are_the_same_files_each_time(two_tasks, tmp_path):
-    folder = two_tasks()
-    formats = (FigureFormat.SVG, FigureFormat.PNG)
-    one, other = (write_report(folder.root, output=tmp_path / name, figures=formats) for name in ("a", "b"))
-    assert [path.read_bytes() for path in one.figures] == [path.read_bytes() for path in other.figures]
+def test_figures_are_the_same_files_each_time(plain_report, tmp_path):
+    experiment = plain_report.document.parents[1]
+    again = write_report(experiment, output=tmp_path, figures=(FigureFormat.SVG, FigureFormat.PNG)).figures
+    first = [path for path in plain_report.figures if path.suffix != ".pdf"]
+    assert [path.name for path in again] == [path.name for path in first]
+    assert [path.read_bytes() for path in again] == [path.read_bytes() for path in first]
 
 
-def test_tables_are_written_as_csv_with_full_precision_and_as_latex(two_tasks):
-    written = write_report(two_tasks(video=(870.123456789, 871, 872, 873, 874)).root, figures=())
-    by_name = {path.name: path for path in written.tables}
+def test_tables_are_written_as_csv_with_full_precision_and_as_latex(plain_report):
+    by_name = {path.name: path for path in plain_report.tables}
     with by_name["runs.csv"].open(newline="", encoding="utf-8") as file:
         assert next(csv.DictReader(file))["Energy (J)"] == "870.123456789"
     latex = by_name["runs.tex"].read_text(encoding="utf-8")
@@ -90,18 +87,19 @@ def test_json_holds_everything_and_draws_nothing(two_tasks):
     }
 
 
-def test_a_page_needs_no_figures_beside_it(two_tasks):
-    written = write_report(two_tasks().root, figures=())
-    assert written.figures == ()
-    assert not (written.document.parent / "figures").exists()
-    assert "data:image/svg+xml;base64," in written.document.read_text(encoding="utf-8")
+def test_a_page_needs_no_figures_beside_it(lone_page):
+    assert lone_page.figures == ()
+    assert not (lone_page.document.parent / "figures").exists()
+    assert "data:image/svg+xml;base64," in lone_page.document.read_text(encoding="utf-8")
 
 
 def test_it_is_made_anew_over_an_earlier_one(two_tasks):
     folder = two_tasks()
-    first = write_report(folder.root, figures=()).document
-    first.write_text("old", encoding="utf-8")
-    assert "In brief" in write_report(folder.root, figures=()).document.read_text(encoding="utf-8")
+    earlier = folder.root / "report" / "report.html"
+    earlier.parent.mkdir()
+    earlier.write_text("old", encoding="utf-8")
+    assert write_report(folder.root, figures=()).document == earlier
+    assert "In brief" in earlier.read_text(encoding="utf-8")
 
 
 def test_one_measure_can_be_chosen(make_folder):

@@ -130,7 +130,7 @@ def test_an_installed_profiler_is_named_alone_and_the_simulated_robot_can_be_set
 def test_what_its_check_finds_refuses_it_with_a_fix(robot_runner: Callable) -> None:
     answer = robot_runner("try", "PsUtil")
     assert answer.code == 2
-    assert "error: plugin PsUtil: it measures a computer, and none is named" in answer.err
+    assert "error: plugin PsUtil: the plugin measures a computer, and none is named" in answer.err
     assert "fix: " in answer.err
     assert robot_runner("try", "PsUtil", "--json").json["status"] == "refused"
 

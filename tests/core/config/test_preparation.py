@@ -79,11 +79,11 @@ def test_all_malformed_parameters_are_found_at_once(write_config: Write) -> None
     assert {finding.where.rpartition(".")[2] for finding in findings} == set(values)
 
 
-@pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda parameter: parameter.name)
+@pytest.mark.parametrize("parameter", PARAMETERS.values(), ids=lambda parameter: parameter.name)
 def test_every_parameter_accepts_its_default(parameter: Parameter) -> None:
-    assert parameter.default is not None or parameter.accepts(None)
+    assert parameter.default is not None or parameter.kind.accepts(None)
     if parameter.name != "experiment_name":
-        assert parameter.accepts(parameter.default)
+        assert parameter.kind.accepts(parameter.default)
 
 
 @pytest.mark.parametrize("value", ["1", "2", "None", "any", "'any'"])
@@ -150,7 +150,7 @@ class RobotRunnerConfig(ExperimentConfig):
 @pytest.mark.parametrize(
     ("table", "problem"),
     [
-        ("", "it does not say which runs to execute"),
+        ("", "the config does not say which runs to execute"),
         ("    def create_run_table(self): return []\n", "it returned []"),
         ("    def create_run_table(self): return 1 / 0\n", "ZeroDivisionError"),
         ("    def create_run_table(self): return RunTableModel([])\n", "factors"),

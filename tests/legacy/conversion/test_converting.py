@@ -15,7 +15,7 @@ from robot_runner.core.errors import ConfigError
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.legacy.conversion.converting import check_conversion, convert
-from robot_runner.legacy.conversion.edits import Edits
+from robot_runner.legacy.syntax import Edits
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -481,7 +481,7 @@ def test_a_config_that_a_config_derives_from_has_to_be_converted_first(
 
 def test_our_own_spelling_needs_no_converting(write: Callable[..., Path]) -> None:
     path = write("from robot_runner import ExperimentConfig\nclass RobotRunnerConfig(ExperimentConfig): ...\n")
-    with pytest.raises(ConfigError, match="it is written in our own spelling already"):
+    with pytest.raises(ConfigError, match="the config is written in our own spelling already"):
         convert(path)
 
 

@@ -20,12 +20,11 @@ from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.links.kinds import FoundRobot
 from robot_runner.core.plugin import Circumstances
 from robot_runner.legacy.profilers import pico
-from robot_runner.legacy.profilers.command_line import EnergiBridge, PowerJoular, Ps
+from robot_runner.legacy.profilers.command_line import EnergiBridge, PowerJoular, PowerLetrics, PowerMetrics, Ps
 from robot_runner.legacy.profilers.data_source import DeviceSource, ParameterDict
 from robot_runner.legacy.profilers.nvidia import NvidiaML, NVML_Dynamic_Query, NVML_Field, NVML_IDs, NVML_Sample
 from robot_runner.legacy.profilers.profiler_catalogue import PLUGINS, plugin_of
 from robot_runner.legacy.profilers.programs import read_table
-from robot_runner.legacy.profilers.property_lists import PowerLetrics, PowerMetrics
 from robot_runner.legacy.profilers.robot_plugins import INA219Profiler, NetworkProfiler
 from robot_runner.legacy.profilers.self_measure import SelfMeasure
 

@@ -119,12 +119,11 @@ def _print(console: UserConsole, comparison: Comparison, page: str | None) -> No
 
 def _print_measure(console: UserConsole, comparison: Comparison, measure: MeasureComparison) -> None:
     from robot_runner.analysis.comparison.comparison_document import difference_table  # noqa: PLC0415 - slow, and an extra
-    from robot_runner.analysis.report.blocks import Place  # noqa: PLC0415 - slow, and an extra
 
     console.print()
     head = Text(measure.label, style="bold").append("  ").append(measure.verdict.value, _STYLES[measure.verdict.value])
     console.print(head.append("".join(_origins(measure)), "not bold yellow"))
-    table = difference_table(comparison, measure).without(Place.FILE)
+    table = difference_table(comparison, measure).for_readers
     texts = [[one_line(cell.text) for cell in row] for row in table.rows]
     columns = [
         Column(column.name, width_of([column.name, *(row[place] for row in texts)]), is_number=column.is_number)

@@ -233,8 +233,11 @@ def execute(arguments: Namespace) -> int:
 
 
 def _said(arguments: Namespace) -> ImportDescription:
-    from robot_runner.analysis.importing.description import ImportDescription, parse_recipe  # noqa: PLC0415 - as above
-    from robot_runner.analysis.importing.description_file import read_description  # noqa: PLC0415 - as above
+    from robot_runner.analysis.importing.description import (  # noqa: PLC0415 - as above
+        ImportDescription,
+        parse_recipe,
+        read_description,
+    )
 
     described = read_description(Path(arguments.description)) if arguments.description else ImportDescription()
     return described.with_options(
@@ -299,10 +302,10 @@ def _samples(arguments: Namespace) -> Any:
 
 
 def _save_description(path: Path, understanding: Understanding) -> None:
-    from robot_runner.analysis.importing.description_file import description_text  # noqa: PLC0415 - as above
+    from robot_runner.analysis.importing.description import description_text  # noqa: PLC0415 - as above
     from robot_runner.core.storage.safe_write import write_beside_and_rename  # noqa: PLC0415 - as above
 
-    text = description_text(understanding)
+    text = description_text(understanding.description)
     write_beside_and_rename(path, lambda file: file.write(text))
 
 

@@ -1,4 +1,4 @@
-"""What comparing two experiments yields: plain data, with what could not be computed and why."""
+"""The result of comparing two experiments: plain data, with what could not be computed and why."""
 
 from __future__ import annotations
 

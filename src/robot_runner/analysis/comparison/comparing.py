@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from statsmodels.stats.multitest import multipletests
@@ -23,7 +23,7 @@ from robot_runner.analysis.statistics.outcome import NotComputed
 from robot_runner.core.errors import AnalysisError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     import numpy as np
@@ -31,129 +31,11 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.comparison.matching import Matching
 
-__all__ = ["MeasureComparing", "compare"]
-
-
-# Compares one measure of two experiments.
-
-_PERCENT = 100.0
-_FEWEST = 2
-
-
-@dataclass(frozen=True, slots=True)
-class MeasureComparing:
-    """How one measure is compared.
-
-    Attributes:
-        first, second: the experiments.
-        names: of the measure, in each.
-        bound: what would not matter, if anything was stated.
-        alpha: the level of significance.
-        is_paired: whether runs belong together one by one.
-    """
-
-    first: Results
-    second: Results
-    names: tuple[str, str]
-    bound: Bound | None
-    alpha: float
-    is_paired: bool
-
-    def compare(self, matching: Matching) -> MeasureComparison:
-        """Compare all combinations."""
-        values = [group.values(*self.names, is_paired=self.is_paired) for group in matching.groups]
-        treatments = [group.treatments for group in matching.groups]
-        found = [self._difference(group, *pair) for group, pair in zip(treatments, values, strict=True)]
-        differences = tuple(map(self._judged, _adjusted(found)))
-        one, other = self.first.columns[self.names[0]], self.second.columns[self.names[1]]
-        compared = MeasureComparison(
-            *self.names,
-            unit=one.unit,
-            first_origin=one.origin,
-            second_origin=other.origin,
-            bound=self.bound,
-            differences=differences,
-            agreement=agreement_of(
-                {each.label: pair for each, pair in zip(differences, values, strict=True)}, is_paired=self.is_paired
-            ),
-            verdict=Verdict.of_all([each.verdict for each in differences]),
-            conclusion="",
-            not_computed=tuple(self._missed(differences)),
-        )
-        return replace(compared, conclusion=conclusion_of(compared))
-
-    def _difference(
-        self, treatments: Mapping[str, str], first: NDArray[np.float64], second: NDArray[np.float64]
-    ) -> Difference:
-        one, other = _mean(first), _mean(second)
-        difference = None if one is None or other is None else other - one
-        described = Difference(
-            treatments=treatments,
-            first_n=len(first),
-            second_n=len(second),
-            first_mean=one,
-            second_mean=other,
-            first_sd=_sd(first),
-            second_sd=_sd(second),
-            difference=difference,
-            relative=difference / abs(one) * _PERCENT if difference is not None and one else None,
-            bound=None if self.bound is None or one is None else self.bound.in_units(one),
-            not_computed=why_not_testable(first, second, is_paired=self.is_paired),
-        )
-        return described if described.not_computed else self._tested(described, first, second)
-
-    def _tested(self, described: Difference, first: NDArray[np.float64], second: NDArray[np.float64]) -> Difference:
-        tested = difference_test(first, second, alpha=self.alpha, is_paired=self.is_paired)
-        p_value = (
-            equivalence_p_value(first, second, self.bound, is_paired=self.is_paired)
-            if self.bound is not None and described.bound
-            else None
-        )
-        return replace(
-            described,
-            interval=tested.interval,
-            narrow_interval=tested.narrow,
-            p_value=tested.p_value,
-            equivalence_p_value=p_value,
-        )
-
-    def _judged(self, difference: Difference) -> Difference:
-        if difference.equivalence_p_value is not None and difference.equivalence_p_value < self.alpha:
-            return replace(difference, verdict=Verdict.EQUIVALENT)
-        if difference.adjusted_p_value is not None and difference.adjusted_p_value < self.alpha:
-            return replace(difference, verdict=Verdict.DIFFERENT)
-        return difference
-
-    def _missed(self, differences: Sequence[Difference]) -> Iterator[NotComputed]:
-        for each in differences:
-            if each.not_computed:
-                yield NotComputed(f"test of {each.label}", each.not_computed)
-        one, other = self.first.unit(self.names[0]), self.second.unit(self.names[1])
-        if one != other:
-            why = f"The units are {one or 'not known'} and {other or 'not known'}: numbers are compared as they are."
-            yield NotComputed("conversion of units", why)
-
-
-def _mean(values: NDArray[np.float64]) -> float | None:
-    return float(values.mean()) if len(values) else None
-
-
-def _sd(values: NDArray[np.float64]) -> float | None:
-    return float(values.std(ddof=1)) if len(values) >= _FEWEST else None
-
-
-def _adjusted(differences: Sequence[Difference]) -> list[Difference]:
-    """Return the differences with p-values adjusted after Holm for the number of combinations."""
-    p_values = [each.p_value for each in differences if each.p_value is not None]
-    if not p_values:
-        return list(differences)
-    adjusted = iter(multipletests(p_values, method="holm")[1])
-    return [
-        each if each.p_value is None else replace(each, adjusted_p_value=float(next(adjusted))) for each in differences
-    ]
-
+__all__ = ["compare"]
 
 _ALPHA = 0.05
+_PERCENT = 100.0
+_FEWEST = 2
 
 
 def compare(
@@ -193,7 +75,7 @@ def compare(
     _check_bounds(bounds, [name for name, _ in chosen], ours)
     matching = match_runs(ours, theirs, is_paired=paired)
     compared = tuple(
-        MeasureComparing(ours, theirs, names, bounds.of(names[0]), alpha, paired).compare(matching) for names in chosen
+        _compare_measure(matching, names, bounds.of(names[0]), alpha, is_paired=paired) for names in chosen
     )
     labels = names_of(ours, theirs, chosen)
     return Comparison(
@@ -223,3 +105,96 @@ def _check_bounds(bounds: Bounds, names: Sequence[str], first: Results) -> None:
         if name not in names:
             fix = f"Compared are: {', '.join(names)}."
             raise AnalysisError(f"a bound is given for {name!r}, which is not compared", where=first.name, fix=fix)
+
+
+def _compare_measure(
+    matching: Matching, names: tuple[str, str], bound: Bound | None, alpha: float, *, is_paired: bool
+) -> MeasureComparison:
+    """Compare a measure in all combinations; p-values are adjusted after Holm for their number."""
+    values = [group.values(*names, is_paired=is_paired) for group in matching.groups]
+    pairs = zip(matching.groups, values, strict=True)
+    found = [
+        _tested(Difference(group.treatments, len(one), len(other)), one, other, bound, alpha, is_paired=is_paired)
+        for group, (one, other) in pairs
+    ]
+    differences = tuple(_judged(each, alpha) for each in _adjusted(found))
+    ours, theirs = matching.first.columns[names[0]], matching.second.columns[names[1]]
+    labelled = {each.label: pair for each, pair in zip(differences, values, strict=True)}
+    compared = MeasureComparison(
+        *names,
+        unit=ours.unit,
+        first_origin=ours.origin,
+        second_origin=theirs.origin,
+        bound=bound,
+        differences=differences,
+        agreement=agreement_of(labelled, is_paired=is_paired),
+        verdict=Verdict.of_all([each.verdict for each in differences]),
+        conclusion="",
+        not_computed=tuple(_missed(differences, matching.first.unit(names[0]), matching.second.unit(names[1]))),
+    )
+    return replace(compared, conclusion=conclusion_of(compared))
+
+
+def _tested(
+    difference: Difference,
+    first: NDArray[np.float64],
+    second: NDArray[np.float64],
+    bound: Bound | None,
+    alpha: float,
+    *,
+    is_paired: bool,
+) -> Difference:
+    one, other = (float(values.mean()) if len(values) else None for values in (first, second))
+    spreads = (float(values.std(ddof=1)) if len(values) >= _FEWEST else None for values in (first, second))
+    size = None if one is None or other is None else other - one
+    described = replace(
+        difference,
+        first_mean=one,
+        second_mean=other,
+        first_sd=next(spreads),
+        second_sd=next(spreads),
+        difference=size,
+        relative=size / abs(one) * _PERCENT if size is not None and one else None,
+        bound=None if bound is None or one is None else bound.in_units(one),
+        not_computed=why_not_testable(first, second, is_paired=is_paired),
+    )
+    if described.not_computed:
+        return described
+    test = difference_test(first, second, alpha=alpha, is_paired=is_paired)
+    equivalence = (
+        equivalence_p_value(first, second, bound, is_paired=is_paired)
+        if bound is not None and described.bound
+        else None
+    )
+    return replace(
+        described,
+        interval=test.interval,
+        narrow_interval=test.narrow,
+        p_value=test.p_value,
+        equivalence_p_value=equivalence,
+    )
+
+
+def _adjusted(differences: Sequence[Difference]) -> list[Difference]:
+    p_values = [each.p_value for each in differences if each.p_value is not None]
+    adjusted = iter(multipletests(p_values, method="holm")[1] if p_values else ())
+    return [
+        each if each.p_value is None else replace(each, adjusted_p_value=float(next(adjusted))) for each in differences
+    ]
+
+
+def _judged(difference: Difference, alpha: float) -> Difference:
+    if difference.equivalence_p_value is not None and difference.equivalence_p_value < alpha:
+        return replace(difference, verdict=Verdict.EQUIVALENT)
+    if difference.adjusted_p_value is not None and difference.adjusted_p_value < alpha:
+        return replace(difference, verdict=Verdict.DIFFERENT)
+    return difference
+
+
+def _missed(differences: Sequence[Difference], one: str, other: str) -> Iterator[NotComputed]:
+    for each in differences:
+        if each.not_computed:
+            yield NotComputed(f"test of {each.label}", each.not_computed)
+    if one != other:
+        why = f"The units are {one or 'not known'} and {other or 'not known'}: numbers are compared as they are."
+        yield NotComputed("conversion of units", why)

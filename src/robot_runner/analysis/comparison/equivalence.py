@@ -1,10 +1,10 @@
-"""Relative error and limits of agreement of two experiments."""
+"""Statistics of two experiments: tests of difference and of equivalence within a bound, limits of agreement."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import stats
@@ -29,8 +29,6 @@ __all__ = [
 ]
 
 
-# What difference would not matter: stated by the user, in the unit of the measure or as a share.
-
 _PERCENT = 100.0
 
 
@@ -43,7 +41,7 @@ class Bound:
         is_relative: whether it is a percentage.
 
     Raises:
-        AnalysisError: it is not a finite number above 0, or not below 100 %.
+        AnalysisError: the value is not a finite number above 0, or a percentage is not below 100.
 
     Example:
         >>> Bound.parse("5%")
@@ -67,14 +65,14 @@ class Bound:
         """Read a bound, such as `10` or `5%`.
 
         Raises:
-            AnalysisError: it is no number, or one that cannot be a bound.
+            AnalysisError: the text is not a number, or one that cannot be a bound.
         """
         is_relative = text.strip().endswith("%")
         try:
             value = float(text.strip().removesuffix("%"))
         except ValueError as error:
             fix = "Give a number in the measure's unit, or a percentage: --bound 10, or --bound 5%."
-            raise AnalysisError(f"{text!r} is no bound", where="bound", fix=fix) from error
+            raise AnalysisError(f"{text!r} is not a bound", where="bound", fix=fix) from error
         return cls(value, is_relative)
 
     def in_units(self, mean: float) -> float:
@@ -126,8 +124,6 @@ class Bounds:
         return self.own.get(measure, self.general)
 
 
-# Tests of a difference, and two one-sided tests of equivalence (TOST), with scipy.
-
 _FEWEST = 2
 #: Spread below which values are equal but for rounding, as a share of their size.
 _ROUNDING = 1e-12
@@ -167,7 +163,7 @@ def difference_test(
         alpha: the level of significance.
         is_paired: whether values belong together.
     """
-    result = stats.ttest_1samp(second - first, 0.0) if is_paired else stats.ttest_ind(second, first, equal_var=False)
+    result = _t_test(second, first, is_paired=is_paired)
     method = "paired t" if is_paired else "Welch's t"
     intervals = []
     for level in (1 - alpha, 1 - 2 * alpha):
@@ -179,7 +175,7 @@ def difference_test(
 def equivalence_p_value(
     first: NDArray[np.float64], second: NDArray[np.float64], bound: Bound, *, is_paired: bool
 ) -> float:
-    """Return the p-value of two one-sided tests: the second mean lies within the bound around the first one.
+    """Return the p-value of two one-sided tests (TOST): the second mean lies within the bound around the first one.
 
     Args:
         first: values of the first experiment.
@@ -193,13 +189,16 @@ def equivalence_p_value(
     else:
         edges = [first - bound.value, first + bound.value]
     lower, upper = edges
-    if is_paired:
-        above = stats.ttest_1samp(second - lower, 0.0, alternative="greater")
-        below = stats.ttest_1samp(second - upper, 0.0, alternative="less")
-    else:
-        above = stats.ttest_ind(second, lower, equal_var=False, alternative="greater")
-        below = stats.ttest_ind(second, upper, equal_var=False, alternative="less")
+    above = _t_test(second, lower, is_paired=is_paired, alternative="greater")
+    below = _t_test(second, upper, is_paired=is_paired, alternative="less")
     return max(float(above.pvalue), float(below.pvalue))
+
+
+def _t_test(one: NDArray[np.float64], other: NDArray[np.float64], *, is_paired: bool, **settings: str) -> Any:
+    """Return scipy's t-test of pairs, or Welch's."""
+    if is_paired:
+        return stats.ttest_1samp(one - other, 0.0, **settings)
+    return stats.ttest_ind(one, other, equal_var=False, **settings)
 
 
 #: Bland and Altman, "Statistical methods for assessing agreement between two methods of clinical measurement" (Lancet

@@ -1,4 +1,4 @@
-"""What differs between the circumstances of two experiments."""
+"""What two experiments have in common: which runs and measures are compared; and which circumstances differ."""
 
 from __future__ import annotations
 
@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.results import Results
 
 __all__ = ["MatchedRuns", "Matching", "chosen_measures", "differing_circumstances", "match_runs", "names_of"]
-
-
-# Which runs of two experiments are compared with each other.
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +48,14 @@ class Matching:
     """How the runs of two experiments were matched.
 
     Attributes:
+        first, second: the experiments.
         factors: by which.
         groups: one a combination.
         notes: what a reader has to know about it.
     """
 
+    first: Results
+    second: Results
     factors: tuple[str, ...]
     groups: tuple[MatchedRuns, ...]
     notes: tuple[str, ...]
@@ -81,7 +81,7 @@ def match_runs(first: Results, second: Results, *, is_paired: bool) -> Matching:
         if key in theirs:
             pair = _paired(first, second, rows, theirs[key]) if is_paired else (rows, theirs[key])
             groups.append(MatchedRuns(dict(zip(factors, key, strict=True)), *pair))
-    return Matching(factors, tuple(groups), tuple(notes))
+    return Matching(first, second, factors, tuple(groups), tuple(notes))
 
 
 def chosen_measures(first: Results, second: Results, wanted: Sequence[str] | None) -> list[tuple[str, str]]:
@@ -98,9 +98,8 @@ def chosen_measures(first: Results, second: Results, wanted: Sequence[str] | Non
     if wanted is None:
         shared = [(name, name) for name in first.measures if name in second.measures]
         if not shared:
-            fix = (
-                f"Say which to compare: --measure {next(iter(first.measures), 'A')}={next(iter(second.measures), 'B')}."
-            )
+            ours, theirs = next(iter(first.measures), "A"), next(iter(second.measures), "B")
+            fix = f"Say which to compare: --measure {ours}={theirs}."
             raise AnalysisError("the experiments have no measure of one name", where=second.name, fix=fix)
         return shared
     return [_named(first, second, text) for text in wanted]
@@ -113,7 +112,7 @@ def _named(first: Results, second: Results, text: str) -> tuple[str, str]:
     names = (ours, theirs if equals else ours)
     for results, name in zip((first, second), names, strict=True):
         if name not in results.measures:
-            fix = did_you_mean(name, results.measures) or "Look at its run table."
+            fix = did_you_mean(name, results.measures) or "Look at the run table."
             raise AnalysisError(f"there is no measure {name!r}", where=results.name, fix=fix)
     return names
 

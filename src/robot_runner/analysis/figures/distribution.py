@@ -1,4 +1,4 @@
-"""How a measure is distributed in each group: a box, every run as a point, and a violin where there are enough."""
+"""Figures of the values of all runs: boxes by treatment, quantiles of residuals, residuals in the order of runs."""
 
 from __future__ import annotations
 
@@ -7,15 +7,23 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from robot_runner.analysis.figures.style import (
     COLUMN,
+    DASHED,
     GREY,
+    HIGHEST,
     INK,
     Look,
+    add_legend,
+    draw_points,
     figure_style,
+    label_axes,
     looks,
+    looks_by,
     new_figure,
+    shortened,
     verbatim,
     wrapped,
 )
@@ -27,10 +35,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-__all__ = ["Group", "draw_distribution", "draw_quantiles"]
+__all__ = ["Group", "draw_distribution", "draw_quantiles", "draw_run_order"]
 
-
-# Values of a measure, group by group.
+#: Fewer values than this make a density that says more about the method than about the values.
+_ENOUGH_FOR_A_VIOLIN = 20
+_MOST_UPRIGHT = 8  # groups beside each other; more lie beneath each other
+_MOST_NAMED_OUTLIERS = 6
+#: How far apart names must be so that none hides another, as a share of the range of all values.
+_APART_UPRIGHT, _APART_ALONG = 0.05, 0.3
+_ROW = 0.17  # height of a group that lies, inches
+_LETTERS_BESIDE = 46  # of names along the axis
+_MANY_POINTS = 60
+_MOST_NAMES = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,63 +81,6 @@ class Group:
         return sum(self.values) / len(self.values)
 
 
-# Whether values are distributed normally: a Q-Q figure.
-
-
-@figure_style()
-def draw_quantiles(
-    theoretical: Sequence[float],
-    observed: Sequence[float],
-    *,
-    slope: float,
-    intercept: float,
-    value_label: str,
-    width: float = COLUMN * 0.75,
-) -> Figure:
-    """Draw residuals against the quantiles of the standard normal distribution; on the line they are normal.
-
-    Args:
-        theoretical: quantiles of the standard normal distribution.
-        observed: the residuals, in ascending order.
-        slope: of the line of reference.
-        intercept: of the line of reference.
-        value_label: the measure, with its unit.
-        width: of the figure, inches.
-    """
-    figure = new_figure(width, width * 0.85)
-    axes = figure.subplots()
-    ends = [min(theoretical, default=-1.0), max(theoretical, default=1.0)]
-    axes.plot(ends, [intercept + slope * end for end in ends], color=GREY, linestyle=(0, (5, 2)), linewidth=0.9)
-    [look] = looks(1)
-    axes.plot(
-        theoretical,
-        observed,
-        linestyle="none",
-        marker="o",
-        color=look.colour,
-        markeredgecolor="white",
-        markeredgewidth=0.3,
-    )
-    axes.set_xlabel("Quantile of the normal distribution")
-    axes.set_ylabel(wrapped(f"Residual of {value_label}"))
-    axes.grid(visible=True)
-    return figure
-
-
-#: Fewer values than this make a density that says more about the method than about the values.
-_ENOUGH_FOR_A_VIOLIN = 20
-_MOST_UPRIGHT = 8  # groups beside each other; more lie beneath each other
-_MOST_NAMED_OUTLIERS = 6
-#: How far apart names must be so that none hides another, as a share of the range of all values.
-_APART_UPRIGHT, _APART_ALONG = 0.05, 0.3
-_ROW = 0.17
-_HIGHEST = 8.5  # what a page holds, inches
-_LONGEST_NAME = 28
-_LETTERS_BESIDE = 46  # of names along the axis
-_MANY_POINTS = 60
-_MOST_NAMES = 60
-
-
 @figure_style()
 def draw_distribution(
     groups: Sequence[Group], *, value_label: str, group_label: str, outliers: frozenset[str] = frozenset()
@@ -135,29 +94,24 @@ def draw_distribution(
         outliers: ids of the runs that are named.
     """
     is_upright = len(groups) <= _MOST_UPRIGHT
-    height = 2.3 if is_upright else min(_HIGHEST, 0.6 + _ROW * len(groups))
-    figure = new_figure(COLUMN, height)
+    figure = new_figure(COLUMN, 2.3 if is_upright else min(HIGHEST, 0.6 + _ROW * len(groups)))
     axes = figure.subplots()
-    names = [_short(group.label) for group in groups]
     for place, (group, look) in enumerate(zip(groups, looks(len(groups)), strict=True)):
-        if len(group.values):
+        if group.size:
             _draw_group(axes, place, group, look, is_upright=is_upright)
     _name_outliers(axes, groups, outliers, is_upright=is_upright)
+    names = [shortened(group.label) for group in groups]
     step = -(-max(1, len(groups)) // _MOST_NAMES)
-    ticks = list(range(0, len(groups), step))
+    ticks = range(0, len(groups), step)
     if is_upright:
         is_crowded = sum(map(len, names)) > _LETTERS_BESIDE
         axes.set_xticks(ticks, names, rotation=30 if is_crowded else 0, ha="right" if is_crowded else "center")
         axes.set_xlim(-0.6, len(groups) - 0.4)
-        axes.set_ylabel(wrapped(value_label))
-        axes.set_xlabel(wrapped(group_label))
-        axes.grid(visible=True, axis="y")
+        label_axes(axes, group_label, value_label, grid="y")
     else:
         axes.set_yticks(ticks, names[::step])
         axes.set_ylim(len(groups) - 0.4, -0.6)
-        axes.set_xlabel(wrapped(value_label))
-        axes.set_ylabel(wrapped(group_label))
-        axes.grid(visible=True, axis="x")
+        label_axes(axes, value_label, group_label, grid="x")
     return figure
 
 
@@ -169,6 +123,7 @@ def _draw_group(axes: Axes, place: int, group: Group, look: Look, *, is_upright:
         bodies: Any = parts["bodies"]  # a list, whatever matplotlib declares
         for body in bodies:
             body.set(facecolor=look.colour, alpha=0.15, edgecolor="none")
+    thin = {"color": look.colour, "linewidth": 0.8}
     axes.boxplot(
         values,
         positions=[place],
@@ -178,36 +133,23 @@ def _draw_group(axes: Axes, place: int, group: Group, look: Look, *, is_upright:
         showfliers=False,
         patch_artist=True,
         boxprops={"facecolor": f"{look.colour}2e", "edgecolor": look.colour, "linewidth": 0.8},
-        whiskerprops={"color": look.colour, "linewidth": 0.8},
-        capprops={"color": look.colour, "linewidth": 0.8},
+        whiskerprops=thin,
+        capprops=thin,
         medianprops={"color": look.colour, "linewidth": 1.6},
     )
-    beside = place + _spread(values)
-    xs, ys = (beside, values) if is_upright else (values, beside)
-    axes.plot(
-        xs,
-        ys,
-        linestyle="none",
-        marker=look.marker,
-        color=look.colour,
-        markeredgecolor="white",
-        markeredgewidth=0.35,
-        markersize=3.4 if len(values) < _MANY_POINTS else 2.0,
-        alpha=0.9,
-        zorder=3,
-    )
-    _draw_mean(axes, place, group, is_upright=is_upright)
-
-
-def _draw_mean(axes: Axes, place: int, group: Group, *, is_upright: bool) -> None:
-    mean = float(np.mean(group.values))
+    size = 3.4 if len(values) < _MANY_POINTS else 2.0
+    spread = place + _spread(values)
+    draw_points(axes, *_turned(spread, values, is_upright), look, edge=0.35, markersize=size, alpha=0.9, zorder=3)
     at = place + 0.36
-    xs, ys = ([at], [mean]) if is_upright else ([mean], [at])
-    axes.plot(xs, ys, marker="D", markersize=2.6, color="white", markeredgecolor=INK, markeredgewidth=0.8, zorder=4)
+    diamond: dict[str, Any] = {"color": "white", "markeredgecolor": INK, "markeredgewidth": 0.8, "zorder": 4}
+    axes.plot(*_turned([at], [float(values.mean())], is_upright), marker="D", markersize=2.6, **diamond)
     if group.mean_low is not None and group.mean_high is not None:
         ends = [group.mean_low, group.mean_high]
-        xs, ys = ([at, at], ends) if is_upright else (ends, [at, at])
-        axes.plot(xs, ys, color=INK, linewidth=0.9, zorder=3.5)
+        axes.plot(*_turned([at, at], ends, is_upright), color=INK, linewidth=0.9, zorder=3.5)
+
+
+def _turned(places: Any, values: Any, is_upright: bool) -> tuple[Any, Any]:
+    return (places, values) if is_upright else (values, places)
 
 
 def _spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -235,10 +177,9 @@ def _name_outliers(axes: Axes, groups: Sequence[Group], outliers: frozenset[str]
         for value, run_id in sorted(zip(group.values, group.run_ids, strict=True)):
             if run_id in outliers and named < _MOST_NAMED_OUTLIERS and value - last >= apart:
                 named, last = named + 1, value
-                point = (place, value) if is_upright else (value, place)
                 axes.annotate(
                     verbatim(run_id),
-                    point,
+                    _turned(place, value, is_upright),
                     xytext=(-4, 0) if is_upright else (0, 4),
                     textcoords="offset points",
                     fontsize=5.5,
@@ -247,5 +188,63 @@ def _name_outliers(axes: Axes, groups: Sequence[Group], outliers: frozenset[str]
                 )
 
 
-def _short(label: str) -> str:
-    return verbatim(label if len(label) <= _LONGEST_NAME else f"{label[: _LONGEST_NAME - 1]}…")
+@figure_style()
+def draw_quantiles(
+    theoretical: Sequence[float], observed: Sequence[float], *, slope: float, intercept: float, value_label: str
+) -> Figure:
+    """Draw residuals against the quantiles of the standard normal distribution; on the line they are normal.
+
+    Args:
+        theoretical: quantiles of the standard normal distribution.
+        observed: the residuals, in ascending order.
+        slope: of the line of reference.
+        intercept: of the line of reference.
+        value_label: the measure, with its unit.
+    """
+    width = COLUMN * 0.75
+    figure = new_figure(width, width * 0.85)
+    axes = figure.subplots()
+    ends = [min(theoretical, default=-1.0), max(theoretical, default=1.0)]
+    axes.plot(ends, [intercept + slope * end for end in ends], color=GREY, linestyle=DASHED, linewidth=0.9)
+    draw_points(axes, theoretical, observed, looks(1)[0])
+    label_axes(axes, "Quantile of the normal distribution", f"Residual of {value_label}", grid="both")
+    return figure
+
+
+@figure_style()
+def draw_run_order(
+    places: Sequence[int],
+    residuals: Sequence[float],
+    labels: Sequence[str],
+    *,
+    order: Sequence[str],
+    value_label: str,
+    slope: float | None = None,
+) -> Figure:
+    """Draw what is left of a measure once its group's mean is taken away, over the order of execution.
+
+    Args:
+        places: of each run in the order of execution, from 1.
+        residuals: each run's value less the mean of its combination.
+        labels: each run's treatments.
+        order: the treatments in the order in which all figures show them.
+        value_label: the measure, with its unit.
+        slope: of the line through the medians, in the measure's unit a run.
+    """
+    figure = new_figure(COLUMN, 2.1)
+    axes = figure.subplots()
+    axes.axhline(0.0, color=GREY, linewidth=0.6)
+    x, y = np.asarray(places, dtype=float), np.asarray(residuals, dtype=float)
+    for name, look in looks_by(order).items():
+        mine = np.asarray([label == name for label in labels])
+        if mine.any():
+            draw_points(axes, x[mine], y[mine], look, label=verbatim(name))
+    if slope is not None and len(x):
+        middle = float(np.median(y)) - slope * float(np.median(x))
+        ends = np.array([x.min(), x.max()])
+        axes.plot(ends, middle + slope * ends, color=INK, linestyle=DASHED, linewidth=1.0)
+    label_axes(axes, "Place in the order of execution", grid="y")
+    axes.set_ylabel(f"{wrapped(value_label)}\nless the mean of its group")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    add_legend(figure, len(order), most=6, handlelength=1.0)
+    return figure

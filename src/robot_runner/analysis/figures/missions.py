@@ -1,14 +1,25 @@
-"""The way that a robot took, seen from above."""
+"""Figures over time: sampled measures (the paper's Fig. 4), the robot's way, the timeline of all runs."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from robot_runner.analysis.figures.courses import draw_events, draw_phase_names, shade_phases, strip_height
-from robot_runner.analysis.figures.style import COLUMN, INK, Look, figure_style, looks, new_figure, verbatim, wrapped
+from robot_runner.analysis.figures.style import (
+    COLUMN,
+    INK,
+    PAGE,
+    add_legend,
+    figure_style,
+    label_axes,
+    looks_by,
+    new_figure,
+    verbatim,
+    wrapped,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -19,15 +30,25 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.figures.courses import Course, PhaseSpan
 
-__all__ = ["Way", "draw_mean_courses", "draw_single_courses", "draw_trajectories"]
-
-
-# A sampled measure over the time of a mission: the paper's Fig. 4.
+__all__ = [
+    "AttemptSpan",
+    "Way",
+    "draw_mean_courses",
+    "draw_single_courses",
+    "draw_timeline",
+    "draw_trajectories",
+]
 
 _PANEL = 1.0  # height of one run's panel, inches
-_FOOT = 0.42
-_SIDE = 0.55
+_HEIGHT = 2.3  # of all means, inches
+_FOOT, _SIDE = 0.42, 0.55  # what labels take, inches
 _TIME = "Time since the start of measurement (s)"
+#: The least height of a trajectory's frame, as a share of its width: a way straight ahead is a line.
+_FLATTEST = 0.22
+_MOST_IN_LEGEND = 6  # more would hide the ways
+_MOST_NAMED = 45  # runs along the timeline
+_MINUTES, _HOURS, _DAYS = 300.0, 3 * 3600.0, 3 * 86400.0
+_FAILED = "#BB5566"
 
 
 @figure_style()
@@ -38,7 +59,6 @@ def draw_single_courses(
     value_label: str,
     phases: Sequence[PhaseSpan] = (),
     events: Mapping[str, float] | None = None,
-    width: float = COLUMN,
 ) -> Figure:
     """Draw one run for each treatment, one above the other: the mean of each bin, and all samples as a band.
 
@@ -48,28 +68,20 @@ def draw_single_courses(
         value_label: what is measured, with its unit.
         phases: of the mission; named above the topmost run.
         events: when they were, s since the start of measurement.
-        width: of the figure, inches.
     """
     seconds = _seconds(list(courses.values()))
-    strip = strip_height(phases, seconds, width - _SIDE) if phases else 0.0
-    figure = new_figure(width, strip + _PANEL * len(courses) + _FOOT)
-    ratios = ([strip] if phases else []) + [_PANEL] * len(courses)
-    grid = figure.subplots(
-        len(ratios), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": ratios, "hspace": 0.02}
-    )[:, 0]
-    panels = grid[1:] if phases else grid
-    if phases:
-        draw_phase_names(grid[0], phases, seconds, width - _SIDE)
-    low, high = _limits(list(courses.values()))
-    by_name = dict(zip(order, looks(len(order)), strict=True))
+    figure, panels = _panels([_PANEL] * len(courses), phases, seconds, foot=_FOOT, hspace=0.02)
+    limits = _limits(list(courses.values()))
+    by_name = looks_by(order)
     for axes, (treatment, course) in zip(panels, courses.items(), strict=True):
-        shade_phases(axes, phases)
-        _draw_run(axes, course, by_name[treatment])
-        axes.set_ylim(low, high)
+        look, name = by_name[treatment], verbatim(course.label)
+        axes.fill_between(course.time, course.low, course.high, color=look.colour, alpha=0.25, linewidth=0)
+        axes.plot(course.time, course.middle, color=look.colour, linewidth=0.9)
+        axes.set_ylim(*limits)
         axes.text(
             0.5,  # where no name of an event stands: they begin and end the measurement
             0.96,
-            _title(treatment, course),
+            f"{verbatim(treatment)} ({name})" if treatment else name,
             transform=axes.transAxes,
             ha="center",
             va="top",
@@ -77,9 +89,8 @@ def draw_single_courses(
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0},
         )
         axes.grid(visible=True, axis="y")
-        draw_events(axes, (events or {}) if axes is panels[-1] else {}, seconds)
+    draw_events(panels[-1], events or {}, seconds)
     panels[-1].set_xlabel(_TIME)
-    panels[-1].set_xlim(0, seconds)
     if len(panels) == 1:
         panels[0].set_ylabel(wrapped(value_label))
     else:
@@ -95,8 +106,6 @@ def draw_mean_courses(
     value_label: str,
     phases: Sequence[PhaseSpan] = (),
     events: Mapping[str, float] | None = None,
-    width: float = COLUMN,
-    height: float = 2.3,
 ) -> Figure:
     """Draw the mean of each treatment's runs, with a band of one standard deviation between runs.
 
@@ -106,41 +115,36 @@ def draw_mean_courses(
         value_label: what is measured, with its unit.
         phases: of the mission, where all runs have the same.
         events: when they were, s since the start of measurement.
-        width: of the figure, inches.
-        height: of it without the strip of phases, inches.
     """
     seconds = _seconds(courses)
-    strip = strip_height(phases, seconds, width - _SIDE) if phases else 0.0
-    figure = new_figure(width, height + strip)
-    ratios = [strip, height] if phases else [height]
-    grid = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": ratios})[:, 0]
-    axes = grid[-1]
-    if phases:
-        draw_phase_names(grid[0], phases, seconds, width - _SIDE)
-    shade_phases(axes, phases)
-    by_name = dict(zip(order, looks(len(order)), strict=True))
+    figure, [axes] = _panels([_HEIGHT], phases, seconds)
+    by_name = looks_by(order)
     for course in courses:
         look = by_name[course.label]
         axes.fill_between(course.time, course.low, course.high, color=look.colour, alpha=0.22, linewidth=0)
         axes.plot(course.time, course.middle, color=look.colour, linestyle=look.line, label=verbatim(course.label))
     draw_events(axes, events or {}, seconds)
-    axes.set_xlim(0, seconds)
-    axes.set_xlabel(_TIME)
-    axes.set_ylabel(wrapped(value_label))
-    axes.grid(visible=True, axis="y")
-    if len(courses) > 1:
-        figure.legend(loc="outside lower center", ncols=min(len(courses), 3))
+    label_axes(axes, _TIME, value_label, grid="y")
+    add_legend(figure, len(courses))
     return figure
 
 
-def _draw_run(axes: Axes, course: Course, look: Look) -> None:
-    axes.fill_between(course.time, course.low, course.high, color=look.colour, alpha=0.25, linewidth=0)
-    axes.plot(course.time, course.middle, color=look.colour, linewidth=0.9)
-
-
-def _title(treatment: str, course: Course) -> str:
-    name = verbatim(course.label)
-    return f"{verbatim(treatment)} ({name})" if treatment else name
+def _panels(
+    heights: list[float], phases: Sequence[PhaseSpan], seconds: float, *, foot: float = 0.0, **spacing: float
+) -> tuple[Figure, list[Any]]:
+    """Return a figure with axes of these heights above each other, and the names of the phases above all."""
+    strip = [strip_height(phases, seconds, COLUMN - _SIDE)] if phases else []
+    figure = new_figure(COLUMN, sum(strip) + sum(heights) + foot)
+    ratios = [*strip, *heights]
+    settings = {"height_ratios": ratios, **spacing}
+    grid = list(figure.subplots(len(ratios), 1, sharex=True, squeeze=False, gridspec_kw=settings)[:, 0])
+    panels = grid[len(strip) :]
+    if phases:
+        draw_phase_names(grid[0], phases, seconds, COLUMN - _SIDE)
+    for axes in panels:
+        shade_phases(axes, phases)
+        axes.set_xlim(0, seconds)
+    return figure, panels
 
 
 def _seconds(courses: Sequence[Course]) -> float:
@@ -160,10 +164,6 @@ def _limits(courses: Sequence[Course]) -> tuple[float, float]:
     return low - margin, high + margin + 0.16 * (high - low)  # above: room for the name of the run
 
 
-#: The least height of the figure's frame, as a share of its width: a way straight ahead is a line.
-_FLATTEST = 0.22
-
-
 @dataclass(frozen=True, slots=True)
 class Way:
     """The way of one run.
@@ -179,36 +179,29 @@ class Way:
 
 
 @figure_style()
-def draw_trajectories(ways: Sequence[Way], *, order: Sequence[str], width: float = COLUMN) -> Figure:
+def draw_trajectories(ways: Sequence[Way], *, order: Sequence[str]) -> Figure:
     """Draw ways at the same scale along both axes; a circle marks each beginning, a cross each end.
 
     Args:
         ways: one a run.
         order: the treatments in the order in which all figures show them.
-        width: of the figure, inches.
     """
     left, right, low, high = _frame(ways)
-    height = min(4.5, max(1.1, (width - 0.6) * (high - low) / (right - left) + 0.75))
-    figure = new_figure(width, height)
+    figure = new_figure(COLUMN, min(4.5, max(1.1, (COLUMN - 0.6) * (high - low) / (right - left) + 0.75)))
     axes = figure.subplots()
-    by_name = dict(zip(order, looks(len(order)), strict=True))
-    named: set[str] = set()
+    named: dict[str, Any] = {}
+    by_name = looks_by(order)
     for way in ways:
         look = by_name[way.label]
-        label = verbatim(way.label) if way.label not in named else None
-        named.add(way.label)
-        axes.plot(way.x, way.y, color=look.colour, linestyle=look.line, linewidth=0.7, alpha=0.8, label=label)
+        [line] = axes.plot(way.x, way.y, color=look.colour, linestyle=look.line, linewidth=0.7, alpha=0.8)
+        named.setdefault(way.label, line).set_label(verbatim(way.label))
         _mark_ends(axes, way)
     axes.set_xlim(left, right)
     axes.set_ylim(low, high)
     axes.set_aspect("equal")
-    axes.set_xlabel("x (m)")
-    axes.set_ylabel("y (m)")
-    axes.grid(visible=True)
-    if 1 < len(order) <= 6:  # noqa: PLR2004 - more would hide the ways
-        places = {verbatim(name): place for place, name in enumerate(order)}
-        handles, shown = axes.get_legend_handles_labels()
-        handles = [handle for _, handle in sorted(zip(shown, handles, strict=True), key=lambda each: places[each[0]])]
+    label_axes(axes, "x (m)", "y (m)", grid="both")
+    if 1 < len(order) <= _MOST_IN_LEGEND:
+        handles = [named[name] for name in order if name in named]
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure
 
@@ -234,3 +227,70 @@ def _frame(ways: Sequence[Way]) -> tuple[float, float, float, float]:
     tall = max(float(np.ptp(ys)) * 1.1, wide * _FLATTEST)
     middle_x, middle_y = (float(xs.min() + xs.max()) / 2, float(ys.min() + ys.max()) / 2)
     return middle_x - wide / 2, middle_x + wide / 2, middle_y - tall / 2, middle_y + tall / 2
+
+
+@dataclass(frozen=True, slots=True)
+class AttemptSpan:
+    """One attempt at a run.
+
+    Attributes:
+        run_id: which run.
+        label: its treatments.
+        start, end: s since the experiment began.
+        measured: start and end of the measurement, where both are known.
+        is_done: whether the run was done by it.
+    """
+
+    run_id: str
+    label: str
+    start: float
+    end: float
+    measured: tuple[float, float] | None
+    is_done: bool
+
+
+@figure_style()
+def draw_timeline(spans: Sequence[AttemptSpan], *, order: Sequence[str]) -> Figure:
+    """Draw a line for each run, with a bar for each attempt; what was measured is dark, what failed is hatched.
+
+    Args:
+        spans: in the order of execution.
+        order: the treatments in the order in which all figures show them.
+    """
+    run_ids = list(dict.fromkeys(span.run_id for span in spans))
+    rows = {run_id: place for place, run_id in enumerate(run_ids)}
+    figure = new_figure(PAGE, min(7.0, 0.75 + 0.13 * len(rows)))
+    axes = figure.subplots()
+    scale, unit = _scale(max((span.end for span in spans), default=1.0))
+
+    def draw_bars(several: Sequence[AttemptSpan], edges: list[tuple[float, float]], **settings: Any) -> None:
+        widths = [(end - start) / scale for start, end in edges]
+        starts = [start / scale for start, _ in edges]
+        axes.barh([rows[span.run_id] for span in several], widths, left=starts, height=0.7, **settings)
+
+    for name, look in looks_by(order).items():
+        done = [span for span in spans if span.label == name and span.is_done]
+        if done:
+            draw_bars(done, [(span.start, span.end) for span in done], facecolor=look.colour, alpha=0.3)
+            measured = [span.measured or (span.start, span.end) for span in done]
+            draw_bars(done, measured, facecolor=look.colour, alpha=1.0, label=verbatim(name))
+    failed = [span for span in spans if not span.is_done]
+    hatched = {"facecolor": "white", "edgecolor": _FAILED, "hatch": "/////", "linewidth": 0.8}
+    draw_bars(failed, [(span.start, span.end) for span in failed], **hatched)
+    ends = [span.end / scale for span in failed]
+    axes.plot(ends, [rows[span.run_id] for span in failed], linestyle="none", marker="x", markersize=4, color=INK)
+    step = max(1, -(-len(rows) // _MOST_NAMED))
+    axes.set_yticks(range(0, len(rows), step), [verbatim(run_id) for run_id in run_ids[::step]], fontsize=6)
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    label_axes(axes, f"Time since the experiment began ({unit})", grid="x")
+    if axes.get_legend_handles_labels()[0]:
+        add_legend(figure, len(order), most=_MOST_IN_LEGEND, columns=_MOST_IN_LEGEND, handlelength=1.2)
+    return figure
+
+
+def _scale(seconds: float) -> tuple[float, str]:
+    if seconds < _MINUTES:
+        return 1.0, "s"
+    if seconds < _HOURS:
+        return 60.0, "min"
+    return (3600.0, "h") if seconds < _DAYS else (86400.0, "days")

@@ -1,4 +1,4 @@
-"""Figures as files: SVG, PDF and PNG."""
+"""How figures look (sizes, colours, markers, lines, fonts), and how they become SVG, PDF and PNG files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import warnings
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import matplotlib as mpl
 import numpy as np
@@ -19,38 +19,47 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
 
 __all__ = [
     "COLUMN",
+    "DASHED",
     "GREY",
+    "HIGHEST",
     "INK",
     "PAGE",
     "FigureFormat",
     "Look",
+    "add_legend",
+    "draw_points",
     "figure_bytes",
     "figure_style",
     "file_name",
+    "label_axes",
     "looks",
+    "looks_by",
     "new_figure",
+    "shortened",
     "verbatim",
     "wrapped",
 ]
 
 
-# How figures look: sizes, colours, markers and lines, chosen so that they can be told apart without colour.
-
 #: Widths of a column and of a page of IEEE's transactions and conferences, inches.
 COLUMN = 3.5
 PAGE = 7.16
+#: What a page holds, inches.
+HIGHEST = 8.5
 
 #: Letters of an axis's label that fit beside a figure as high as most are.
 _LINE = 42
 
 INK = "#1f2933"
 GREY = "#8a94a0"
+DASHED = (0, (5, 2))
 
 #: Paul Tol's high-contrast scheme (https://sronpersonalpages.nl/~pault/): three that are told apart in grey, too.
 _HIGH_CONTRAST = ("#004488", "#BB5566", "#DDAA33")
@@ -71,18 +80,9 @@ _LINES: tuple[str | tuple[float, tuple[float, ...]], ...] = (
 _FONT = "DejaVu Sans"
 #: For letters that it lacks, where one of these is installed.
 _FONTS_OF_OTHER_SCRIPTS = (
-    "Noto Sans CJK SC",
-    "Noto Sans CJK JP",
-    "Noto Sans CJK KR",
-    "WenQuanYi Zen Hei",
-    "IPAexGothic",
-    "Hiragino Sans",
-    "PingFang SC",
-    "Microsoft YaHei",
-    "Noto Sans Devanagari",
-    "Noto Sans Thai",
-    "Noto Emoji",
-)
+    "Noto Sans CJK SC", "Noto Sans CJK JP", "Noto Sans CJK KR", "WenQuanYi Zen Hei", "IPAexGothic", "Hiragino Sans",
+    "PingFang SC", "Microsoft YaHei", "Noto Sans Devanagari", "Noto Sans Thai", "Noto Emoji",
+)  # fmt: skip
 
 _STYLE: dict[Any, Any] = {
     "font.size": 7.5,
@@ -162,6 +162,12 @@ def _colours(count: int) -> tuple[str, ...]:
     return tuple(to_hex(cividis(0.9 * place / (count - 1))) for place in range(count))
 
 
+def looks_by(order: Iterable[str]) -> dict[str, Look]:
+    """Return the look of each treatment, by its name; the order is the same in all figures."""
+    names = list(order)
+    return dict(zip(names, looks(len(names)), strict=True))
+
+
 @contextmanager
 def figure_style() -> Iterator[None]:
     """While it is entered, matplotlib draws and saves in the style of this module."""
@@ -176,6 +182,32 @@ def figure_style() -> Iterator[None]:
 def new_figure(width: float, height: float) -> Figure:
     """Return an empty figure of a size in inches; it belongs to no window and no global list."""
     return Figure(figsize=(width, height), layout="constrained")
+
+
+def draw_points(axes: Axes, x: Any, y: Any, look: Look, *, edge: float = 0.3, **settings: Any) -> None:
+    """Draw values as points with a white edge, by which they are told apart where they lie on each other."""
+    settings |= {"markeredgecolor": "white", "markeredgewidth": edge}
+    axes.plot(x, y, linestyle="none", marker=look.marker, color=look.colour, **settings)
+
+
+def label_axes(axes: Axes, x: str = "", y: str = "", *, grid: Literal["both", "x", "y"]) -> None:
+    """Name the axes of a figure that have a name, and draw a grid."""
+    if x:
+        axes.set_xlabel(wrapped(x))
+    if y:
+        axes.set_ylabel(wrapped(y))
+    axes.grid(visible=True, axis=grid)
+
+
+def add_legend(figure: Figure, count: int, *, most: int | None = None, columns: int = 3, **settings: Any) -> None:
+    """Name the treatments beneath a figure, unless there is one or there are more than `most`."""
+    if 1 < count <= (most or count):
+        figure.legend(loc="outside lower center", ncols=min(count, columns), **settings)
+
+
+def shortened(label: str, longest: int = 28) -> str:
+    """Return a name on one line that fits beside an axis."""
+    return verbatim(label if len(label) <= longest else f"{label[: longest - 1]}…")
 
 
 def wrapped(text: str) -> str:
@@ -198,7 +230,7 @@ def verbatim(text: str) -> str:
     return "".join(character if character.isprintable() else " " for character in text)
 
 
-_LONGEST = 80
+_LONGEST = 80  # letters of a file's name
 
 #: Of so many points nobody tells one from the other.
 _CROWD = 600
@@ -218,11 +250,7 @@ _DIGITS = 4
 #: What journals ask of line art at least; in SVG, which a page holds dozens of, only crowds are pixels.
 _DPI = {FigureFormat.SVG: 150, FigureFormat.PDF: 300, FigureFormat.PNG: 300}
 #: No dates, so that the same figure is the same file.
-_METADATA = {
-    FigureFormat.SVG: {"Date": None},
-    FigureFormat.PDF: {"CreationDate": None},
-    FigureFormat.PNG: {},
-}
+_METADATA = {FigureFormat.SVG: {"Date": None}, FigureFormat.PDF: {"CreationDate": None}, FigureFormat.PNG: {}}
 
 
 def figure_bytes(figure: Figure, kind: FigureFormat) -> bytes:
@@ -237,9 +265,10 @@ def figure_bytes(figure: Figure, kind: FigureFormat) -> bytes:
 
 def _settle(figure: Figure) -> None:
     """Lay the figure out once, and round: the last digits of the solver differ from process to process."""
-    if figure.get_layout_engine() is None:
+    engine = figure.get_layout_engine()
+    if engine is None:
         return
-    figure.draw_without_rendering()
+    engine.execute(figure)
     figure.set_layout_engine("none")
     for axes in figure.axes:
         left, bottom, width, height = (round(edge, _DIGITS) for edge in axes.get_position().bounds)

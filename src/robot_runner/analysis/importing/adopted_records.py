@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.analysis.importing.description_file import description_text
+from robot_runner.analysis.importing.description import description_text
 from robot_runner.analysis.importing.recomputation import unit_of_recipe
 from robot_runner.core.design.factor import Combination, factor_places
 from robot_runner.core.design.run_table import PlannedRun
@@ -19,18 +20,47 @@ from robot_runner.core.storage.table_columns import ColumnRole, FactorColumn, Ta
 from robot_runner.core.storage.table_schema import ColumnDescription, describe_columns, write_schema
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Mapping, Sequence
 
-    from robot_runner.analysis.importing.adoption import AdoptedRun
     from robot_runner.analysis.importing.foreign_runs import ForeignRun
     from robot_runner.analysis.importing.recomputation import Difference
     from robot_runner.analysis.importing.understanding import Understanding
     from robot_runner.core.storage.layout import ExperimentFolder
 
-__all__ = ["write_records"]
+__all__ = ["AdoptedRun", "write_records"]
 
 _STAMPS = ("start_measurement_at", "stop_measurement_at")
 _OWNER = "import"
+
+
+@dataclass(frozen=True, slots=True)
+class AdoptedRun:
+    """What was found in the raw files of one run.
+
+    Attributes:
+        run_id: the run.
+        started_at: when its first sample was taken, nanoseconds since 1970; None where that is not known.
+        duration: s, from the first sample to the last; None without samples.
+        recomputed: the measures that were computed from samples, in SI.
+        unsorted: the files whose times were not in order.
+        checksums: SHA-256 of each original file.
+    """
+
+    run_id: str
+    started_at: int | None = None
+    duration: float | None = None
+    recomputed: Mapping[str, float | None] = field(default_factory=dict)
+    unsorted: tuple[str, ...] = ()
+    checksums: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def stamps(self) -> dict[str, str | None]:
+        """The time stamps of its measurement, as the run table has them."""
+        if self.started_at is None:
+            return dict.fromkeys(_STAMPS)
+        ends = (self.started_at, self.started_at + round((self.duration or 0.0) * 1e9))
+        moments = (datetime.fromtimestamp(end // 10**6 / 1000, UTC).isoformat(timespec="milliseconds") for end in ends)
+        return {name: text.replace("+00:00", "Z") for name, text in zip(_STAMPS, moments, strict=True)}
 
 
 def write_records(
@@ -50,91 +80,56 @@ def write_records(
     write_manifest(folder.manifest, _manifest(understanding, runs))
     _write_journal(understanding, folder, runs)
     (folder.root / "import").mkdir()
-    description = description_text(understanding)
+    description = description_text(understanding.description)
     write_beside_and_rename(folder.root / "import" / "description.toml", lambda file: file.write(description))
     _write_differences(understanding, folder, differences)
 
 
 def _rows(understanding: Understanding, runs: Sequence[AdoptedRun]) -> RunTableRows:
     roles, headings = understanding.roles, understanding.headings
-    has_repetition = all(run.repetition is not None for run in understanding.runs)
-    has_stamps = any(run.started_at is not None for run in runs)
-    measures = (*roles.measures, *understanding.new_measures)
+    stamps = _STAMPS if any(run.started_at is not None for run in runs) else ()
     layout = TableLayout(
         tuple(FactorColumn(headings[name]) for name in roles.factors),
-        tuple(headings[name] for name in measures),
-        has_repetition=has_repetition,
-        stamps=_STAMPS if has_stamps else (),
+        tuple(headings[name] for name in (*roles.measures, *understanding.new_measures)),
+        has_repetition=all(run.repetition is not None for run in understanding.runs),
+        stamps=stamps,
         extras=tuple(headings[name] for name in roles.extras),
     )
     places = factor_places(layout.factor_names)
-    stamps = _STAMPS if has_stamps else ()
-    rows = [
-        RunRow(
-            PlannedRun(run.run_id, number, Combination(places, _treatments(run, roles.factors)), run.repetition or 1),
-            run.status,
-            tuple(_stamps(adopted)[stamp] for stamp in stamps),
-            tuple(_value(run, adopted, name, roles.measures) for name in measures),
-            _kept(understanding, run) or None,
-        )
-        for number, (run, adopted) in enumerate(zip(understanding.runs, runs, strict=True), start=1)
-    ]
+    rows = []
+    for number, (run, adopted) in enumerate(zip(understanding.runs, runs, strict=True), start=1):
+        treatments = tuple(typed_value(run.treatments[name], None) for name in roles.factors)
+        planned = PlannedRun(run.run_id, number, Combination(places, treatments), run.repetition or 1)
+        of_table = [run.measures[name] for name in roles.measures]
+        computed = [adopted.recomputed.get(name) for name in understanding.new_measures]
+        # Treatments, and the text of columns without a role, stay as they are written.
+        texts = {name: text for name, text in run.extras.items() if text} | dict(run.treatments)
+        kept = {headings[name]: text for name, text in texts.items()}
+        moments = tuple(adopted.stamps[stamp] for stamp in stamps)
+        rows.append(RunRow(planned, run.status, moments, (*of_table, *computed), kept or None))
     return RunTableRows(layout, rows)
 
 
-def _treatments(run: ForeignRun, factors: Sequence[str]) -> tuple[CellValue, ...]:
-    return tuple(typed_value(run.treatments[name], None) for name in factors)
-
-
-def _value(run: ForeignRun, adopted: AdoptedRun, name: str, written: Collection[str]) -> CellValue:
-    return run.measures[name] if name in written else adopted.recomputed.get(name)
-
-
-def _kept(understanding: Understanding, run: ForeignRun) -> dict[str, str]:
-    """Return the text that the table keeps as it is: the columns without a role, and treatments as they were written."""
-    kept = {name: run.extras[name] for name in understanding.roles.extras if run.extras[name]}
-    kept |= {name: run.treatments[name] for name in understanding.roles.factors}
-    return {understanding.headings[name]: text for name, text in kept.items()}
-
-
-def _stamps(run: AdoptedRun) -> dict[str, str | None]:
-    if run.started_at is None:
-        return dict.fromkeys(_STAMPS)
-    end = run.started_at + round((run.duration or 0.0) * 1e9)
-    return dict(zip(_STAMPS, (_stamp(run.started_at), _stamp(end)), strict=True))
-
-
-def _stamp(nanoseconds: int) -> str:
-    moment = datetime.fromtimestamp(nanoseconds // 10**6 / 1000, UTC)
-    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
 def _known(understanding: Understanding) -> dict[str, ColumnDescription]:
-    known = {}
-    for name in understanding.roles.measures:
-        unit = understanding.units.get(name)
-        known[understanding.headings[name]] = _measure(
-            understanding, name, unit.symbol if unit else "", f"As in {understanding.table.path.name}."
-        )
+    table = f"As in {understanding.table.path.name}."
+    described = {name: (unit.symbol if unit else "", table) for name, unit in understanding.units.items()}
     by_file = {each.file: each for each in understanding.samples}
     for recipe in understanding.recipes:
         if recipe.measure in understanding.new_measures:
-            unit_symbol = unit_of_recipe(recipe, by_file[recipe.file])
             text = f"Computed from the raw samples: {recipe.words}."
-            known[understanding.headings[recipe.measure]] = _measure(understanding, recipe.measure, unit_symbol, text)
-    return known
-
-
-def _measure(understanding: Understanding, name: str, unit: str, description: str) -> ColumnDescription:
-    return ColumnDescription(
-        name=understanding.headings[name],
-        role=ColumnRole.MEASURE,
-        title=understanding.headings[name],
-        description=description,
-        unit=unit,
-        owner=_OWNER,
-        origin=understanding.origin,
-    )
+            described[recipe.measure] = (unit_of_recipe(recipe, by_file[recipe.file]), text)
+    return {
+        (heading := understanding.headings[name]): ColumnDescription(
+            name=heading,
+            role=ColumnRole.MEASURE,
+            title=heading,
+            description=text,
+            unit=unit,
+            owner=_OWNER,
+            origin=understanding.origin,
+        )
+        for name, (unit, text) in described.items()
+    }
 
 
 def _manifest(understanding: Understanding, runs: Sequence[AdoptedRun]) -> dict[str, Any]:
@@ -158,16 +153,16 @@ def _manifest(understanding: Understanding, runs: Sequence[AdoptedRun]) -> dict[
             "at": utc_now(),
             "from": understanding.root.resolve().name,
             "table": understanding.table.path.name,
-            "notes": [*understanding.notes, *_sorting_notes(runs)],
+            "notes": [*understanding.notes, *([_unsorted(runs)] if any(run.unsorted for run in runs) else [])],
             "sources": {run.run_id: dict(run.checksums) for run in runs if run.checksums},
         },
         "software": describe_software(),
     }
 
 
-def _sorting_notes(runs: Sequence[AdoptedRun]) -> list[str]:
-    unsorted = [f"{run.run_id}/{name}" for run in runs for name in run.unsorted]
-    return [f"times were not in order, or missing, in {', '.join(unsorted)}"] if unsorted else []
+def _unsorted(runs: Sequence[AdoptedRun]) -> str:
+    files = [f"{run.run_id}/{name}" for run in runs for name in run.unsorted]
+    return f"times were not in order, or missing, in {', '.join(files)}"
 
 
 def _write_journal(understanding: Understanding, folder: ExperimentFolder, runs: Sequence[AdoptedRun]) -> None:
@@ -180,7 +175,7 @@ def _write_journal(understanding: Understanding, folder: ExperimentFolder, runs:
 
 
 def _write_attempt(journal: Journal, understanding: Understanding, run: ForeignRun, adopted: AdoptedRun) -> None:
-    begin, end = (_stamps(adopted)[stamp] or utc_now() for stamp in _STAMPS)
+    begin, end = (adopted.stamps[stamp] or utc_now() for stamp in _STAMPS)
     which: dict[str, Any] = {"run": run.run_id, "attempt": 1}
     journal.append("attempt_started", at=begin, **which)
     if adopted.duration is not None:
@@ -193,7 +188,7 @@ def _write_attempt(journal: Journal, understanding: Understanding, run: ForeignR
         is_last=True,
         status="done" if run.status is RunStatus.DONE else "failed",
         seconds=adopted.duration,
-        stamps={name.removesuffix("_at"): stamp for name, stamp in _stamps(adopted).items() if stamp},
+        stamps={name.removesuffix("_at"): stamp for name, stamp in adopted.stamps.items() if stamp},
         measures=_published(understanding, run, adopted),
         failure=None if run.status is RunStatus.DONE else "as in the table that was imported",
     )

@@ -1,17 +1,21 @@
-"""What a user says about results made elsewhere; the rest is found out."""
+"""What a user says about results made elsewhere, by options or in a TOML file; the rest is found out."""
 
 from __future__ import annotations
 
+import json
 import re
+import tomllib
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.importing.units import TIME_UNITS, known_units, unit_of
 from robot_runner.core.errors import AnalysisError, did_you_mean
+from robot_runner.core.storage.safe_write import storage_error
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
+    from pathlib import Path
 
 __all__ = [
     "Aggregation",
@@ -20,7 +24,9 @@ __all__ = [
     "SamplesDescription",
     "check_time_unit",
     "check_unit",
+    "description_text",
     "parse_recipe",
+    "read_description",
 ]
 
 
@@ -58,7 +64,7 @@ class Recipe:
         how: the aggregation.
         file: the samples' file in a run's folder.
         column: the heading in that file; empty for a count or a duration.
-        is_guessed: whether nobody said so.
+        is_guessed: whether the user did not give it.
 
     Example:
         >>> parse_recipe("energy_J=integral(power.csv:power_mW)").how
@@ -87,7 +93,7 @@ class SamplesDescription:
         time: the heading of its times; None to find it out.
         time_unit: `s`, `ms`, `us`, `ns`, `min`, `h`; `iso` for dates with times of day; a format such as `%H:%M:%S`;
             None to find it out.
-        units: the unit of each value column that has been told.
+        units: the unit of each value column that the user gave.
     """
 
     file: str
@@ -95,6 +101,16 @@ class SamplesDescription:
     time: str | None = None
     time_unit: str | None = None
     units: Mapping[str, str] = field(default_factory=dict)
+
+    def with_options(self, said: SamplesDescription) -> SamplesDescription:
+        """Return this description with what was said on the command line instead, where anything was."""
+        return SamplesDescription(
+            self.file,
+            name=said.name or self.name,
+            time=said.time or self.time,
+            time_unit=said.time_unit or self.time_unit,
+            units={**self.units, **said.units},
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,10 +152,12 @@ class ImportDescription:
         if said.units:
             changed["units"] = {**self.units, **said.units}
         if said.samples:
-            changed["samples"] = _merged(self.samples, said.samples)
+            by_file = {each.file: each for each in self.samples}
+            by_file |= {each.file: by_file.get(each.file, each).with_options(each) for each in said.samples}
+            changed["samples"] = tuple(by_file.values())
         if said.recipes:
-            told = {recipe.measure for recipe in said.recipes}
-            changed["recipes"] = (*(each for each in self.recipes if each.measure not in told), *said.recipes)
+            given = {recipe.measure for recipe in said.recipes}
+            changed["recipes"] = (*(each for each in self.recipes if each.measure not in given), *said.recipes)
         return replace(self, **changed)
 
 
@@ -152,12 +170,12 @@ def parse_recipe(text: str) -> Recipe:
     """Return the recipe that is written as `MEASURE=HOW(FILE:COLUMN)`.
 
     Raises:
-        AnalysisError: it is no recipe.
+        AnalysisError: the text is not a recipe.
     """
     found = _RECIPE.fullmatch(text)
     if found is None:
         fix = "Write it as in energy_J=integral(power.csv:power_mW)."
-        raise AnalysisError(f"{text!r} is no recipe", where="recompute", fix=fix)
+        raise AnalysisError(f"{text!r} is not a recipe", where="recompute", fix=fix)
     hows = [each.value for each in Aggregation]
     if found["how"] not in hows:
         raise AnalysisError(
@@ -171,37 +189,131 @@ def parse_recipe(text: str) -> Recipe:
 
 
 def check_unit(unit: str, where: str) -> None:
-    """Refuse a unit that is not known.
-
-    Raises:
-        AnalysisError: it is none.
-    """
+    """Raise AnalysisError where a unit is not recognised."""
     if unit_of(unit) is None:
-        raise AnalysisError(f"{unit!r} is no unit that is known", where=where, fix=did_you_mean(unit, known_units()))
+        raise AnalysisError(f"{unit!r} is not a unit that is known", where=where, fix=did_you_mean(unit, known_units()))
 
 
 def check_time_unit(unit: str | None, where: str) -> None:
-    """Refuse a unit of times that is not known.
-
-    Raises:
-        AnalysisError: it is none.
-    """
+    """Raise AnalysisError where times cannot be in a unit; None is a unit to be found out."""
     if unit is not None and unit not in {*TIME_UNITS, "iso"} and "%" not in unit:
         fix = f"Give one of {', '.join(TIME_UNITS)}, iso, or a format such as %H:%M:%S."
         raise AnalysisError(f"times cannot be in {unit!r}", where=where, fix=fix)
 
 
-def _merged(
-    described: Sequence[SamplesDescription], said: Sequence[SamplesDescription]
-) -> tuple[SamplesDescription, ...]:
-    by_file = {each.file: each for each in described}
-    for each in said:
-        before = by_file.get(each.file, SamplesDescription(each.file))
-        by_file[each.file] = SamplesDescription(
-            each.file,
-            name=each.name or before.name,
-            time=each.time or before.time,
-            time_unit=each.time_unit or before.time_unit,
-            units={**before.units, **each.units},
-        )
-    return tuple(by_file.values())
+# A description as a TOML file: to be mended by hand, or to repeat an import.
+
+#: The entries of each table of the file, and the type that each has. A list of names may be written as one name.
+_ENTRIES: dict[str, dict[str, type]] = {
+    "": {
+        **dict.fromkeys(("name", "table", "run_folder", "origin"), str),
+        "guess": bool,
+        "columns": dict,
+        "units": dict,
+        "samples": list,
+        "recompute": dict,
+    },
+    "columns.": {
+        **dict.fromkeys(("run_id", "status", "repetition"), str),
+        **dict.fromkeys(("factors", "measures", "ignore"), tuple),
+    },
+    "samples.": {**dict.fromkeys(("file", "name", "time", "time_unit"), str), "units": dict},
+}
+_FIXES: dict[type, str] = {
+    str: "Give a text.",
+    bool: "Write true or false.",
+    tuple: "Give a list of names.",
+    dict: "Write [{key}] and its entries below it.",
+    list: "Write [[{key}]] before each.",
+}
+_ORIGINS = ("measured", "simulated", "estimated")
+
+
+def read_description(path: Path) -> ImportDescription:
+    """Read a description from a TOML file.
+
+    Raises:
+        AnalysisError: the file does not hold a description.
+        StorageError: it cannot be read.
+    """
+    where = str(path)
+    try:
+        plain = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise storage_error(path, "read", error) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise AnalysisError(f"the file is not TOML: {error}", where=where, fix="Mend this line.") from error
+    entries = _checked(plain, "", where)
+    if (origin := entries.get("origin", _ORIGINS[0])) not in _ORIGINS:
+        raise AnalysisError(f"origin is {origin!r}", where=where, fix=did_you_mean(origin, _ORIGINS))
+    columns = _checked(entries.pop("columns", {}), "columns.", where)
+    entries["recipes"] = tuple(parse_recipe(f"{name}={how}") for name, how in entries.pop("recompute", {}).items())
+    entries["samples"] = tuple(_samples(each, where) for each in entries.pop("samples", ()))
+    return ImportDescription(**{**entries, **columns, "units": _units(entries, where)})
+
+
+def _samples(plain: Any, where: str) -> SamplesDescription:
+    if not isinstance(plain, dict):
+        fix = "Write [[samples]] before each file."
+        raise AnalysisError(f"samples holds {plain!r}, which is not a table", where=where, fix=fix)
+    entries = _checked(plain, "samples.", where)
+    if "file" not in entries:
+        raise AnalysisError("samples names no file", where=where, fix='Write file = "power.csv".')
+    check_time_unit(entries.get("time_unit"), where)
+    return SamplesDescription(**{**entries, "units": _units(entries, where)})
+
+
+def _checked(plain: Mapping[str, Any], table: str, where: str) -> dict[str, Any]:
+    """Return the entries of a table of the file.
+
+    Raises:
+        AnalysisError: an entry is unknown, or has another type than it should.
+    """
+    known = _ENTRIES[table]
+    entries = {}
+    for key, value in plain.items():
+        if key not in known:
+            raise AnalysisError(f"there is no entry {table}{key}", where=where, fix=did_you_mean(key, known))
+        kind = known[key]
+        given = value
+        if kind is tuple:
+            texts = [value] if isinstance(value, str) else value
+            given = tuple(texts) if isinstance(texts, list) and all(isinstance(each, str) for each in texts) else None
+        if not isinstance(given, kind):
+            raise AnalysisError(f"{key} is {value!r}", where=where, fix=_FIXES[kind].format(key=key))
+        entries[key] = given
+    return entries
+
+
+def _units(entries: Mapping[str, Any], where: str) -> dict[str, str]:
+    units = {str(name): str(unit) for name, unit in entries.get("units", {}).items()}
+    for name, unit in units.items():
+        check_unit(unit, f"{where}, unit of {name!r}")
+    return units
+
+
+def description_text(description: ImportDescription) -> str:
+    """Return a description as the text of a TOML file."""
+    said = {key: getattr(description, key) for key in ("name", "table", "guess", "origin")}
+    columns = {key: getattr(description, key) for key in _ENTRIES["columns."] if key != "ignore"}
+    lines = ["# How results made elsewhere are to be read: robot-runner import FOLDER --description THIS_FILE"]
+    lines += [*_lines(said), "", "[columns]", *_lines(columns), *_section("units", description.units)]
+    for each in description.samples:
+        said = {key: getattr(each, key) for key in ("file", "name", "time", "time_unit")}
+        lines += ["", "[[samples]]", *_lines(said)]
+        lines += _section("samples.units", each.units)
+    lines += _section("recompute", {recipe.measure: recipe.words for recipe in description.recipes})
+    return "\n".join(lines) + "\n"
+
+
+def _section(name: str, entries: Mapping[str, str]) -> list[str]:
+    return ["", f"[{name}]", *_lines({_toml(key): value for key, value in entries.items()})] if entries else []
+
+
+def _lines(entries: Mapping[str, Any]) -> list[str]:
+    return [f"{key} = {_toml(value)}" for key, value in entries.items() if value is not None]
+
+
+def _toml(value: Any) -> str:
+    # Texts, lists of texts and truth values are written in TOML as in JSON, for all that a heading can hold.
+    return json.dumps(value, ensure_ascii=False)

@@ -1,4 +1,4 @@
-"""The rows of a foreign run table, understood."""
+"""The rows of another tool's run table, understood."""
 
 from __future__ import annotations
 
@@ -7,42 +7,27 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.importing.foreign_samples import find_run_folders
-from robot_runner.analysis.wording import counted
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.storage.cells import CellValue, RunStatus, number_of
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from robot_runner.analysis.importing.description import ImportDescription
+    from robot_runner.analysis.importing.column_roles import ColumnRoles
     from robot_runner.analysis.importing.foreign_table import ForeignTable
-    from robot_runner.analysis.importing.understanding import ColumnRoles
 
 __all__ = ["ForeignRun", "read_runs"]
 
 _WORDS = {
-    RunStatus.DONE: ("done", "true", "yes", "1", "finished", "completed", "complete", "ok", "success", "x"),
-    RunStatus.TODO: (
-        "",
-        "-",
-        "–",  # noqa: RUF001 - spreadsheets write it
-        "—",
-        "todo",
-        "to do",
-        "to_do",
-        "not done",
-        "false",
-        "no",
-        "0",
-        "pending",
-        "running",
-        "planned",
-    ),
-    RunStatus.FAILED: ("failed", "error", "aborted", "crashed", "fail"),
+    RunStatus.DONE: "done true yes 1 finished completed complete ok success x",
+    RunStatus.TODO: "- – — todo to_do false no 0 pending running planned",  # noqa: RUF001 - spreadsheets write dashes
+    RunStatus.FAILED: "failed error aborted crashed fail",
 }
-_STATUSES = {word: status for status, words in _WORDS.items() for word in words}
+_STATUSES = {word: status for status, words in _WORDS.items() for word in words.split()} | dict.fromkeys(
+    ("", "to do", "not done"), RunStatus.TODO
+)
 _MISSING = frozenset({"", "na", "n/a", "nan", "none", "null"})
 _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
 _LONGEST_ID = 60
@@ -53,7 +38,7 @@ _LAST_NUMBER = re.compile(r"[A-Za-z]+[ _-]?(\d+)")
 
 @dataclass(frozen=True, slots=True)
 class ForeignRun:
-    """One row of a foreign run table, understood.
+    """One row of the run table, understood.
 
     Attributes:
         run_id: its id here; the same as there, but for characters that cannot name a folder.
@@ -61,7 +46,7 @@ class ForeignRun:
         status: how far it had come.
         treatments: the texts of the factors' cells.
         repetition: from 1; None where there are none.
-        measures: the values; None where there is none.
+        measures: the values; None where one is missing.
         extras: the texts of columns that are kept as they are.
         folder: its raw files, or None.
     """
@@ -77,35 +62,41 @@ class ForeignRun:
 
 
 def read_runs(
-    root: Path, table: ForeignTable, roles: ColumnRoles, said: ImportDescription, notes: list[str]
+    root: Path, table: ForeignTable, roles: ColumnRoles, pattern: str | None, notes: list[str]
 ) -> list[ForeignRun]:
-    """Return the runs of a foreign table; what looks odd is added to the notes.
+    """Return the runs of a table; what looks odd is added to the notes.
+
+    Args:
+        root: the folder that the table is in.
+        table: the run table.
+        roles: what its columns are.
+        pattern: where a run's files are below the folder, with `{run_id}` in it; None for `{run_id}`, else
+            `runs/{run_id}`.
+        notes: takes what looks odd.
 
     Raises:
-        AnalysisError: a run has no id, or one that another has; a status or a repetition cannot be read.
+        AnalysisError: a run has no id; a status or a repetition cannot be read.
     """
     table = _without_copies(table, roles, notes)
-    source_ids = (
-        table.column(roles.run_id) if roles.run_id else [f"r_{place}" for place in range(1, len(table.rows) + 1)]
-    )
-    run_ids = _run_ids(source_ids, table, notes)
-    shared = {source for source, times in Counter(source_ids).items() if times > 1}
-    folders = find_run_folders(root, [source for source in source_ids if source not in shared], said.run_folder)
-    repetitions = _repetitions(table, roles, source_ids, notes)
+    source_ids = table.column(roles.run_id) if roles.run_id else [f"r_{n}" for n in range(1, len(table.rows) + 1)]
+    times = Counter(source_ids)
+    patterns = [pattern] if pattern else ["{run_id}", "runs/{run_id}"]
+    run_ids, repetitions = _run_ids(source_ids, table, notes), _repetitions(table, roles, source_ids, notes)
     runs = []
-    for place, row in enumerate(table.rows):
+    for place, (row, source_id) in enumerate(zip(table.rows, source_ids, strict=True)):
         cells = dict(zip(table.headings, row, strict=True))
         measures = {name: _value(cells[name], table) for name in roles.measures}
+        folders = [root / each.replace("{run_id}", source_id) for each in patterns if times[source_id] == 1]
         runs.append(
             ForeignRun(
                 run_id=run_ids[place],
-                source_id=source_ids[place],
-                status=_status(cells, roles, measures, table, place),
+                source_id=source_id,
+                status=_status(cells, roles, measures, f"{table.path}:{table.lines[place]}"),
                 treatments={name: _treatment(cells[name], name, table) for name in roles.factors},
                 repetition=repetitions[place],
                 measures=measures,
                 extras={name: cells[name] for name in roles.extras},
-                folder=folders.get(source_ids[place]),
+                folder=next((folder for folder in folders if folder.is_dir()), None),
             )
         )
     notes += _run_notes(table, roles, runs)
@@ -113,17 +104,14 @@ def read_runs(
 
 
 def _without_copies(table: ForeignTable, roles: ColumnRoles, notes: list[str]) -> ForeignTable:
-    """Return the table without rows that are there already, cell by cell: tables are put together by hand."""
-    if roles.run_id is None:
-        return table
-    first = {row: place for place, row in reversed([*enumerate(table.rows)])}
-    kept = sorted(first.values())
-    copies = len(table.rows) - len(kept)
-    if not copies:
+    """Return the table without rows that repeat an earlier one cell by cell: tables are put together by hand."""
+    first = dict(zip(reversed(table.rows), reversed(table.lines), strict=True))
+    copies = len(table.rows) - len(first)
+    if roles.run_id is None or not copies:
         return table
     notes.append(f"{counted(copies, 'row')} left out that {'is' if copies == 1 else 'are'} there twice, cell by cell")
-    rows, lines = tuple(table.rows[place] for place in kept), tuple(table.lines[place] for place in kept)
-    return replace(table, rows=rows, lines=lines)
+    rows = sorted(first, key=first.__getitem__)
+    return replace(table, rows=tuple(rows), lines=tuple(first[row] for row in rows))
 
 
 def _run_ids(source_ids: Sequence[str], table: ForeignTable, notes: list[str]) -> list[str]:
@@ -159,14 +147,14 @@ def _repetitions(
     if roles.repetition is None:
         numbers = [roles.repetition_of(run_id) for run_id in source_ids]
     else:
-        numbers = [_number_of_repetition(cell) for cell in table.column(roles.repetition)]
+        cells = table.column(roles.repetition)
+        numbers = [_number_of_repetition(cell) for cell in cells]
         if None in numbers:
             place = numbers.index(None)
             where = f"{table.path}:{table.lines[place]}, column {roles.repetition!r}"
             fix = "Mend it, or name the column a factor: --factor."
-            raise AnalysisError("it is no number of a repetition", where=where, fix=fix)
-    counted = [number for number in numbers if number is not None]
-    if counted and min(counted) == 0:
+            raise AnalysisError(f"{cells[place]!r} is not a repetition number", where=where, fix=fix)
+    if 0 in numbers:
         notes.append("repetitions are numbered from 1 here, not from 0")
         return [None if number is None else number + 1 for number in numbers]
     return numbers
@@ -178,34 +166,27 @@ def _number_of_repetition(cell: str) -> int | None:
     return int(number) if number is not None and number >= 0 and number == int(number) else None
 
 
-def _status(
-    cells: Mapping[str, str], roles: ColumnRoles, measures: Mapping[str, CellValue], table: ForeignTable, place: int
-) -> RunStatus:
+def _status(cells: Mapping[str, str], roles: ColumnRoles, measures: Mapping[str, CellValue], where: str) -> RunStatus:
     if roles.status is None:
         return RunStatus.DONE if any(value is not None for value in measures.values()) else RunStatus.TODO
-    word = cells[roles.status].casefold()
-    if word not in _STATUSES:
-        where = f"{table.path}:{table.lines[place]}, column {roles.status!r}"
+    word = cells[roles.status]
+    if word.casefold() not in _STATUSES:
         fix = "Write DONE, TODO or FAILED, or name another column: --status."
-        raise AnalysisError(f"{cells[roles.status]!r} is no status", where=where, fix=fix)
-    return _STATUSES[word]
+        raise AnalysisError(f"{word!r} is not a status", where=f"{where}, column {roles.status!r}", fix=fix)
+    return _STATUSES[word.casefold()]
 
 
 def _value(cell: str, table: ForeignTable) -> CellValue:
     if cell.casefold() in _MISSING:
         return None
-    number = number_of(cell, decimal_comma=table.dialect.decimal_comma)
-    if number is not None:
-        return number
-    return {"true": True, "false": False}.get(cell.casefold(), cell)
+    number = table.number(cell)
+    return number if number is not None else {"true": True, "false": False}.get(cell.casefold(), cell)
 
 
 def _treatment(cell: str, factor: str, table: ForeignTable) -> str:
     if table.is_boolean(factor):
         return cell.capitalize()
-    if table.is_numeric(factor):
-        return str(number_of(cell, decimal_comma=table.dialect.decimal_comma))
-    return cell
+    return str(table.number(cell)) if table.is_numeric(factor) else cell
 
 
 def _run_notes(table: ForeignTable, roles: ColumnRoles, runs: Sequence[ForeignRun]) -> list[str]:
@@ -215,11 +196,9 @@ def _run_notes(table: ForeignTable, roles: ColumnRoles, runs: Sequence[ForeignRu
         notes.append(f"{counted(len(running), 'run')} were being executed when the table was written: to do again")
     for name in roles.measures:
         texts = [run.run_id for run in runs if isinstance(run.measures[name], str)]
-        numbers = [run for run in runs if isinstance(run.measures[name], int | float)]
-        if texts and numbers:
+        if texts and any(isinstance(run.measures[name], int | float) for run in runs):
             notes.append(f"{name} is text in {counted(len(texts), 'run')}, such as {texts[0]}: no statistics of it")
-    done = [run for run in runs if run.status is RunStatus.DONE]
-    without = [run.run_id for run in done if run.folder is None]
+    without = [run.run_id for run in runs if run.status is RunStatus.DONE and run.folder is None]
     if any(run.folder for run in runs) and without:
         notes.append(f"{counted(len(without), 'run')} done without a folder of raw files, such as {without[0]}")
     return notes

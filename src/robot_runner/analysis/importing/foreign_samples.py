@@ -1,4 +1,4 @@
-"""The raw CSV files in the runs' folders of a foreign tool: which column is time, which are samples, in which unit."""
+"""The raw CSV files in the runs' folders of another tool: the column of times, the samples, their units."""
 
 from __future__ import annotations
 
@@ -10,22 +10,18 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
-from robot_runner.analysis.importing.foreign_table import CsvDialect, dialect_of
-from robot_runner.analysis.importing.units import (
-    DAY,
-    Unit,
-    first_moment,
-    guessed_unit,
-    is_absolute,
+from robot_runner.analysis.importing.description import SamplesDescription
+from robot_runner.analysis.importing.foreign_table import dialect_of
+from robot_runner.analysis.importing.sample_times import (
+    TimeKind,
     is_number,
-    named_time,
     nanoseconds_of,
-    si_heading,
-    split_heading,
-    unit_of,
+    time_column,
+    time_kind,
+    time_unit,
     unit_words,
-    zone_words,
 )
+from robot_runner.analysis.importing.units import Unit, si_heading, split_heading, unit_of
 from robot_runner.core.errors import AnalysisError, did_you_mean
 
 if TYPE_CHECKING:
@@ -34,11 +30,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.importing.description import SamplesDescription
-
-__all__ = ["ForeignSamples", "RunSamples", "find_run_folders", "read_run_samples", "understand_samples"]
+__all__ = ["ForeignSamples", "RunSamples", "read_run_samples", "understand_samples"]
 
 _NUMBER = re.compile(r"\d+")
+_MISSING = ["", " ", "NA", "N/A", "NaN", "nan", "null"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,19 +45,19 @@ class ForeignSamples:
         name: names the samples in the experiment folder.
         time: the heading of its times.
         time_unit: what they are counted in, or `iso`, `clock`, or a format.
-        is_absolute: whether times are moments (since 1970, or dates), not seconds since some start.
+        time_kind: from when they are counted.
         units: the unit of each value column, where it is known.
         columns: the value columns.
         numeric: those that hold numbers.
         paths: the file of each run.
-        guesses: what nobody told.
+        guesses: what was guessed.
     """
 
     file: str
     name: str
     time: str
     time_unit: str
-    is_absolute: bool
+    time_kind: TimeKind
     units: Mapping[str, Unit | None]
     columns: tuple[str, ...]
     numeric: frozenset[str]
@@ -94,19 +89,6 @@ class RunSamples:
         return (self.nanoseconds - self.nanoseconds[:1]) / 1e9
 
 
-def find_run_folders(root: Path, run_ids: Sequence[str], pattern: str | None) -> dict[str, Path]:
-    """Return the folder of each run that has one: as told, else `<run id>` or `runs/<run id>` below the folder."""
-    patterns = [pattern] if pattern else ["{run_id}", "runs/{run_id}"]
-    found = {}
-    for run_id in run_ids:
-        for each in patterns:
-            folder = root / each.replace("{run_id}", run_id)
-            if folder.is_dir():
-                found[run_id] = folder
-                break
-    return found
-
-
 def understand_samples(
     folders: Mapping[str, Path], described: Sequence[SamplesDescription], *, guess: bool
 ) -> tuple[list[ForeignSamples], list[str]]:
@@ -118,31 +100,42 @@ def understand_samples(
         guess: whether others are looked at, too.
 
     Returns:
-        The samples, and why files are none that look like some.
+        The samples, and a note for each other file that was looked at.
 
     Raises:
-        AnalysisError: what the user said is not so.
+        AnalysisError: a description does not fit its file.
     """
     by_file = _by_file(folders)
-    told = {each.file: each for each in described}
-    for file in told:
+    by_name = {each.file: each for each in described}
+    for file in by_name:
         if file not in by_file:
             fix = did_you_mean(file, by_file) or "Look at the folders of the runs."
             raise AnalysisError(f"no run has a file {file!r}", where="samples", fix=fix)
     found: list[ForeignSamples] = []
     notes: list[str] = []
     for file, paths in sorted(by_file.items()):
-        if file in told or guess:
-            understood = _understand(file, paths, told.get(file))
-            (found if isinstance(understood, ForeignSamples) else notes).append(understood)  # type: ignore[arg-type]
-    return _with_names_of_their_own(found), notes
+        if file not in by_name and not guess:
+            continue
+        first = next(filter(_has_rows, paths.values()), None)
+        if first is None:
+            notes.append(f"{file} is empty in all runs")
+            continue
+        try:
+            understood = _understand(paths, first, by_name.get(file, SamplesDescription(file)))
+        except AnalysisError as error:
+            if file in by_name:
+                raise
+            notes.append(f"{file} is left as it is: {error.problem}")
+        else:
+            found.append(replace(understood, name=_free_name(understood.name, [each.name for each in found])))
+    return found, notes
 
 
 def _by_file(folders: Mapping[str, Path]) -> dict[str, dict[str, Path]]:
     """Return the CSV files in the runs' folders by their names.
 
-    Names that each occur in one run and differ by numbers only, as tools make them of process ids and times, go
-    together under one with `*` for the numbers, where no run has two of them.
+    Names that each occur in one run and differ in numbers only (tools put process ids and times into names) are
+    combined under one name with `*` for the numbers, unless a run has two of them.
     """
     by_name: dict[str, dict[str, Path]] = {}
     for run_id, folder in folders.items():
@@ -160,135 +153,94 @@ def _by_file(folders: Mapping[str, Path]) -> dict[str, dict[str, Path]]:
     return by_name
 
 
+def _has_rows(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(1 << 14).strip().count(b"\n") > 0
+
+
+def _understand(paths: Mapping[str, Path], first: Path, described: SamplesDescription) -> ForeignSamples:
+    file = described.file
+    table = _read(first)
+    headings = tuple(table.column_names)
+    time = time_column(table, headings, described.time, file)
+    times = table.column(time)
+    unit = described.time_unit or time_unit(time, times, file)
+    columns = tuple(name for name in headings if name not in {time, ""})
+    for name in described.units:
+        if name not in columns:
+            raise AnalysisError(f"there is no column {name!r}", where=file, fix=did_you_mean(name, columns))
+    numeric = frozenset(name for name in columns if is_number(table.column(name).type))
+    guesses = [] if described.time else [f"{time} is the time"]
+    guesses += [] if described.time_unit else [f"in {unit_words(unit, times)}"]
+    return ForeignSamples(
+        file,
+        described.name or re.sub(r"[^A-Za-z0-9-]+", "_", file.removesuffix(".csv")).strip("_-") or "samples",
+        time,
+        unit,
+        time_kind(unit, times),
+        {name: _unit(name, described, is_numeric=name in numeric) for name in columns},
+        columns,
+        numeric,
+        paths,
+        tuple(guesses),
+    )
+
+
+def _unit(name: str, described: SamplesDescription, *, is_numeric: bool) -> Unit | None:
+    if name in described.units:
+        return unit_of(described.units[name])
+    return split_heading(name)[1] if is_numeric else None
+
+
+def _free_name(wanted: str, taken: Sequence[str]) -> str:
+    folded = {each.casefold() for each in taken}
+    name, number = wanted, 2
+    while name.casefold() in folded:
+        name, number = f"{wanted}_{number}", number + 1
+    return name
+
+
 def read_run_samples(samples: ForeignSamples, path: Path) -> RunSamples:
     """Read the samples of one run.
 
     Raises:
-        AnalysisError: the file is no table, or its times cannot be read.
+        AnalysisError: the file is not a table, or its times cannot be read.
     """
-    dialect = dialect_of(path)
-    table = _read(path, dialect, _types(samples))
+    is_text = samples.time_unit == "clock" or "%" in samples.time_unit
+    table = _read(path, {samples.time: pa.string()} if is_text else {})
     if samples.time not in table.column_names:
         fix = "Describe the file, or leave it out."
-        raise AnalysisError(f"it has no column {samples.time!r}", where=str(path), fix=fix)
+        raise AnalysisError(f"the file has no column {samples.time!r}", where=str(path), fix=fix)
     times, valid = nanoseconds_of(table.column(samples.time), samples.time_unit, str(path))
-    if samples.time_unit == "clock":  # a run may go on past midnight
-        times = times + DAY * np.cumsum(np.diff(times, prepend=times[:1]) < -DAY // 2)
     order = np.flatnonzero(valid)[np.argsort(times[valid], kind="stable")]
     was_sorted = bool(len(order) == len(times) and np.all(np.diff(times) >= 0))
     values = {name: _values(table, name, samples.units.get(name), order) for name in samples.columns}
     return RunSamples(times[order], values, was_sorted)
 
 
-def _understand(file: str, paths: Mapping[str, Path], said: SamplesDescription | None) -> ForeignSamples | str:
-    first = next((path for path in paths.values() if _has_rows(path)), None)
-    if first is None:
-        return f"{file} is empty in all runs"
-    dialect = dialect_of(first)
+def _read(path: Path, types: Mapping[str, pa.DataType] | None = None) -> pa.Table:
+    """Read a file; its types are found out where it does not have those that are expected."""
+    dialect = dialect_of(path)
     try:
-        table = _read(first, dialect, {})
-    except AnalysisError as error:
-        if said is not None:
-            raise
-        return f"{file} is left as it is: {error.problem}"
-    headings = tuple(name.strip() for name in table.column_names)
-    time = said.time if said and said.time else named_time(headings) or first_moment(table)
-    if time is None or time not in headings:
-        if said is None:
-            return f"{file} is left as it is: no column is told to be the time"
-        fix = did_you_mean(time or "", headings)
-        raise AnalysisError(f"there is no column {time!r} for the time", where=file, fix=fix)
-    guesses = [] if said and said.time else [f"{time} is the time"]
-    unit = said.time_unit if said and said.time_unit else guessed_unit(time, table.column(time))
-    if unit is None:
-        if said is None:
-            return f"{file} is left as it is: the times in {time} cannot be read"
-        raise AnalysisError(f"the times in {time} cannot be read", where=file, fix="Give time_unit.")
-    if not (said and said.time_unit):
-        guesses.append(f"in {unit_words(unit)}{zone_words(table.column(time))}")
-    columns = tuple(name for name in headings if name != time and name)
-    _check_units(said, columns, file)
-    return ForeignSamples(
-        file,
-        said.name if said and said.name else _plugin_name(file),
-        time,
-        unit,
-        is_absolute(unit, table.column(time)),
-        {name: _unit(name, said, table) for name in columns},
-        columns,
-        frozenset(name for name in columns if is_number(table.column(name).type)),
-        paths,
-        tuple(guesses),
-    )
-
-
-def _has_rows(path: Path) -> bool:
-    with path.open("rb") as file:
-        return file.read(1 << 14).strip().count(b"\n") > 0
-
-
-def _read(path: Path, dialect: CsvDialect, types: Mapping[str, pa.DataType]) -> pa.Table:
-    options: dict[str, Any] = {
-        "read_options": arrow_csv.ReadOptions(
-            skip_rows=dialect.blank_lines, encoding=dialect.encoding.removesuffix("-sig"), use_threads=False
-        ),
-        "parse_options": arrow_csv.ParseOptions(
-            delimiter=dialect.delimiter, invalid_row_handler=_skip, newlines_in_values=False
-        ),
-    }
-    point = "," if dialect.decimal_comma else "."
-    for column_types in (types, {}) if types else ({},):
-        convert = arrow_csv.ConvertOptions(
-            column_types=dict(column_types),
-            decimal_point=point,
-            null_values=["", " ", "NA", "N/A", "NaN", "nan", "null"],
-            strings_can_be_null=True,
+        table = arrow_csv.read_csv(
+            path,
+            read_options=arrow_csv.ReadOptions(
+                skip_rows=dialect.blank_lines, encoding=dialect.encoding.removesuffix("-sig"), use_threads=False
+            ),
+            parse_options=arrow_csv.ParseOptions(delimiter=dialect.delimiter, invalid_row_handler=lambda _: "skip"),
+            convert_options=arrow_csv.ConvertOptions(
+                column_types=types,
+                decimal_point="," if dialect.decimal_comma else ".",
+                null_values=_MISSING,
+                strings_can_be_null=True,
+            ),
         )
-        try:
-            table = arrow_csv.read_csv(path, convert_options=convert, **options)
-        except pa.ArrowInvalid as error:
-            problem = str(error).partition("\n")[0]
-        else:
-            return table.rename_columns([name.lstrip("\ufeff").strip() for name in table.column_names])
-    raise AnalysisError(f"it is no table: {problem}", where=str(path), fix="Leave it out, or mend it.")
-
-
-def _skip(row: object) -> str:
-    del row
-    return "skip"
-
-
-def _types(samples: ForeignSamples) -> dict[str, pa.DataType]:
-    is_text = samples.time_unit == "clock" or "%" in samples.time_unit
-    return {samples.time: pa.string()} if is_text else {}
-
-
-def _plugin_name(file: str) -> str:
-    return re.sub(r"[^A-Za-z0-9-]+", "_", file.removesuffix(".csv")).strip("_-") or "samples"
-
-
-def _with_names_of_their_own(samples: Sequence[ForeignSamples]) -> list[ForeignSamples]:
-    taken: set[str] = set()
-    named = []
-    for each in samples:
-        name, number = each.name, 2
-        while name.casefold() in taken:
-            name, number = f"{each.name}_{number}", number + 1
-        taken.add(name.casefold())
-        named.append(replace(each, name=name))
-    return named
-
-
-def _check_units(said: SamplesDescription | None, columns: Sequence[str], file: str) -> None:
-    for name in said.units if said else ():
-        if name not in columns:
-            raise AnalysisError(f"there is no column {name!r}", where=file, fix=did_you_mean(name, columns))
-
-
-def _unit(name: str, said: SamplesDescription | None, table: pa.Table) -> Unit | None:
-    if said and name in said.units:
-        return unit_of(said.units[name])
-    return split_heading(name)[1] if is_number(table.column(name).type) else None
+    except pa.ArrowInvalid as error:
+        if types:
+            return _read(path)
+        problem = f"the file is not a table: {str(error).partition(chr(10))[0]}"
+        raise AnalysisError(problem, where=str(path), fix="Leave it out, or mend it.") from error
+    return table.rename_columns([name.lstrip("\ufeff").strip() for name in table.column_names])
 
 
 def _values(table: pa.Table, name: str, unit: Unit | None, order: NDArray[np.intp]) -> Any:

@@ -1,4 +1,4 @@
-"""Reading a CSV file that somebody else wrote, or saved from a spreadsheet, as text."""
+"""Reading a CSV file that another tool wrote, or that was saved from a spreadsheet, as text."""
 
 from __future__ import annotations
 
@@ -13,17 +13,19 @@ from robot_runner.core.storage.cells import number_of
 from robot_runner.core.storage.safe_write import storage_error
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
     from pathlib import Path
 
-__all__ = ["CsvDialect", "ForeignTable", "dialect_of", "read_foreign_table"]
+__all__ = ["CsvDialect", "ForeignTable", "dialect_of", "free_heading", "read_foreign_table"]
 
-_DELIMITERS = (",", ";", "\t", "|")
+_DELIMITERS = {",": "", ";": "semicolons", "\t": "tabs", "|": "bars"}
 _DECIMAL_COMMA = re.compile(r"(?<![0-9])-?[0-9]+,[0-9]+(?![0-9,])")
-_TRUE = frozenset({"true", "false"})
+_BOOLEANS = frozenset({"true", "false"})
 
 #: As much of a file as is needed to see how it is written.
 _HEAD = 1 << 16
+_LONGEST_CHARACTER = 4  # bytes in UTF-8
+_LINES_LOOKED_AT = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +34,7 @@ class CsvDialect:
 
     Attributes:
         encoding: `utf-8-sig`, `utf-16` or `cp1252`.
-        delimiter: what stands between the cells.
+        delimiter: the character between the cells.
         decimal_comma: whether numbers are written `0,5`.
         blank_lines: how many lines without any cell come before the heading.
     """
@@ -45,12 +47,10 @@ class CsvDialect:
     @property
     def words(self) -> str:
         """What is unusual about it, in words; empty where nothing is."""
-        names = {";": "semicolons", "\t": "tabs", "|": "bars"}
-        parts = [names[self.delimiter]] if self.delimiter in names else []
-        parts += ["decimal commas"] if self.decimal_comma else []
-        parts += [f"{self.blank_lines} blank line{'s' * (self.blank_lines > 1)} first"] if self.blank_lines else []
-        parts += [f"character set {self.encoding}"] if self.encoding != "utf-8-sig" else []
-        return ", ".join(parts)
+        blank = f"{self.blank_lines} blank line{'s' * (self.blank_lines > 1)} first" if self.blank_lines else ""
+        decimal = "decimal commas" if self.decimal_comma else ""
+        encoding = f"character set {self.encoding}" if self.encoding != "utf-8-sig" else ""
+        return ", ".join(filter(None, (_DELIMITERS[self.delimiter], decimal, blank, encoding)))
 
 
 @dataclass(frozen=True)
@@ -77,6 +77,10 @@ class ForeignTable:
         """Return the cells of a column."""
         return self._columns[heading]
 
+    def number(self, cell: str) -> int | float | None:
+        """Return the number in a cell of the table, or None."""
+        return self._numbers.get(cell)
+
     def is_numeric(self, heading: str) -> bool:
         """Return whether the column has numbers, and nothing else beside empty cells."""
         return heading in self._numeric
@@ -84,6 +88,13 @@ class ForeignTable:
     def is_boolean(self, heading: str) -> bool:
         """Return whether the column has `true` and `false` in any case of letters, and nothing else."""
         return heading in self._boolean
+
+    # Each text is examined once, however many runs have it.
+
+    @cached_property
+    def _numbers(self) -> dict[str, int | float | None]:
+        comma = self.dialect.decimal_comma
+        return {cell: number_of(cell, decimal_comma=comma) for cells in self._distinct.values() for cell in cells}
 
     @cached_property
     def _columns(self) -> dict[str, tuple[str, ...]]:
@@ -96,42 +107,39 @@ class ForeignTable:
 
     @cached_property
     def _numeric(self) -> frozenset[str]:
-        comma = self.dialect.decimal_comma
-        return frozenset(
-            name
-            for name, cells in self._distinct.items()
-            if all(number_of(cell, decimal_comma=comma) is not None for cell in cells)
-        )
+        distinct = self._distinct.items()
+        return frozenset(name for name, cells in distinct if all(self.number(cell) is not None for cell in cells))
 
     @cached_property
     def _boolean(self) -> frozenset[str]:
-        return frozenset(name for name, cells in self._distinct.items() if {cell.casefold() for cell in cells} <= _TRUE)
+        distinct = self._distinct.items()
+        return frozenset(name for name, cells in distinct if {cell.casefold() for cell in cells} <= _BOOLEANS)
 
 
 def read_foreign_table(path: Path) -> ForeignTable:
     """Read a table: with or without a byte-order mark, with commas, semicolons or tabs, with blank lines anywhere.
 
     Raises:
-        StorageError: it cannot be read.
-        AnalysisError: it has no heading, or rows that do not fit it.
+        StorageError: the file cannot be read.
+        AnalysisError: it has no heading, or rows that do not fit the heading.
     """
     dialect = dialect_of(path)
-    rows: list[tuple[int, list[str]]] = []
+    filled: list[tuple[int, list[str]]] = []
+    before = 0
     try:
         with path.open(encoding=dialect.encoding, errors="replace", newline="") as file:
             lines = csv.reader(file, delimiter=dialect.delimiter)
-            before = 0
             for row in lines:
-                rows.append((before + 1, [cell.strip() for cell in row]))
+                if any(cells := [cell.strip() for cell in row]):
+                    filled.append((before + 1, cells))
                 before = lines.line_num
     except OSError as error:
         raise storage_error(path, "read", error) from error
     except csv.Error as error:
-        fix = "Mend the quotes in it."
-        raise AnalysisError(f"it is no CSV: {error}", where=f"{path}:{before + 1}", fix=fix) from error
-    filled = [(line, row) for line, row in rows if any(row)]
+        where = f"{path}:{before + 1}"
+        raise AnalysisError(f"the file is not CSV: {error}", where=where, fix="Mend the quotes in it.") from error
     if not filled:
-        raise AnalysisError("it is empty", where=str(path), fix="Name the file that holds the runs.")
+        raise AnalysisError("the table is empty", where=str(path), fix="Name the file that holds the runs.")
     return _table(path, dialect, filled)
 
 
@@ -139,7 +147,7 @@ def dialect_of(path: Path) -> CsvDialect:
     """Return how a CSV file is written, by its first lines.
 
     Raises:
-        StorageError: it cannot be read.
+        StorageError: the file cannot be read.
     """
     try:
         with path.open("rb") as file:
@@ -149,44 +157,40 @@ def dialect_of(path: Path) -> CsvDialect:
     encoding = _encoding(head)
     lines = head.decode(encoding, "replace").splitlines()
     blank = next((place for place, line in enumerate(lines) if line.strip(" ,;\t|")), len(lines))
-    lines = lines[blank:]
-    heading = lines[0] if lines else ""
+    heading, *body = lines[blank : blank + _LINES_LOOKED_AT] or [""]
     delimiter = max(_DELIMITERS, key=lambda each: len(next(csv.reader([heading], delimiter=each), [])))
-    body = "\n".join(lines[1:50])
-    return CsvDialect(encoding, delimiter, delimiter != "," and bool(_DECIMAL_COMMA.search(body)), blank)
+    return CsvDialect(encoding, delimiter, delimiter != "," and bool(_DECIMAL_COMMA.search("\n".join(body))), blank)
 
 
 def _encoding(head: bytes) -> str:
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16"
     try:
-        head[: len(head) - 4].decode("utf-8-sig")  # a character may be cut off at the end
+        head[: len(head) - _LONGEST_CHARACTER].decode("utf-8-sig")  # the last character may be incomplete
     except UnicodeDecodeError:
         return "cp1252"
     return "utf-8-sig"
 
 
 def _table(path: Path, dialect: CsvDialect, filled: Sequence[tuple[int, list[str]]]) -> ForeignTable:
-    line, headings = filled[0]
+    (line, headings), *body = filled
     for name in filter(None, headings):
         if headings.count(name) > 1:
             problem = f"heading {name!r} is there twice"
             raise AnalysisError(problem, where=f"{path}:{line}", fix="Name each column, each differently.")
     width = len(headings)
-    rows, lines = [], []
-    for number, row in filled[1:]:
+    for number, row in body:
         if any(row[width:]):
             problem = f"the row has {len(row)} cells, the heading has {width}"
             raise AnalysisError(problem, where=f"{path}:{number}", fix="Give it a cell under each heading.")
-        rows.append((*row[:width], *[""] * (width - len(row))))
-        lines.append(number)
+    rows = [(*row[:width], *[""] * (width - len(row))) for _, row in body]
     # A spreadsheet leaves an empty column behind a deleted one.
     kept = [place for place, name in enumerate(headings) if name or any(row[place] for row in rows)]
     notes = []
     if kept and not headings[kept[0]] and [row[kept[0]] for row in rows] == [*map(str, range(len(rows)))]:
         notes.append("the first column has no heading and numbers the rows: left out")
         kept = kept[1:]
-    named = {place: headings[place] or _free(f"column_{place + 1}", headings) for place in kept}
+    named = {place: headings[place] or free_heading(f"column_{place + 1}", headings) for place in kept}
     unnamed = [name for place, name in named.items() if not headings[place]]
     if unnamed:
         many = f"{len(unnamed)} columns have" if len(unnamed) > 1 else "a column has"
@@ -196,13 +200,14 @@ def _table(path: Path, dialect: CsvDialect, filled: Sequence[tuple[int, list[str
         dialect,
         tuple(named.values()),
         tuple(tuple(row[place] for place in kept) for row in rows),
-        tuple(lines),
+        tuple(number for number, _ in body),
         frozenset(unnamed),
         tuple(notes),
     )
 
 
-def _free(name: str, taken: Sequence[str]) -> str:
-    while name in taken:
-        name += "_"
-    return name
+def free_heading(heading: str, taken: Collection[str]) -> str:
+    """Return a heading, with underscores at its end where it is taken."""
+    while heading in taken:
+        heading += "_"
+    return heading

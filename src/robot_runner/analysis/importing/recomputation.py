@@ -1,4 +1,4 @@
-"""How well the recomputed measures agree with the table's own, measure by measure."""
+"""Measures computed anew from the samples, and how they differ from the table's own values."""
 
 from __future__ import annotations
 
@@ -34,11 +34,7 @@ __all__ = [
 ]
 
 
-# Measures computed anew from the samples, and how they differ from the table's own values.
-
-_LEAST_FOR_TIME = 2
 _MEANS = re.compile(r"^(?:avg|average|mean)[_ ]+|[_ ]+(?:avg|average|mean)$", re.IGNORECASE)
-_PRODUCTS = {"W": "J"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +42,9 @@ class Difference:
     """A measure's value in the table beside the one that was computed from the samples, both in SI.
 
     Attributes:
-        relative: the difference as a share of the table's value; None where that is 0.
+        run_id: the run.
+        measure: by its name in the table.
+        table, recomputed: the two values.
     """
 
     run_id: str
@@ -76,14 +74,14 @@ def recompute(recipe: Recipe, run: RunSamples) -> float | None:
     if recipe.how is Aggregation.COUNT:
         return float(len(times))
     if recipe.how is Aggregation.DURATION:
-        return float(times[-1] - times[0]) if len(times) >= _LEAST_FOR_TIME else None
+        return float(times[-1] - times[0]) if len(times) > 1 else None
     values = np.asarray(run.values[recipe.column], dtype=np.float64)
     valid = np.isfinite(values)
     return _aggregated(recipe.how, times[valid], values[valid])
 
 
 def _aggregated(how: Aggregation, times: NDArray[np.float64], values: NDArray[np.float64]) -> float | None:
-    least = _LEAST_FOR_TIME if how in _OVER_TIME else 1
+    least = 2 if how in _OVER_TIME else 1
     if len(values) < least or (how is Aggregation.TIME_MEAN and times[-1] == times[0]):
         return None
     found = float(_COMPUTED[how](times, values))
@@ -115,16 +113,12 @@ def unit_of_recipe(recipe: Recipe, samples: ForeignSamples) -> str:
     if unit is None:
         return ""
     if recipe.how in {Aggregation.INTEGRAL, Aggregation.ENERGY_PT}:
-        return _PRODUCTS.get(unit.si, f"{unit.si} s")
+        return "J" if unit.si == "W" else f"{unit.si} s"
     return unit.si
 
 
 def check_recipes(recipes: Sequence[Recipe], samples: Sequence[ForeignSamples]) -> None:
-    """Refuse recipes whose file or column is not there.
-
-    Raises:
-        AnalysisError: names the nearest that is.
-    """
+    """Raise AnalysisError where a recipe's file or column does not exist."""
     by_file = {each.file: each for each in samples}
     for recipe in recipes:
         where = f"recompute {recipe.measure}"
@@ -138,14 +132,14 @@ def check_recipes(recipes: Sequence[Recipe], samples: Sequence[ForeignSamples]) 
 
 
 def guess_recipes(
-    measures: Mapping[str, Unit | None], samples: Sequence[ForeignSamples], told: Sequence[Recipe]
+    measures: Mapping[str, Unit | None], samples: Sequence[ForeignSamples], given: Sequence[Recipe]
 ) -> list[Recipe]:
-    """Return recipes that nobody told, where a measure and a column of samples can hardly be meant otherwise.
+    """Return recipes for measures that have none, where a column of samples can hardly mean anything else.
 
     A measure in joules is the integral of the one power that was sampled; `avg_x`, `mean_x` and `x` are the mean of the
     one column of samples that is called `x`, or its change where that counts joules.
     """
-    known = {recipe.measure for recipe in told}
+    known = {recipe.measure for recipe in given}
     powers = [(each, name) for each in samples for name, unit in each.units.items() if unit and unit.si == "W"]
     energies = [name for name, unit in measures.items() if unit and unit.si == "J"]
     guessed = []
@@ -156,26 +150,14 @@ def guess_recipes(
             source, column = powers[0]
             guessed.append(Recipe(measure, Aggregation.INTEGRAL, source.file, column, is_guessed=True))
             continue
-        named = _columns_named(_base(measure), samples)
+        base = _MEANS.sub("", split_heading(measure)[0]).casefold()
+        named = [(each, name) for each in samples for name in each.numeric if split_heading(name)[0].casefold() == base]
         if len(named) == 1:
             source, column = named[0]
             unit = source.units.get(column)
             how = Aggregation.CHANGE if unit and unit.si == "J" else Aggregation.MEAN
             guessed.append(Recipe(measure, how, source.file, column, is_guessed=True))
     return guessed
-
-
-def _columns_named(base: str, samples: Sequence[ForeignSamples]) -> list[tuple[ForeignSamples, str]]:
-    return [
-        (each, name)
-        for each in samples
-        for name in each.columns
-        if name in each.numeric and split_heading(name)[0].casefold() == base
-    ]
-
-
-def _base(measure: str) -> str:
-    return _MEANS.sub("", split_heading(measure)[0]).casefold()
 
 
 #: Values closer than this are the same but for rounding and the way of integrating, as a share of the table's value.
@@ -212,7 +194,6 @@ def agreements(differences: Iterable[Difference], *, tolerance: float = TOLERANC
         tolerance: a share of the table's value.
 
     Example:
-        >>> from robot_runner.analysis.importing.recomputation import Difference
         >>> agreements([Difference("r_1", "Energy", 870.0, 870.1)])[0].differing
         ()
     """

@@ -1,136 +1,35 @@
-"""Times as other tools write them: seconds since some start, moments since 1970, dates, times of day."""
+"""Units as people write them into headings, and their conversion to SI by pint."""
 
 from __future__ import annotations
 
 import math
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from functools import cache
+from typing import Any
 
-import numpy as np
-import pandas as pd
-import pyarrow as pa
+__all__ = ["TIME_UNITS", "Unit", "known_units", "si_heading", "split_heading", "unit_of"]
 
-from robot_runner.core.errors import AnalysisError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-__all__ = [
-    "DAY",
-    "TIME_UNITS",
-    "Unit",
-    "first_moment",
-    "guessed_unit",
-    "is_absolute",
-    "is_number",
-    "known_units",
-    "named_time",
-    "nanoseconds_of",
-    "si_heading",
-    "split_heading",
-    "unit_of",
-    "unit_words",
-    "zone_words",
-]
-
-
-# Units as people write them into headings, and what they are in SI.
-
-
-@dataclass(frozen=True, slots=True)
-class Unit:
-    """A unit and its way to SI.
-
-    Attributes:
-        symbol: as it was written.
-        si: the SI symbol (`%` and `B` stand for themselves).
-        factor: multiplies a value to bring it to SI.
-        offset: added afterwards.
-
-    Example:
-        >>> unit_of("mW").factor
-        0.001
-    """
-
-    symbol: str
-    si: str
-    factor: float
-    offset: float = 0.0
-
-    @property
-    def is_si(self) -> bool:
-        """Whether values need no conversion."""
-        return self.factor == 1.0 and self.offset == 0.0
-
-    def to_si(self, values: Any) -> Any:
-        """Return a number, or an array of them, in SI."""
-        if self.is_si:
-            return values
-        parts = round(1 / self.factor)
-        # Dividing by a whole number rounds once: 14.849 ms are 0.014849 s, and not 0.014849000000000001 s.
-        is_whole_part = self.factor < 1 and math.isclose(parts * self.factor, 1.0, rel_tol=1e-12)
-        return (values / parts if is_whole_part else values * self.factor) + self.offset
-
-
-_PI_DEGREES = 3.141592653589793 / 180
-
-_UNITS = {
-    unit.symbol: unit
-    for unit in (
-        Unit("s", "s", 1.0),
-        Unit("ms", "s", 1e-3),
-        Unit("us", "s", 1e-6),
-        Unit("ns", "s", 1e-9),
-        Unit("min", "s", 60.0),
-        Unit("h", "s", 3600.0),
-        Unit("W", "W", 1.0),
-        Unit("kW", "W", 1e3),
-        Unit("mW", "W", 1e-3),
-        Unit("uW", "W", 1e-6),
-        Unit("J", "J", 1.0),
-        Unit("kJ", "J", 1e3),
-        Unit("mJ", "J", 1e-3),
-        Unit("uJ", "J", 1e-6),
-        Unit("Wh", "J", 3600.0),
-        Unit("mWh", "J", 3.6),
-        Unit("kWh", "J", 3.6e6),
-        Unit("V", "V", 1.0),
-        Unit("mV", "V", 1e-3),
-        Unit("uV", "V", 1e-6),
-        Unit("A", "A", 1.0),
-        Unit("mA", "A", 1e-3),
-        Unit("uA", "A", 1e-6),
-        Unit("Hz", "Hz", 1.0),
-        Unit("kHz", "Hz", 1e3),
-        Unit("MHz", "Hz", 1e6),
-        Unit("GHz", "Hz", 1e9),
-        Unit("B", "B", 1.0),
-        Unit("kB", "B", 1e3),
-        Unit("KB", "B", 1e3),
-        Unit("MB", "B", 1e6),
-        Unit("GB", "B", 1e9),
-        Unit("KiB", "B", 1024.0),
-        Unit("MiB", "B", 1024.0**2),
-        Unit("GiB", "B", 1024.0**3),
-        Unit("K", "K", 1.0),
-        Unit("degC", "K", 1.0, 273.15),
-        Unit("m", "m", 1.0),
-        Unit("cm", "m", 1e-2),
-        Unit("mm", "m", 1e-3),
-        Unit("km", "m", 1e3),
-        Unit("rad", "rad", 1.0),
-        Unit("deg", "rad", _PI_DEGREES),
-        Unit("m/s", "m/s", 1.0),
-        Unit("rad/s", "rad/s", 1.0),
-        Unit("N", "N", 1.0),
-        Unit("Pa", "Pa", 1.0),
-        Unit("%", "%", 1.0),
-        Unit("1", "1", 1.0),
-    )
+#: The SI units that values are converted to, each with all its spellings by the rules of pint. Other units of pint are
+#: not recognised: the last word of a heading often reads like one (`mem_avg`, `run_d`).
+_SYMBOLS = {
+    "s": "s ms us ns min h",
+    "W": "W kW mW uW",
+    "J": "J kJ mJ uJ Wh mWh kWh",
+    "V": "V mV uV",
+    "A": "A mA uA",
+    "Hz": "Hz kHz MHz GHz",
+    "B": "B kB KB MB GB KiB MiB GiB",
+    "K": "K degC",
+    "m": "m cm mm km",
+    "rad": "rad deg",
+    **{symbol: symbol for symbol in ("m/s", "rad/s", "N", "Pa", "%", "1")},
 }
+_SI_OF = {symbol: si for si, symbols in _SYMBOLS.items() for symbol in symbols.split()}
+_NAME_IN_PINT = {"KB": "kB"}
+
+#: What a time may be counted in.
+TIME_UNITS = tuple(_SYMBOLS["s"].split())
 
 _SPELLINGS = {
     "percent": "%",
@@ -147,36 +46,75 @@ _SPELLINGS = {
     "joules": "J",
     "watts": "W",
     "bytes": "B",
-    # As the headings of Python's programmers have them: without capital letters, but not to be mistaken.
-    "j": "J",
-    "kj": "kJ",
-    "wh": "Wh",
-    "kwh": "kWh",
-    "hz": "Hz",
     "MHZ": "MHz",
-    "kb": "kB",
-    "mb": "MB",
-    "gb": "GB",
+    # Python programmers write headings without capital letters; these are unambiguous all the same.
+    **{symbol.lower(): symbol for symbol in ("J", "kJ", "Wh", "kWh", "Hz", "kB", "MB", "GB")},
 }
-
-#: What a time may be counted in.
-TIME_UNITS = ("s", "ms", "us", "ns", "min", "h")
 
 # At the end of a heading: `power_mW`, `Power (mW)`, `power [mW]`.
 _BRACKETED = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]+?)\s*[\])]$")
 _SUFFIXED = re.compile(r"^(.+?)[_ ](m_s|rad_s|[A-Za-zµμ°%/]+)$")
-_SAFE_SUFFIX = {"%": "percent", "m/s": "m_s", "rad/s": "rad_s", "1": ""}
+_SUFFIXES = {"%": "percent", "m/s": "m_s", "rad/s": "rad_s", "1": ""}
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A unit and its conversion to SI.
+
+    Attributes:
+        symbol: as it was written.
+        si: the SI symbol (`%` and `B` stand for themselves).
+        factor: multiplies a value to bring it to SI.
+        offset: added afterwards.
+
+    Example:
+        >>> unit_of("mW").factor
+        0.001
+    """
+
+    symbol: str
+    si: str
+    factor: float = 1.0
+    offset: float = 0.0
+
+    def to_si(self, values: Any) -> Any:
+        """Return a number, or an array of them, in SI."""
+        if self.symbol == self.si:
+            return values
+        parts = round(1 / self.factor)
+        # Dividing by a whole number rounds once: 14.849 ms are 0.014849 s, and not 0.014849000000000001 s.
+        is_whole_part = self.factor < 1 and math.isclose(parts * self.factor, 1.0, rel_tol=1e-12)
+        return (values / parts if is_whole_part else values * self.factor) + self.offset
 
 
 def known_units() -> tuple[str, ...]:
-    """Return the symbols of all units that are known."""
-    return tuple(_UNITS)
+    """Return the symbols of all units that are recognised."""
+    return tuple(_SI_OF)
 
 
 def unit_of(text: str) -> Unit | None:
-    """Return the unit that is written so, or None."""
+    """Return the unit that is written like this, or None."""
     trimmed = text.strip()
-    return _UNITS.get(trimmed) or _UNITS.get(_SPELLINGS.get(trimmed, _SPELLINGS.get(trimmed.casefold(), "")))
+    symbol = trimmed if trimmed in _SI_OF else _SPELLINGS.get(trimmed, _SPELLINGS.get(trimmed.casefold(), ""))
+    return _unit(symbol) if symbol else None
+
+
+@cache
+def _unit(symbol: str) -> Unit:
+    si = _SI_OF[symbol]
+    if symbol == si:
+        return Unit(symbol, si)
+    registry = _registry()
+    name = _NAME_IN_PINT.get(symbol, symbol)
+    offset = registry.convert(0.0, name, si)
+    return Unit(symbol, si, registry.convert(1.0, name, si) - offset, offset)
+
+
+@cache
+def _registry() -> Any:
+    from pint import UnitRegistry  # noqa: PLC0415 - takes half a second, with its definitions
+
+    return UnitRegistry()
 
 
 def split_heading(heading: str) -> tuple[str, Unit | None]:
@@ -191,8 +129,8 @@ def split_heading(heading: str) -> tuple[str, Unit | None]:
         if found is None:
             continue
         base, symbol = found[1].strip(), found[2]
-        # An orientation has a component w.
-        unit = _UNITS["W"] if symbol == "w" and "power" in base.casefold() else unit_of(symbol)
+        # `w` is watts in the name of a power only: an orientation, too, has a component w.
+        unit = unit_of("W" if symbol == "w" and "power" in base.casefold() else symbol)
         if base and unit is not None:
             return base, unit
     return heading.strip(), None
@@ -210,102 +148,5 @@ def si_heading(heading: str, unit: Unit | None) -> str:
     base, named = split_heading(heading)
     if named is None:
         base = heading.strip()
-    suffix = _SAFE_SUFFIX.get(unit.si, unit.si)
+    suffix = _SUFFIXES.get(unit.si, unit.si)
     return f"{base}_{suffix}" if suffix else base
-
-
-_TIME_HEADINGS = (
-    "timestamp",
-    "time",
-    "datetime",
-    "date_time",
-    "date",
-    "t",
-    "elapsed",
-    "elapsed_time",
-    "seconds",
-    "clock",
-)
-
-#: Numbers as large as these count the seconds (and their fractions) since 1970.
-_EPOCHS = (("ns", 1e17), ("us", 1e14), ("ms", 1e11), ("s", 1e8))
-_NANOSECONDS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1, "min": 60 * 10**9, "h": 3600 * 10**9}
-_CLOCK = re.compile(r"\d{1,2}:\d\d:\d\d(\.\d+)?")
-DAY = 86400 * 10**9
-
-
-def named_time(headings: Sequence[str]) -> str | None:
-    """Return the heading that names the times, whatever the case of its letters, or None."""
-    plain = {re.sub(r"[\s-]", "_", split_heading(name)[0].casefold()).strip("_"): name for name in reversed(headings)}
-    return next((plain[name] for name in _TIME_HEADINGS if name in plain), None)
-
-
-def first_moment(table: pa.Table) -> str | None:
-    """Return the first column if it holds moments, whatever it is called."""
-    return str(table.column_names[0]) if pa.types.is_timestamp(table.column(0).type) else None
-
-
-def guessed_unit(heading: str, column: pa.ChunkedArray) -> str | None:
-    """Return what times are counted in, by their looks; None where they are no times."""
-    if pa.types.is_timestamp(column.type):
-        return "iso"
-    if pa.types.is_time(column.type):
-        return "clock"
-    if is_number(column.type):
-        first = next((value.as_py() for value in column if value.is_valid), None)
-        if first is None:
-            return None
-        epoch = next((unit for unit, least in _EPOCHS if first >= least), None)
-        named = split_heading(heading)[1]
-        return epoch or (named.symbol if named and named.symbol in TIME_UNITS else "s")
-    texts = [value.as_py() for value in column[:20] if value.is_valid]
-    if texts and all(isinstance(text, str) and _CLOCK.fullmatch(text.strip()) for text in texts):
-        return "clock"
-    parsed = pd.to_datetime(pd.Series(texts, dtype="str"), errors="coerce", format="ISO8601")
-    return "iso" if len(parsed) and parsed.notna().all() else None
-
-
-def unit_words(unit: str) -> str:
-    """Return a unit of times in words."""
-    return {"iso": "dates and times of day", "clock": "times of day"}.get(unit, unit)
-
-
-def zone_words(column: pa.ChunkedArray) -> str:
-    """Return what is taken for granted where moments have no time zone."""
-    return ", taken as UTC" if pa.types.is_timestamp(column.type) and column.type.tz is None else ""
-
-
-def is_absolute(unit: str, column: pa.ChunkedArray) -> bool:
-    """Return whether times are moments or times of day, not counted from some start."""
-    if unit not in TIME_UNITS:
-        return True
-    if not is_number(column.type):
-        return False
-    first = next((value.as_py() for value in column if value.is_valid), 0)
-    return bool(first * _NANOSECONDS[unit] >= _EPOCHS[0][1])
-
-
-def is_number(kind: pa.DataType) -> bool:
-    """Return whether a column of this type holds numbers."""
-    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind))
-
-
-def nanoseconds_of(column: pa.ChunkedArray, unit: str, where: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return times as whole nanoseconds, so that nothing is lost to rounding, and which of them are times at all."""
-    if unit in TIME_UNITS:
-        if not is_number(column.type):
-            raise AnalysisError(f"its times are no numbers of {unit}", where=where, fix="Give another time_unit.")
-        values = column.to_numpy()
-        valid = np.isfinite(values)
-        return (np.where(valid, values, 0) * _NANOSECONDS[unit]).round().astype(np.int64), valid
-    texts = pd.Series(column.to_pandas())
-    try:
-        if unit == "clock":
-            spans = pd.to_timedelta(texts.astype("str"), errors="coerce").to_numpy("timedelta64[ns]")
-            return spans.astype(np.int64), ~np.isnat(spans)
-        moments = pd.to_datetime(texts, utc=True, format="ISO8601" if unit == "iso" else unit)
-    except ValueError as error:
-        fix = "Give another time_unit, or mend the file."
-        raise AnalysisError(f"its times cannot be read: {error}", where=where, fix=fix) from error
-    stamps = moments.dt.tz_localize(None).to_numpy("datetime64[ns]")
-    return stamps.astype(np.int64), ~np.isnat(stamps)

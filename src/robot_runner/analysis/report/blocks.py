@@ -1,10 +1,11 @@
-"""What a report is made of, whatever it is written as: sections of paragraphs, tables, figures, remarks."""
+"""A report as plain data, whatever it is rendered as: sections of paragraphs, tables, figures, remarks."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from itertools import compress
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -35,8 +36,11 @@ __all__ = [
 ]
 
 
+Kind = TypeVar("Kind")
+
+
 class Place(Enum):
-    """Where a column of a table is shown."""
+    """Where a column of a table is shown: to readers (PAGE), in the CSV file for programs (FILE), or both."""
 
     EVERYWHERE = "everywhere"
     PAGE = "page"
@@ -64,14 +68,7 @@ class Badge:
 
 @dataclass(frozen=True, slots=True)
 class Paragraph:
-    """Text in sentences.
-
-    Attributes:
-        text: plain text.
-        tone: NOTE for small print, GOOD for a conclusion that is made to stand out.
-        lead: the words that it begins with, in bold.
-        badges: labels after the text.
-    """
+    """Text in sentences, after a lead in bold with its badges; NOTE is small print, GOOD a conclusion."""
 
     text: str
     tone: Tone = Tone.PLAIN
@@ -88,13 +85,7 @@ class Facts:
 
 @dataclass(frozen=True, slots=True)
 class Card:
-    """One figure that a reader should see first.
-
-    Attributes:
-        value: as short as can be.
-        label: what it counts.
-        note: what else there is to it.
-    """
+    """One number that a reader should see first, as short as can be, with what it counts."""
 
     value: str
     label: str
@@ -111,13 +102,7 @@ class Cards:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of a table.
-
-    Attributes:
-        name: its heading.
-        is_number: whether its cells are aligned on the right.
-        place: whether it is for readers only, or only for the CSV file that programs read.
-    """
+    """A column of a table; those of numbers are aligned on the right."""
 
     name: str
     is_number: bool = False
@@ -126,13 +111,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A cell of a table.
-
-    Attributes:
-        value: what it holds, for files that are computed with; None where it is missing.
-        text: what a reader sees.
-        tone: how it stands out.
-    """
+    """A cell of a table: its value for programs, None where it is missing, and what a reader sees."""
 
     value: Any
     text: str
@@ -146,12 +125,10 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table, which also becomes a CSV and a LaTeX file.
+    """A table, which also becomes a CSV and a LaTeX file; each row has as many cells as there are columns.
 
     Attributes:
         name: of its files; unique in a document.
-        caption: one sentence.
-        columns, rows: as many cells a row as there are columns.
         note: small print beneath it.
     """
 
@@ -161,23 +138,27 @@ class Table:
     rows: tuple[tuple[Cell, ...], ...]
     note: str = ""
 
-    def without(self, place: Place) -> Table:
-        """Return the table without the columns that are only for this place."""
-        kept = [number for number, column in enumerate(self.columns) if column.place is not place]
-        if len(kept) == len(self.columns):
-            return self
-        rows = tuple(tuple(row[number] for number in kept) for row in self.rows)
-        return replace(self, columns=tuple(self.columns[number] for number in kept), rows=rows)
+    @property
+    def for_readers(self) -> Table:
+        """The table as people read it, without columns that are only for the CSV file."""
+        return self._only([column.place is not Place.FILE for column in self.columns])
+
+    @property
+    def for_programs(self) -> Table:
+        """The table as programs read it, without columns that are only for people."""
+        return self._only([column.place is not Place.PAGE for column in self.columns])
 
     def without_blank(self, *names: str) -> Table:
         """Return the table without those of these columns in which all cells are blank, or hold nothing but 0."""
-        kept = [
-            number
-            for number, column in enumerate(self.columns)
-            if column.name not in names or any(row[number].value not in {None, "", 0} for row in self.rows)
-        ]
-        rows = tuple(tuple(row[number] for number in kept) for row in self.rows)
-        return replace(self, columns=tuple(self.columns[number] for number in kept), rows=rows)
+        cells = zip(*self.rows, strict=True) if self.rows else ((),) * len(self.columns)
+        is_blank = [all(cell.value in {None, "", 0} for cell in column) for column in cells]
+        return self._only(
+            [column.name not in names or not blank for column, blank in zip(self.columns, is_blank, strict=True)]
+        )
+
+    def _only(self, kept: Sequence[bool]) -> Table:
+        rows = tuple(tuple(compress(row, kept)) for row in self.rows)
+        return replace(self, columns=tuple(compress(self.columns, kept)), rows=rows)
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,9 +167,8 @@ class FigureBlock:
 
     Attributes:
         name: of its files; unique in a document.
-        caption: what is seen, and how it is drawn.
         alternative: what somebody who cannot see it should know.
-        draw: draws it; called once.
+        draw: called once.
         is_wide: whether it takes the whole width of a page.
     """
 
@@ -211,10 +191,8 @@ class Chart:
     """A chart that answers to the reader's pointer; figures beside it say the same on paper.
 
     Attributes:
-        name: unique in a document.
-        kind: `course` or `points`, as `charts.js` knows them.
-        caption: what is seen, and what can be done with it.
-        data: plain data, as `charts.js` expects it.
+        kind: `course` or `points`, as `assets/charts.js` knows them.
+        data: plain data, as `assets/charts.js` expects it.
     """
 
     name: str
@@ -225,13 +203,7 @@ class Chart:
 
 @dataclass(frozen=True, slots=True)
 class Remark:
-    """Something that the reader should know, such as a threat to validity.
-
-    Attributes:
-        title: in a few words.
-        text: in sentences.
-        kind: a word for its kind, as in `Internal validity`.
-    """
+    """Something that the reader should know, of a kind such as `Internal validity`."""
 
     title: str
     text: str
@@ -256,10 +228,9 @@ class Code:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A part of a section, with a heading of its own.
+    """A part of a section, with a heading of its own; links lead to its name, which is unique in a document.
 
     Attributes:
-        name: unique in a document; links lead to it.
         is_folded: whether a page shows it only when it is asked for.
         is_printed: whether paper shows it although it is folded.
     """
@@ -290,9 +261,7 @@ class Document:
 
     Attributes:
         kicker: what kind of document it is.
-        title: what it is about.
         subtitle: the most important circumstances, on one line.
-        badges: labels of the whole.
         made: when and by what it was made.
     """
 
@@ -302,7 +271,6 @@ class Document:
     badges: tuple[Badge, ...]
     sections: tuple[Section, ...]
     made: str = ""
-    summary: Mapping[str, Any] = field(default_factory=dict)
 
     def blocks(self) -> Iterator[Block]:
         """Yield all blocks, those inside of others after them."""
@@ -312,17 +280,20 @@ class Document:
     @property
     def tables(self) -> tuple[Table, ...]:
         """All tables, in order."""
-        return tuple(block for block in self.blocks() if isinstance(block, Table))
+        return self._all(Table)
 
     @property
     def figures(self) -> tuple[FigureBlock, ...]:
         """All figures, in order."""
-        return tuple(block for block in self.blocks() if isinstance(block, FigureBlock))
+        return self._all(FigureBlock)
 
     @property
     def charts(self) -> tuple[Chart, ...]:
         """All charts, in order."""
-        return tuple(block for block in self.blocks() if isinstance(block, Chart))
+        return self._all(Chart)
+
+    def _all(self, kind: type[Kind]) -> tuple[Kind, ...]:
+        return tuple(block for block in self.blocks() if isinstance(block, kind))
 
 
 def _flat(blocks: Sequence[Block]) -> Iterator[Block]:

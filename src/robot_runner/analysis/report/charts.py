@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from robot_runner.analysis.figures.style import Look, looks
+from robot_runner.analysis.figures.style import looks_by
 from robot_runner.analysis.report.blocks import Chart
 from robot_runner.analysis.wording import counted
 from robot_runner.core.design.columns import RUN_ID
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from robot_runner.analysis.figures.courses import Course, PhaseSpan
+    from robot_runner.analysis.figures.style import Look
     from robot_runner.analysis.report.material import Material
 
 __all__ = ["course_chart", "points_chart"]
@@ -48,31 +50,26 @@ def course_chart(
         phases: of the mission.
         events: when they were, s since the start of measurement.
     """
-    width = _width(means)
-    last = max((float(course.time[-1]) for course in means if len(course.time)), default=0.0)
-    first = min((float(course.time[0]) for course in means if len(course.time)), default=0.0)
-    count = round((last - first) / width) + 1 if width else 0
+    grid = _Grid.of(means)
     share = max(1, -(-sum(map(len, runs.values())) // _MOST_RUNS))
-    by_name = dict(zip(order, looks(len(order)), strict=True))
+    by_name = looks_by(order)
     data = {
         "label": label,
         "unit": unit,
-        "time": [round(first + place * width, 4) for place in range(count)],
+        "time": [round(grid.first + place * grid.width, 4) for place in range(grid.count)],
         "groups": [
             {
                 "name": course.label,
-                "colour": look.colour,
-                "dash": _dash(look),
+                "colour": by_name[course.label].colour,
+                "dash": _dash(by_name[course.label]),
                 "runs": course.runs,
-                "middle": _on_grid(course.time, course.middle, first, width, count),
-                "low": _on_grid(course.time, course.low, first, width, count),
-                "high": _on_grid(course.time, course.high, first, width, count),
+                **{edge: grid.values(course, edge) for edge in ("middle", "low", "high")},
                 "each": [
-                    {"name": run.label, "values": _on_grid(run.time, run.middle, first, width, count)}
+                    {"name": run.label, "values": grid.values(run, "middle")}
                     for run in list(runs[course.label])[::share]
                 ],
             }
-            for course, look in ((each, by_name[each.label]) for each in means)
+            for course in means
         ],
         "phases": [{"name": each.name, "start": each.start, "end": each.end} for each in phases],
         "events": [{"name": each.replace("_", " "), "at": at} for each, at in events.items()],
@@ -98,7 +95,7 @@ def points_chart(material: Material) -> Chart | None:
         "runs": list(map(str, ordered[RUN_ID])),
         "groups": [
             {"name": name, "colour": look.colour, "marker": look.marker}
-            for name, look in zip(material.order, looks(len(material.order)), strict=True)
+            for name, look in looks_by(material.order).items()
         ],
         "group": [material.order.index(material.labels[run_id]) for run_id in ordered[RUN_ID]],
         "measures": [
@@ -117,8 +114,7 @@ def points_chart(material: Material) -> Chart | None:
 
 def _places(material: Material) -> dict[str, int]:
     """Return the place of each run in the order of execution, from 1: by its last attempt, else as in the table."""
-    attempts = material.results.attempts.drop_duplicates("run_id", keep="last")
-    order = list(attempts.sort_values("started_at")["run_id"])
+    order = list(material.last_attempts.sort_values("started_at")["run_id"])
     order += [run_id for run_id in material.runs[RUN_ID] if run_id not in set(order)]
     return {run_id: place for place, run_id in enumerate(order, start=1)}
 
@@ -127,18 +123,31 @@ def _dash(look: Look) -> list[float]:
     return [] if isinstance(look.line, str) else [round(each * 1.6, 1) for each in look.line[1]]
 
 
-def _width(courses: Sequence[Course]) -> float:
-    return next((float(course.time[1] - course.time[0]) for course in courses if len(course.time) > 1), 0.0)
+@dataclass(frozen=True, slots=True)
+class _Grid:
+    """The times that all courses of a chart share: so many, from the first, a width apart."""
 
+    first: float
+    width: float
+    count: int
 
-def _on_grid(time: Any, values: Any, first: float, width: float, count: int) -> list[float | None]:
-    cells: list[float | None] = [None] * count
-    if len(time) and width:
-        offset = round((float(time[0]) - first) / width)
-        for place, value in enumerate(_plain(values), start=offset):
-            if 0 <= place < count:
-                cells[place] = value
-    return cells
+    @classmethod
+    def of(cls, courses: Sequence[Course]) -> _Grid:
+        """Return the grid that holds all courses."""
+        width = next((float(course.time[1] - course.time[0]) for course in courses if len(course.time) > 1), 0.0)
+        first = min((float(course.time[0]) for course in courses if len(course.time)), default=0.0)
+        last = max((float(course.time[-1]) for course in courses if len(course.time)), default=0.0)
+        return cls(first, width, round((last - first) / width) + 1 if width else 0)
+
+    def values(self, course: Course, edge: str) -> list[float | None]:
+        """Return a course's `middle`, `low` or `high` at each time; None where it has none."""
+        cells: list[float | None] = [None] * self.count
+        if len(course.time) and self.width:
+            offset = round((float(course.time[0]) - self.first) / self.width)
+            for place, value in enumerate(_plain(getattr(course, edge)), start=offset):
+                if 0 <= place < self.count:
+                    cells[place] = value
+        return cells
 
 
 def _plain(values: Iterable[float], digits: int = _DIGITS) -> list[float | None]:

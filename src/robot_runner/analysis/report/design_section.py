@@ -1,89 +1,43 @@
-"""What was done: the design, the order, the robot, the instruments, the machine."""
+"""The sections on what was done (design, order, robot, instruments, machine) and on descriptive statistics."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.analysis.report.blocks import Block, Cell, Column, Facts, Paragraph, Part, Section, Table, Tone
+from robot_runner.analysis.report.blocks import Block, Cell, Facts, Paragraph, Part, Section, Table, Tone
 from robot_runner.analysis.report.charts import points_chart
-from robot_runner.analysis.report.material import origin_badges
-from robot_runner.analysis.report.numbers import ALPHA, listed, sentence, shown_duration, with_unit
-from robot_runner.analysis.report.tables import correction_in_words, description_table
-from robot_runner.analysis.wording import counted
+from robot_runner.analysis.report.material import correction_in_words, origin_badges
+from robot_runner.analysis.report.tables import build_table, field, interval, number, text
+from robot_runner.analysis.wording import ALPHA, MINUS, counted, listed, sentence, with_unit
+from robot_runner.core.words import shown_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from robot_runner.analysis.report.material import Material
-    from robot_runner.analysis.statistics.outcome import MeasureStatistics
+    from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics
 
 __all__ = ["description_section", "design_section", "order_in_words", "shown_stamp"]
 
-
-# Descriptive statistics of each measure, with a chart of all runs.
-
-
-def description_section(material: Material) -> Section:
-    """Return the section."""
-    blocks: list[Block] = []
-    if not len(material.done):
-        blocks.append(Paragraph("No run is done: there is nothing to describe.", Tone.WARNING))
-        return Section("descriptive-statistics", "Descriptive statistics", tuple(blocks))
-    chart = points_chart(material)
-    blocks += [chart] if chart is not None else []
-    blocks += [_part(material, measure) for measure in material.statistics.measures]
-    return Section("descriptive-statistics", "Descriptive statistics", tuple(blocks))
-
-
-def _part(material: Material, measure: MeasureStatistics) -> Part:
-    label = material.results.label(measure.name)
-    blocks: list[Block] = []
-    meaning = material.results.columns[measure.name].description
-    if meaning:
-        blocks.append(Paragraph(meaning, Tone.NOTE))
-    for factor in material.results.factors:
-        groups = [group for group in measure.by_treatment if tuple(group.treatments) == (factor,)]
-        if groups:
-            name = f"describe {measure.name} by {factor}"
-            blocks.append(description_table(name, f"{label} by {factor}.", factor, groups))
-    if measure.by_combination:
-        heading = " / ".join(material.results.factors)
-        caption = f"{label} by combination."
-        blocks.append(description_table(f"describe {measure.name}", caption, heading, measure.by_combination))
-    if not measure.by_treatment and not measure.by_combination and measure.overall is not None:
-        blocks.append(description_table(f"describe {measure.name}", f"{label}, all runs.", "Group", [measure.overall]))
-    blocks += [Paragraph(text, Tone.NOTE) for text in _notes(measure)]
-    return Part(f"describe-{measure.name}", label, tuple(blocks), origin_badges(measure.origin))
-
-
-def _notes(measure: MeasureStatistics) -> Iterator[str]:
-    groups = measure.by_combination or measure.by_treatment
-    outliers = {outlier.run_id: outlier for group in groups for outlier in group.outliers}
-    if outliers:
-        named = ", ".join(
-            f"{run_id} ({with_unit(outlier.value, measure.unit)}{', extreme' if outlier.is_extreme else ''})"
-            for run_id, outlier in list(outliers.items())[:12]
-        )
-        more = f" and {len(outliers) - 12} more" if len(outliers) > 12 else ""  # noqa: PLR2004 - as many as fit a line
-        yield f"{counted(len(outliers), 'outlier')} by Tukey's fences: {named}{more}. None was left out."
-    for missed in measure.not_computed:
-        yield f"Not computed: {missed.what}. {sentence(missed.why)}"
-
-
 _GIBI = 2**30
+_MOST_NAMED = 12  # outliers that fit a line
+#: With fewer values a bootstrap's intervals hold somewhat less often than they say.
+_ENOUGH_FOR_BOOTSTRAP = 10
 
 
 def design_section(material: Material) -> Section:
-    """Return the section."""
+    """Return the section on what was done."""
     blocks: list[Block] = [
         Facts(tuple(_facts(material))),
         _factor_table(material),
         _measure_table(material),
         Part("design-machine", "Machine and software", (Facts(tuple(_machine(material))),)),
     ]
-    packages = material.manifest("software", "packages", default={})
+    packages: Mapping[str, str] = material.manifest("software", "packages", default={})
     if packages:
-        blocks.append(_packages(packages))
+        facts = Facts((("Packages", ", ".join(f"{name} {version}" for name, version in packages.items())),))
+        title = counted(len(packages), "installed package")
+        blocks.append(Part("design-packages", title, (facts,), is_folded=True, is_printed=False))
     return Section("what-was-done", "What was done", tuple(blocks))
 
 
@@ -101,25 +55,22 @@ def _facts(material: Material) -> Iterator[tuple[str, str]]:
     executions = material.manifest("executions", default=[])
     if executions:
         yield "Executed", _executions(executions)
-    if material.results.plan is not None:
-        plan = material.results.plan
-        yield (
-            "Fixed beforehand",
-            f"measures {listed(plan.measures)}, {ALPHA} = {plan.alpha:g}, {correction_in_words(plan.correction)}",
-        )
+    plan = material.results.plan
+    if plan is not None:
+        correction = correction_in_words(plan.correction)
+        yield "Fixed beforehand", f"measures {listed(plan.measures)}, {ALPHA} = {plan.alpha:g}, {correction}"
 
 
 def order_in_words(material: Material) -> str:
     """Return how the order of the runs came about."""
     design = material.manifest("design", default={})
-    seed = material.results.seed
     if design.get("source") == "run_table.csv":
         return "as in a run table that was made by hand"
     if not design.get("shuffle"):
         return "as written; not randomised" if "shuffle" in design else "not recorded"
     blocks = f" within blocks of {design['blocks']}" if design.get("blocks") else ""
     whence = "given in the config" if material.manifest("seed_is_given") else "drawn"
-    return f"randomised{blocks}, from seed {seed} ({whence})"
+    return f"randomised{blocks}, from seed {material.results.seed} ({whence})"
 
 
 def shown_stamp(stamp: object) -> str:
@@ -137,39 +88,35 @@ def _executions(executions: list[Mapping[str, Any]]) -> str:
 
 
 def _factor_table(material: Material) -> Table:
-    columns = (Column("Factor"), Column("Treatments"), Column("How many", is_number=True))
-    names = [*material.results.factors, *([material.results.repetition] if material.results.repetition else [])]
-    rows = []
-    for name in names:
+    repetition = material.results.repetition
+    names = [*material.results.factors, *([repetition] if repetition else [])]
+
+    def treatments(name: str) -> list[Any]:
         values = material.runs[name]
-        treatments = list(values.cat.categories) if hasattr(values, "cat") else sorted(values.dropna().unique())
-        rows.append(
-            (
-                Cell.of_text(name),
-                Cell.of_text(listed(treatments, shown=12)),
-                Cell(len(treatments), str(len(treatments))),
-            )
-        )
-    return Table("factors", "Factors and their treatments.", columns, tuple(rows))
+        return list(values.cat.categories if hasattr(values, "cat") else sorted(values.dropna().unique()))
+
+    fields = (
+        text("Factor", str),
+        text("Treatments", lambda name: listed(treatments(name), shown=12)),
+        number("How many", lambda name: len(treatments(name))),
+    )
+    return build_table("factors", "Factors and their treatments.", names, fields)
 
 
 def _measure_table(material: Material) -> Table:
-    columns = (Column("Measure"), Column("Unit"), Column("Meaning"), Column("Instrument"), Column("Origin"))
-    rows = []
-    for name in material.results.measures:
-        column = material.results.columns[name]
-        is_real = column.origin in {None, "measured"}
-        rows.append(
-            (
-                Cell.of_text(name),
-                Cell.of_text(column.unit),
-                Cell.of_text(column.description),
-                Cell.of_text(_instrument(material, column.owner)),
-                Cell.of_text(column.origin or "not recorded", Tone.PLAIN if is_real else Tone.WARNING),
-            )
-        )
-    table = Table("measures", "Measures, what yields them, and where their values come from.", columns, tuple(rows))
-    return table.without_blank("Meaning", "Unit", "Instrument")
+    def origin_tone(column: Any) -> Tone:
+        return Tone.PLAIN if column.origin in {None, "measured"} else Tone.WARNING
+
+    fields = (
+        text("Measure", "name"),
+        text("Unit", "unit"),
+        text("Meaning", "description"),
+        text("Instrument", lambda column: _instrument(material, column.owner)),
+        text("Origin", lambda column: column.origin or "not recorded", origin_tone),
+    )
+    columns = [material.results.columns[name] for name in material.results.measures]
+    caption = "Measures, what yields them, and where their values come from."
+    return build_table("measures", caption, columns, fields).without_blank("Meaning", "Unit", "Instrument")
 
 
 def _instrument(material: Material, owner: str) -> str:
@@ -189,7 +136,7 @@ def _machine(material: Material) -> Iterator[tuple[str, str]]:
         parts += [counted(cores, "core")] if cores else []
         parts += [f"{memory / _GIBI:.0f} GiB of memory"] if memory else []
         if any(parts):
-            yield "Processor", ", ".join(part for part in parts if part)
+            yield "Processor", ", ".join(filter(None, parts))
     if software.get("robot_runner"):
         yield "Robot Runner", str(software["robot_runner"])
     if software.get("python"):
@@ -199,9 +146,79 @@ def _machine(material: Material) -> Iterator[tuple[str, str]]:
         yield "Time of all attempts", shown_duration(float(seconds.sum()))
 
 
-def _packages(packages: Mapping[str, str]) -> Part:
-    text = ", ".join(f"{name} {version}" for name, version in packages.items())
-    facts = Facts((("Packages", text),))
-    return Part(
-        "design-packages", f"{counted(len(packages), 'installed package')}", (facts,), is_folded=True, is_printed=False
+def description_section(material: Material) -> Section:
+    """Return the section of descriptive statistics, with a chart of all runs."""
+    name, title = "descriptive-statistics", "Descriptive statistics"
+    if not len(material.done):
+        return Section(name, title, (Paragraph("No run is done: there is nothing to describe.", Tone.WARNING),))
+    chart = points_chart(material)
+    parts = (_part(material, measure) for measure in material.statistics.measures)
+    return Section(name, title, (*([chart] if chart is not None else []), *parts))
+
+
+def _part(material: Material, measure: MeasureStatistics) -> Part:
+    label = material.results.label(measure.name)
+    meaning = material.results.columns[measure.name].description
+    blocks: list[Block] = [Paragraph(meaning, Tone.NOTE)] if meaning else []
+    blocks += _description_tables(material, measure, label)
+    blocks += [Paragraph(note, Tone.NOTE) for note in _notes(measure)]
+    return Part(f"describe-{measure.name}", label, tuple(blocks), origin_badges(measure.origin))
+
+
+def _description_tables(material: Material, measure: MeasureStatistics, label: str) -> Iterator[Table]:
+    factors, name = material.results.factors, f"describe {measure.name}"
+    for factor in factors:
+        groups = [group for group in measure.by_treatment if tuple(group.treatments) == (factor,)]
+        if groups:
+            yield _description_table(f"{name} by {factor}", f"{label} by {factor}.", factor, groups)
+    if measure.by_combination:
+        yield _description_table(name, f"{label} by combination.", " / ".join(factors), measure.by_combination)
+    elif not measure.by_treatment and measure.overall is not None:
+        yield _description_table(name, f"{label}, all runs.", "Group", [measure.overall])
+
+
+def _description_table(name: str, caption: str, heading: str, groups: Sequence[Description]) -> Table:
+    def outliers(group: Description) -> Cell:
+        run_ids = [outlier.run_id for outlier in group.outliers]
+        return Cell(" ".join(run_ids) or None, listed(run_ids))
+
+    fields = (
+        text(heading, "label"),
+        number("n", "n"),
+        number("Missing", "missing", warns=True),
+        number("Mean", "mean"),
+        number("SD", "sd"),
+        number("Median", "median"),
+        number("IQR", "interquartile_range"),
+        number("Minimum", "minimum"),
+        number("Maximum", "maximum"),
+        interval("CI of the mean", "mean_interval"),
+        field("Outliers", outliers),
     )
+    note = f"{_about_intervals(groups)}SD: standard deviation (n {MINUS} 1). IQR: interquartile range."
+    return build_table(name, caption, groups, fields, note).without_blank("Missing", "Outliers")
+
+
+def _about_intervals(groups: Sequence[Description]) -> str:
+    """Return how the intervals of the means were computed, and how far they can be trusted."""
+    found = [(group.mean_interval, group.n) for group in groups if group.mean_interval is not None]
+    if not found:
+        return ""
+    methods = " or ".join(dict.fromkeys(each.method for each, _ in found))
+    is_narrow = any(each.method.startswith("bootstrap") and n < _ENOUGH_FOR_BOOTSTRAP for each, n in found)
+    caveat = f" (rather narrow for fewer than {_ENOUGH_FOR_BOOTSTRAP} runs)" if is_narrow else ""
+    return f"CI: {found[0][0].level:.0%} confidence interval, {methods}{caveat}. "
+
+
+def _notes(measure: MeasureStatistics) -> Iterator[str]:
+    groups = measure.by_combination or measure.by_treatment
+    outliers = {outlier.run_id: outlier for group in groups for outlier in group.outliers}
+    if outliers:
+        named = [
+            f"{run_id} ({with_unit(outlier.value, measure.unit)}{', extreme' if outlier.is_extreme else ''})"
+            for run_id, outlier in outliers.items()
+        ]
+        by = "by Tukey's fences"
+        yield f"{counted(len(outliers), 'outlier')} {by}: {listed(named, shown=_MOST_NAMED)}. None was left out."
+    for missed in measure.not_computed:
+        yield f"Not computed: {missed.what}. {sentence(missed.why)}"

@@ -1,4 +1,4 @@
-"""The report of an experiment as a document, whatever it will be written as."""
+"""The report of an experiment: as a document of sections, and as JSON for programs, with full precision."""
 
 from __future__ import annotations
 
@@ -15,12 +15,11 @@ import pandas as pd
 from robot_runner.analysis.report.blocks import Badge, Document, Tone
 from robot_runner.analysis.report.design_section import description_section, design_section, order_in_words, shown_stamp
 from robot_runner.analysis.report.measure_figures import figures_section
-from robot_runner.analysis.report.numbers import listed
 from robot_runner.analysis.report.outcome_section import outcome_section
 from robot_runner.analysis.report.summary_section import replication_section, summary_section
 from robot_runner.analysis.report.tests_section import tests_section
 from robot_runner.analysis.report.threats_section import threats_of, threats_section
-from robot_runner.analysis.wording import counted
+from robot_runner.analysis.wording import counted, listed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -29,8 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = ["json_of_report", "plain", "report_document"]
 
-
-# A report as JSON, for programs: everything with its full precision, nothing drawn.
 
 _FORMAT = 1
 
@@ -119,11 +116,8 @@ def report_document(material: Material, *, made: str) -> Document:
 def _subtitle(material: Material) -> Iterator[str]:
     yield counted(len(material.runs), "run")
     if material.results.factors:
-        yield (
-            f"factors: {listed(material.results.factors)}"
-            if len(material.results.factors) > 1
-            else (f"factor: {material.results.factors[0]}")
-        )
+        noun = "factor" if len(material.results.factors) == 1 else "factors"
+        yield f"{noun}: {listed(material.results.factors)}"
     executions = material.manifest("executions", default=[])
     if executions:
         yield shown_stamp(executions[0].get("started_at", ""))[:10]

@@ -1,4 +1,4 @@
-"""What a report is written from: the results, their statistics, and what both together say of each run."""
+"""What a report is made from: results, statistics, and what is derived of both."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.report.blocks import Badge, Tone
+from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -22,11 +23,19 @@ if TYPE_CHECKING:
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.outcome import ExperimentStatistics
 
-__all__ = ["ALL_RUNS", "JOINT", "Material", "RunQuality", "origin_badges", "origin_in_words", "read_qualities"]
+__all__ = [
+    "ALL_RUNS",
+    "JOINT",
+    "Material",
+    "RunQuality",
+    "correction_in_words",
+    "origin_badges",
+    "origin_in_words",
+    "read_qualities",
+]
 
 
-# What plugins noted about their raw samples: `runs/<run id>/<plugin>/quality.json`.
-
+#: What a plugin notes about its raw samples: `runs/<run id>/<plugin>/quality.json`.
 _FILE = "quality.json"
 
 
@@ -76,32 +85,23 @@ def read_qualities(folder: ExperimentFolder, run_ids: Iterable[str]) -> tuple[Ru
 
 
 def _quality(run_id: str, plugin: str, facts: Mapping[str, Any]) -> RunQuality:
-    samples = facts.get("samples")
-    counts: Mapping[str, Any] = samples if isinstance(samples, dict) else {}
-    is_simulated = facts.get("is_simulated")
+    samples, is_simulated = facts.get("samples"), facts.get("is_simulated")
+    known = {**(samples if isinstance(samples, dict) else {}), "saturated": facts.get("saturated")}
+    names = ("expected", "got", "lost", "corrupt", "duplicates", "saturated")
+    counts = {name: None if (found := _number(known.get(name))) is None else int(found) for name in names}
     return RunQuality(
         run_id,
         plugin,
-        expected=_whole(counts.get("expected")),
-        got=_whole(counts.get("got")),
-        coverage=_number(counts.get("coverage")),
-        lost=_whole(counts.get("lost")),
-        corrupt=_whole(counts.get("corrupt")),
-        duplicates=_whole(counts.get("duplicates")),
-        largest_gap=_number(counts.get("largest_gap")),
-        saturated=_whole(facts.get("saturated")),
+        coverage=_number(known.get("coverage")),
+        largest_gap=_number(known.get("largest_gap")),
         is_simulated=is_simulated if isinstance(is_simulated, bool) else None,
+        **counts,
     )
 
 
 def _number(value: object) -> float | None:
     is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     return float(value) if is_number else None  # type: ignore[arg-type]  # mypy does not follow the line above
-
-
-def _whole(value: object) -> int | None:
-    number = _number(value)
-    return None if number is None else int(number)
 
 
 #: Stands where there are no factors, or only one combination.
@@ -172,6 +172,11 @@ class Material:
         return frozenset(measure.name for measure in measures[:_MOST_DRAWN])
 
     @cached_property
+    def last_attempts(self) -> pd.DataFrame:
+        """The last attempt of each run that was attempted."""
+        return self.results.attempts.drop_duplicates("run_id", keep="last")
+
+    @cached_property
     def qualities(self) -> tuple[RunQuality, ...]:
         """What plugins noted about their raw samples."""
         return read_qualities(ExperimentFolder(self.results.folder), list(self.runs[RUN_ID]))
@@ -195,6 +200,11 @@ class Material:
                 return default
             found = found[key]
         return default if found is None else found
+
+
+def correction_in_words(correction: Correction) -> str:
+    """Return who a correction is named after."""
+    return {Correction.HOLM: "Holm", Correction.BENJAMINI_HOCHBERG: "Benjamini and Hochberg"}[correction]
 
 
 def origin_in_words(origin: str | None) -> str:

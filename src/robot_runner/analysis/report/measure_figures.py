@@ -1,4 +1,4 @@
-"""The figures of the measures and of the mission."""
+"""Figures of measures: distributions, interactions, residuals; and the section that shows all figures."""
 
 from __future__ import annotations
 
@@ -8,24 +8,22 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from robot_runner.analysis.figures.distribution import Group, draw_distribution, draw_quantiles
+from robot_runner.analysis.figures.distribution import Group, draw_distribution, draw_quantiles, draw_run_order
 from robot_runner.analysis.figures.effects import Mean, draw_interaction
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Section, Tone
 from robot_runner.analysis.report.material import JOINT, origin_in_words
 from robot_runner.analysis.report.mission_figures import mission_parts, trajectory_part
-from robot_runner.analysis.wording import counted
+from robot_runner.analysis.wording import RHO, counted, shown_number
 from robot_runner.core.design.columns import RUN_ID
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from robot_runner.analysis.report.material import Material
-    from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics
+    from robot_runner.analysis.statistics.outcome import Description, Drift, MeasureStatistics
 
-__all__ = ["distribution_figures", "figures_section", "interaction_figures", "quantile_figure"]
+__all__ = ["drift_figure", "figures_section", "quantile_figure"]
 
-
-# The figures of one measure: its distribution, and how factors act together.
 
 _MOST_COMBINATIONS = 16
 _MOST_LINES = 8
@@ -51,7 +49,26 @@ def quantile_figure(material: Material, measure: MeasureStatistics) -> FigureBlo
     )
 
 
-def distribution_figures(material: Material, measure: MeasureStatistics) -> Iterator[FigureBlock]:
+def drift_figure(material: Material, measure: MeasureStatistics, drift: Drift) -> FigureBlock:
+    """Return the figure of a measure over the order of execution."""
+    return FigureBlock(
+        f"order {measure.name}",
+        f"{measure.name} over the order of execution: each run less the mean of its combination. Dashed: slope of "
+        f"Theil and Sen, {shown_number(drift.slope, 3)} {measure.unit} a run "
+        f"(Spearman's {RHO} = {shown_number(drift.correlation, 3)}).",
+        f"Residuals of {measure.name} over the order of execution.",
+        lambda: draw_run_order(
+            drift.places,
+            drift.residuals,
+            [material.labels[run_id] for run_id in drift.run_ids],
+            order=material.order,
+            value_label=material.results.label(measure.name),
+            slope=drift.slope,
+        ),
+    )
+
+
+def _distributions(material: Material, measure: MeasureStatistics) -> Iterator[FigureBlock]:
     """Yield how a measure is distributed, by combination or by each factor; nothing where no run has a number."""
     if measure.overall is None or not measure.overall.n:
         return
@@ -114,7 +131,7 @@ def _groups(material: Material, measure: MeasureStatistics, factors: tuple[str, 
     return groups
 
 
-def interaction_figures(material: Material, measure: MeasureStatistics) -> Iterator[FigureBlock]:
+def _interactions(material: Material, measure: MeasureStatistics) -> Iterator[FigureBlock]:
     """Yield how each two factors act together on a measure; nothing where no run has a number."""
     if measure.overall is None or not measure.overall.n:
         return
@@ -155,10 +172,10 @@ def figures_section(material: Material) -> Section:
     """Return the section."""
     measures = [measure for measure in material.statistics.measures if measure.name in material.drawn]
     blocks: list[Block] = [*mission_parts(material), *trajectory_part(material)]
-    distributions = [each for measure in measures for each in distribution_figures(material, measure)]
+    distributions = [each for measure in measures for each in _distributions(material, measure)]
     if distributions:
         blocks.append(Part("distributions", "Measures by treatment", (Gallery(tuple(distributions)),)))
-    interactions = [each for measure in measures for each in interaction_figures(material, measure)]
+    interactions = [each for measure in measures for each in _interactions(material, measure)]
     if interactions:
         blocks.append(Part("interactions", "Interactions of factors", (Gallery(tuple(interactions)),)))
     others = len(material.statistics.measures) - len(measures)

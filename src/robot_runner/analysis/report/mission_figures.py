@@ -1,9 +1,9 @@
-"""The ways that robots took, where a system kept them."""
+"""Figures of missions: sampled measures over time (the paper's Fig. 4), and the ways that robots took."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import pandas as pd
@@ -13,12 +13,15 @@ from robot_runner.analysis.figures.missions import Way, draw_mean_courses, draw_
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Tone
 from robot_runner.analysis.report.charts import course_chart
 from robot_runner.analysis.report.material import origin_badges, origin_in_words
-from robot_runner.analysis.report.numbers import listed
-from robot_runner.analysis.wording import counted
+from robot_runner.analysis.wording import counted, listed
 from robot_runner.core.design.columns import RUN_ID
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    import numpy as np
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
 
     from robot_runner.analysis.report.material import Material
     from robot_runner.analysis.results import Results
@@ -26,10 +29,12 @@ if TYPE_CHECKING:
 
 __all__ = ["Mission", "SampledMeasure", "is_way", "mission_parts", "sampled_measures", "trajectory_part"]
 
-
-# Which columns of raw samples a report shows over the time of the mission.
-
-_MOST = 4
+_MOST_MEASURES = 4
+#: More lines than that cannot be told apart in a column.
+_MOST_GROUPS = 6
+#: More ways than that hide each other.
+_MOST_WAYS = 60
+_MARKED = ("launch_mission", "stop_measurement")
 _UNITS = {
     "W": "W", "mW": "mW", "kW": "kW", "A": "A", "mA": "mA", "V": "V", "mV": "mV", "J": "J", "s": "s", "ms": "ms",
     "m": "m", "mm": "mm", "Hz": "Hz", "kHz": "kHz", "MHz": "MHz", "percent": "%", "pct": "%", "C": "°C", "degC": "°C",
@@ -70,7 +75,7 @@ def sampled_measures(results: Results) -> tuple[SampledMeasure, ...]:
     for file in results.sample_files:
         if not is_way(file.columns):
             found += [_measure(results, file, column) for column in _leading(file.columns)]
-    return tuple(sorted(found, key=lambda each: each.unit != "W")[:_MOST])
+    return tuple(sorted(found, key=lambda each: each.unit != "W")[:_MOST_MEASURES])
 
 
 def is_way(columns: Sequence[str]) -> bool:
@@ -98,13 +103,6 @@ def _origin(results: Results, plugin: str) -> str | None:
     return ", ".join(sorted(map(str, origins))) or None
 
 
-# Sampled measures over the time of the mission: a chart for the page, and the paper's Fig. 4 for paper.
-
-#: More lines than that cannot be told apart in a column.
-_MOST_GROUPS = 6
-_MARKED = ("launch_mission", "stop_measurement")
-
-
 @dataclass(frozen=True)
 class Mission:
     """One sampled measure over the time of the mission, of all runs that are done.
@@ -122,36 +120,32 @@ class Mission:
     @cached_property
     def width(self) -> float:
         """The width of a bin, s."""
-        return self._prepared[0]
-
-    @property
-    def courses(self) -> Mapping[str, Course]:
-        """The course of each run, by its id."""
-        return self._prepared[1]
+        spans = [(float(time[-1] - time[0]), len(time)) for time, _ in self._samples.values()]
+        longest = max((span for span, _ in spans), default=1.0)
+        period = max((span / (count - 1) for span, count in spans), default=1.0)
+        return bin_width(longest, period)
 
     @cached_property
-    def _prepared(self) -> tuple[float, dict[str, Course]]:
-        done = [run_id for run_id in self.material.done[RUN_ID] if run_id in self.measure.file.paths]
-        shown = [run_id for run_id in done if self.material.labels[run_id] in self.groups]
+    def courses(self) -> Mapping[str, Course]:
+        """The course of each run, by its id."""
+        return {run_id: course_of_run(run_id, *pair, self.width) for run_id, pair in self._samples.items()}
+
+    @cached_property
+    def _samples(self) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Times and values of each run that has two samples at least."""
+        file, labels = self.measure.file, self.material.labels
         samples = self.material.results.samples(
-            self.measure.file.plugin,
-            file=self.measure.file.name,
-            runs=shown,
+            file.plugin,
+            file=file.name,
+            runs=[run for run in self.material.done[RUN_ID] if run in file.paths and labels[run] in self.groups],
             columns=[self.measure.column],
             with_factors=False,
             with_phases=False,
         )
         times = samples["time_s"].to_numpy(dtype="float64")
         values = pd.to_numeric(samples[self.measure.column], errors="coerce").to_numpy(dtype="float64")
-        by_run = {
-            str(run_id): (times[places], values[places])
-            for run_id, places in samples.groupby("run_id", observed=True, sort=False).indices.items()
-        }
-        by_run = {run_id: pair for run_id, pair in by_run.items() if len(pair[0]) > 1}
-        longest = max((float(time[-1] - time[0]) for time, _ in by_run.values()), default=1.0)
-        period = max((float(time[-1] - time[0]) / (len(time) - 1) for time, _ in by_run.values()), default=1.0)
-        width = bin_width(longest, period)
-        return width, {run_id: course_of_run(run_id, *pair, width) for run_id, pair in by_run.items()}
+        by_run = samples.groupby("run_id", observed=True, sort=False).indices
+        return {str(run): (times[places], values[places]) for run, places in by_run.items() if len(places) > 1}
 
     @cached_property
     def members(self) -> Mapping[str, list[Course]]:
@@ -223,7 +217,7 @@ def _blocks(mission: Mission) -> Iterator[Block]:
         unit=measure.unit,
         order=mission.groups,
         means=mission.means,
-        runs={group: mission.members[group] for group in mission.members},
+        runs=mission.members,
         phases=mission.phases,
         events=mission.events,
     )
@@ -232,44 +226,41 @@ def _blocks(mission: Mission) -> Iterator[Block]:
 
 
 def _single(mission: Mission) -> FigureBlock:
-    measure = mission.measure
     one = {group: courses[0] for group, courses in mission.members.items()}
     runs = listed(course.label for course in one.values())
-    return FigureBlock(
-        f"course {measure.file.plugin} {measure.column} runs",
-        f"{measure.label} over the time of the mission, the first run that is done of each treatment ({runs}). "
-        f"Line: mean of {mission.width:g} s; band: least and greatest sample.{_marks(mission)}",
-        f"{measure.title} of {counted(len(one), 'run')} over time.",
-        lambda: draw_single_courses(
-            one,
-            order=mission.groups,
-            value_label=measure.label,
-            phases=mission.phases,
-            events=mission.events,
-        ),
+    return _figure_over_time(
+        mission,
+        "runs",
+        f"the first run that is done of each treatment ({runs}). Line: mean of {mission.width:g} s; band: least and "
+        "greatest sample",
+        f"{mission.measure.title} of {counted(len(one), 'run')} over time.",
+        partial(draw_single_courses, one),
     )
 
 
 def _means(mission: Mission) -> FigureBlock:
-    measure = mission.measure
     runs = ", ".join(f"{course.label}: {course.runs}" for course in mission.means)
-    return FigureBlock(
-        f"course {measure.file.plugin} {measure.column} means",
-        f"{measure.label} over the time of the mission, mean of all runs of each treatment (runs: {runs}). Line: mean "
-        f"of {mission.width:g} s; band: one standard deviation between runs.{_marks(mission)}",
-        f"Mean {measure.title} of each treatment over time.",
-        lambda: draw_mean_courses(
-            mission.means, order=mission.groups, value_label=measure.label, phases=mission.phases, events=mission.events
-        ),
+    return _figure_over_time(
+        mission,
+        "means",
+        f"mean of all runs of each treatment (runs: {runs}). Line: mean of {mission.width:g} s; band: one standard "
+        "deviation between runs",
+        f"Mean {mission.measure.title} of each treatment over time.",
+        partial(draw_mean_courses, mission.means),
     )
 
 
-def _marks(mission: Mission) -> str:
-    return f"{' Dashed: events.' if mission.events else ''}{origin_in_words(mission.measure.origin)}"
-
-
-#: More ways than that hide each other.
-_TRAJECTORIES_MOST = 60
+def _figure_over_time(
+    mission: Mission, name: str, shown: str, alternative: str, draw: Callable[..., Figure]
+) -> FigureBlock:
+    measure = mission.measure
+    marks = f"{' Dashed: events.' if mission.events else ''}{origin_in_words(measure.origin)}"
+    return FigureBlock(
+        f"course {measure.file.plugin} {measure.column} {name}",
+        f"{measure.label} over the time of the mission, {shown}.{marks}",
+        alternative,
+        lambda: draw(order=mission.groups, value_label=measure.label, phases=mission.phases, events=mission.events),
+    )
 
 
 def trajectory_part(material: Material) -> Iterator[Part]:
@@ -284,7 +275,7 @@ def trajectory_part(material: Material) -> Iterator[Part]:
 
 
 def _figure(material: Material, file: SampleFile, runs: list[str]) -> FigureBlock:
-    shown = runs[:: -(-len(runs) // _TRAJECTORIES_MOST)]
+    shown = runs[:: -(-len(runs) // _MOST_WAYS)]
     samples = material.results.samples(
         file.plugin, file=file.name, runs=shown, columns=["x_m", "y_m"], with_factors=False, with_phases=False
     )

@@ -1,4 +1,4 @@
-"""Tests of effects, each with its reason and its conclusion in a sentence."""
+"""The section on tests: each with its reason, its assumptions, and its conclusion in a sentence."""
 
 from __future__ import annotations
 
@@ -12,59 +12,58 @@ from robot_runner.analysis.report.blocks import (
     Gallery,
     Paragraph,
     Part,
+    Place,
     Remark,
     Remarks,
     Section,
     Table,
     Tone,
 )
-from robot_runner.analysis.report.material import origin_badges
+from robot_runner.analysis.report.material import correction_in_words, origin_badges
 from robot_runner.analysis.report.measure_figures import quantile_figure
-from robot_runner.analysis.report.numbers import (
+from robot_runner.analysis.report.tables import Field, build_table, field, interval, number, p_value, text
+from robot_runner.analysis.wording import (
     ALPHA,
+    MISSING,
     RHO,
-    interval_cells,
-    interval_columns,
+    counted,
     listed,
-    number_cell,
-    p_cell,
     sentence,
+    shown_interval,
     shown_number,
 )
-from robot_runner.analysis.report.tables import assumption_table, correction_in_words, effect_table, post_hoc_table
-from robot_runner.analysis.wording import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator
 
     from robot_runner.analysis.report.material import Material
-    from robot_runner.analysis.statistics.outcome import MeasureStatistics, NotComputed, Power
+    from robot_runner.analysis.statistics.outcome import (
+        Comparison,
+        Effect,
+        EffectSize,
+        MeasureStatistics,
+        MeasureTest,
+        NotComputed,
+        PostHoc,
+        Power,
+    )
 
 __all__ = ["tests_section"]
 
 _PLANNED = Badge("planned", Tone.GOOD, "Measure, level and correction were fixed before the experiment.")
-_EXPLORATORY = Badge("exploratory", Tone.PLAIN, "It was not fixed before the experiment.")
+_EXPLORATORY = Badge("exploratory", Tone.PLAIN, "The analysis was not fixed before the experiment.")
 
 
 def tests_section(material: Material) -> Section:
     """Return the section."""
     blocks: list[Block] = [Paragraph(_planned(material), Tone.NOTE)]
-    blocks += _hypotheses(material)
+    if material.statistics.hypotheses:
+        blocks.append(_hypothesis_table(material))
     blocks += [_part(material, measure) for measure in material.statistics.measures]
-    blocks += _correlations(material)
-    missed = material.statistics.not_computed
-    if missed:
-        blocks.append(_missed(missed))
+    if material.statistics.correlations:
+        blocks.append(Part("correlations", "Correlations", (_correlation_table(material),)))
+    blocks += _missed(material.statistics.not_computed)
     return Section("tests", "Tests", tuple(blocks))
-
-
-def _missed(several: Sequence[NotComputed]) -> Remarks:
-    return Remarks(
-        tuple(
-            Remark(sentence(each.what).rstrip("."), sentence(each.why), Tone.WARNING, "Not computed")
-            for each in several
-        )
-    )
 
 
 def _planned(material: Material) -> str:
@@ -80,48 +79,15 @@ def _planned(material: Material) -> str:
     return f"{level} Measures, level and hypotheses were fixed before the experiment.{rest}"
 
 
-def _hypotheses(material: Material) -> Iterator[Block]:
-    outcomes = material.statistics.hypotheses
-    if not outcomes:
-        return
-    columns = (
-        Column("Hypothesis"),
-        Column("Measure"),
-        Column("Factors"),
-        Column("p", is_number=True),
-        Column("Adjusted p", is_number=True),
-        Column("Conclusion"),
-    )
-    rows = tuple(
-        (
-            Cell.of_text(each.hypothesis.statement),
-            Cell.of_text(each.hypothesis.measure),
-            Cell.of_text(" x ".join(each.hypothesis.factors)),
-            p_cell(each.p_value, is_significant=None),
-            p_cell(each.adjusted_p_value, is_significant=each.is_supported),
-            Cell.of_text(each.conclusion),
-        )
-        for each in outcomes
-    )
-    yield Table("hypotheses", "Hypotheses that were fixed before the experiment.", columns, rows)
-
-
 def _part(material: Material, measure: MeasureStatistics) -> Part:
+    label = material.results.label(measure.name)
     blocks: list[Block] = [*_test(material, measure), *_assumptions(material, measure)]
-    blocks += [
-        post_hoc_table(
-            f"pairs {measure.name} {' '.join(each.factors)}",
-            f"{material.results.label(measure.name)}: all pairs of {' / '.join(each.factors)}.",
-            each,
-        )
-        for each in measure.post_hoc
-    ]
+    blocks += [_pair_table(measure, label, each) for each in measure.post_hoc]
     if measure.power is not None:
         blocks.append(Paragraph(_power(measure.power), Tone.NOTE, lead="Power."))
-    if measure.not_computed:
-        blocks.append(_missed(measure.not_computed))
+    blocks += _missed(measure.not_computed)
     badges = (_PLANNED if measure.is_planned else _EXPLORATORY, *origin_badges(measure.origin))
-    return Part(f"test-{measure.name}", material.results.label(measure.name), tuple(blocks), badges)
+    return Part(f"test-{measure.name}", label, tuple(blocks), badges)
 
 
 def _test(material: Material, measure: MeasureStatistics) -> Iterator[Block]:
@@ -132,9 +98,10 @@ def _test(material: Material, measure: MeasureStatistics) -> Iterator[Block]:
         return
     for effect in test.effects:
         yield Paragraph(effect.conclusion, Tone.GOOD)
-    yield Paragraph(test.reason, lead=f"{test.method.value[:1].upper()}{test.method.value[1:]}.")
-    caption = f"{material.results.label(measure.name)}: {test.method.value}."
-    yield effect_table(f"test {measure.name}", caption, test, material.statistics.alpha)
+    method = test.method.value
+    yield Paragraph(test.reason, lead=f"{method[:1].upper()}{method[1:]}.")
+    caption = f"{material.results.label(measure.name)}: {method}."
+    yield _effect_table(f"test {measure.name}", caption, test, material.statistics.alpha)
     for note in test.notes:
         yield Paragraph(note, Tone.NOTE)
 
@@ -142,8 +109,15 @@ def _test(material: Material, measure: MeasureStatistics) -> Iterator[Block]:
 def _assumptions(material: Material, measure: MeasureStatistics) -> Iterator[Block]:
     blocks: list[Block] = []
     if measure.assumptions:
+        fields = (
+            text("Check", "name"),
+            text("Of", lambda check: " / ".join(check.treatments.values()) or "all groups"),
+            number("Statistic", "statistic", 3),
+            p_value("p", "p_value"),
+            text("Conclusion", "conclusion", lambda check: Tone.WARNING if check.holds is False else Tone.PLAIN),
+        )
         caption = f"{material.results.label(measure.name)}: assumptions."
-        blocks.append(assumption_table(f"assumptions {measure.name}", caption, measure.assumptions))
+        blocks.append(build_table(f"assumptions {measure.name}", caption, measure.assumptions, fields))
     figure = quantile_figure(material, measure) if measure.name in material.drawn else None
     if figure is not None:
         blocks.append(Gallery((figure,)))
@@ -158,7 +132,8 @@ def _power(power: Power) -> str:
         for each in power.needed
     )
     observed = f"{power.effect_name} = {shown_number(power.observed_effect, 3)}"
-    parts = [f"For an effect as large as the observed one ({observed}) the power is {_share(power.achieved_power)}."]
+    share = "> 0.999" if power.achieved_power > 0.999 else f"{power.achieved_power:.3f}"  # noqa: PLR2004 - as p-values
+    parts = [f"For an effect as large as the observed one ({observed}) the power is {share}."]
     if power.detectable_effect is not None:
         parts.append(
             f"The smallest effect found with a power of {power.target_power:.2f} is "
@@ -169,44 +144,112 @@ def _power(power: Power) -> str:
     return " ".join([*parts, power.note])
 
 
-def _share(power: float) -> str:
-    return "> 0.999" if power > 0.999 else f"{power:.3f}"  # noqa: PLR2004 - as p-values are printed
-
-
-def _correlations(material: Material) -> Iterator[Block]:
-    found = material.statistics.correlations
-    if not found:
-        return
-    columns = (
-        Column("First"),
-        Column("Second"),
-        Column("n", is_number=True),
-        Column("Pearson's r", is_number=True),
-        *interval_columns("CI"),
-        Column(f"Spearman's {RHO}", is_number=True),
-        Column("Adjusted p", is_number=True),
-        Column("r within treatments", is_number=True),
-        Column("Magnitude"),
+def _missed(several: Iterable[NotComputed]) -> Iterator[Remarks]:
+    remarks = tuple(
+        Remark(sentence(each.what).rstrip("."), sentence(each.why), Tone.WARNING, "Not computed") for each in several
     )
-    rows = []
-    for each in found:
-        significant = each.adjusted_p_value < material.statistics.alpha
-        rows.append(
-            (
-                Cell.of_text(each.first),
-                Cell.of_text(each.second),
-                number_cell(each.n),
-                number_cell(each.pearson, 3),
-                *interval_cells(each.pearson_interval, 3),
-                number_cell(each.spearman, 3),
-                p_cell(each.adjusted_p_value, is_significant=significant),
-                number_cell(each.within, 3),
-                Cell.of_text(each.magnitude.value),
-            )
-        )
+    if remarks:
+        yield Remarks(remarks)
+
+
+def _hypothesis_table(material: Material) -> Table:
+    fields = (
+        text("Hypothesis", "hypothesis.statement"),
+        text("Measure", "hypothesis.measure"),
+        text("Factors", lambda each: " x ".join(each.hypothesis.factors)),
+        p_value("p", "p_value"),
+        p_value("Adjusted p", "adjusted_p_value", "is_supported"),
+        text("Conclusion", "conclusion"),
+    )
+    caption = "Hypotheses that were fixed before the experiment."
+    return build_table("hypotheses", caption, material.statistics.hypotheses, fields)
+
+
+def _effect_table(name: str, caption: str, test: MeasureTest, alpha: float) -> Table:
+    words = {None: "not computed", True: "significant", False: "not significant"}
+    fields = (
+        text("Effect", "label"),
+        field("Statistic", lambda effect: Cell(effect.statistic, _shown_statistic(effect))),
+        p_value("p", "p_value", "is_significant"),
+        field(f"At {ALPHA} = {alpha:g}", lambda effect: Cell(effect.is_significant, words[effect.is_significant])),
+        text("Effect size", lambda effect: "; ".join(map(_shown_size, effect.effect_sizes)) or MISSING),
+    )
+    return build_table(name, caption, test.effects, fields, f"Computed with {test.library}.")
+
+
+def _shown_statistic(effect: Effect) -> str:
+    """Return a statistic as papers print it, as in `F(2, 12) = 83.1`."""
+    if effect.statistic is None:
+        return MISSING
+    freedom = ", ".join(f"{each:.4g}" for each in effect.degrees_of_freedom)
+    name = f"{effect.statistic_name}({freedom})" if freedom else effect.statistic_name
+    return f"{name} = {shown_number(effect.statistic)}"
+
+
+def _shown_size(size: EffectSize) -> str:
+    ends = f" {shown_interval(size.interval, 3)}" if size.interval is not None else ""
+    return f"{size.name} = {shown_number(size.value, 3)}{ends}, {size.magnitude.value}"
+
+
+def _pair_table(measure: MeasureStatistics, label: str, post_hoc: PostHoc) -> Table:
+    """Return all pairs of treatments, compared."""
+    sizes = dict.fromkeys(size.name for pair in post_hoc.comparisons for size in pair.effect_sizes)
+    fields: list[Field | tuple[Field, ...]] = [
+        text("First", "first"),
+        text("Second", "second"),
+        number(f"Difference of {'means' if post_hoc.is_of_means else 'medians'}", "difference"),
+        interval("CI", "interval"),
+        p_value("p", "p_value"),
+        p_value("Adjusted p", "adjusted_p_value", "is_significant"),
+        *map(_size_fields, sizes),
+    ]
+    name, caption = f"pairs {measure.name} {' '.join(post_hoc.factors)}", f"all pairs of {' / '.join(post_hoc.factors)}"
+    note = f"{post_hoc.method}; p-values adjusted after {correction_in_words(post_hoc.correction)}."
+    return build_table(name, f"{label}: {caption}.", post_hoc.comparisons, fields, note)
+
+
+def _size_fields(name: str) -> tuple[Field, ...]:
+    """Return the columns of an effect size: one for readers, and its parts for programs."""
+
+    def part(which: str, read: Callable[[EffectSize], float | str | None]) -> Field:
+        def cell(pair: Comparison) -> Cell:
+            size = next((each for each in pair.effect_sizes if each.name == name), None)
+            value = None if size is None else read(size)
+            return Cell(value, value if isinstance(value, str) else shown_number(value))
+
+        place = Place.FILE if which else Place.PAGE
+        return Field(Column(f"{name}, {which}" if which else name, place=place), cell)
+
+    return (
+        part("", _size_on_two_lines),
+        part("value", lambda size: size.value),
+        part("low", lambda size: None if size.interval is None else size.interval.low),
+        part("high", lambda size: None if size.interval is None else size.interval.high),
+        part("magnitude", lambda size: size.magnitude.value),
+    )
+
+
+def _size_on_two_lines(size: EffectSize) -> str:
+    ends = "" if size.interval is None else f"\n{shown_interval(size.interval, 3)}"
+    return f"{shown_number(size.value, 3)}, {size.magnitude.value}{ends}"
+
+
+def _correlation_table(material: Material) -> Table:
+    found, alpha = material.statistics.correlations, material.statistics.alpha
+    fields = (
+        text("First", "first"),
+        text("Second", "second"),
+        number("n", "n"),
+        number("Pearson's r", "pearson", 3),
+        interval("CI", "pearson_interval", 3),
+        number(f"Spearman's {RHO}", "spearman", 3),
+        p_value("Adjusted p", "adjusted_p_value", lambda each: each.adjusted_p_value < alpha),
+        number("r within treatments", "within", 3),
+        text("Magnitude", "magnitude.value"),
+    )
     note = (
         f"p-values are of Spearman's {RHO}, {counted(len(found), 'pair')}. Within treatments: what is left once the "
         "effect of the treatments is taken away."
     )
-    table = Table("correlations", "How measures go together, over all runs that are done.", columns, tuple(rows), note)
-    yield Part("correlations", "Correlations", (table,))
+    caption = "How measures go together, over all runs that are done."
+    return build_table("correlations", caption, found, fields, note)

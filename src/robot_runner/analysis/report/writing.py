@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING
 from robot_runner.analysis.figures.pdf_worker import PdfWorker
 from robot_runner.analysis.figures.style import FigureFormat, figure_bytes
 from robot_runner.analysis.report.document import json_of_report, report_document
-from robot_runner.analysis.report.html import html_of
-from robot_runner.analysis.report.markdown import csv_of, latex_of, markdown_of
 from robot_runner.analysis.report.material import Material
-from robot_runner.analysis.report.names import SafeNames
+from robot_runner.analysis.report.rendering import SafeNames, csv_of, html_of, latex_of, markdown_of
 from robot_runner.analysis.results import Results, load_results
 from robot_runner.analysis.statistics.experiment import analyse
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -30,7 +28,7 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.report.blocks import Document
 
-__all__ = ["ReportFormat", "WrittenReport", "made_by", "write_document", "write_report"]
+__all__ = ["ReportFormat", "WrittenReport", "made_by", "write_page", "write_report"]
 
 
 class ReportFormat(Enum):
@@ -79,33 +77,29 @@ def write_report(
         StorageError: there is no experiment, or the folder cannot be written.
         AnalysisError: there is no such measure.
     """
+    draws = kind is not ReportFormat.JSON
     with ExitStack() as closing:
-        # It is started first, so that it is ready when the first figure is.
-        worker = closing.enter_context(PdfWorker()) if _is_worth_a_worker(kind, figures) else None
+        # The worker is started first, so that it is ready when the first figure is; on one core it would only compete.
+        helps = draws and FigureFormat.PDF in figures and (os.cpu_count() or 1) > 1
+        worker = closing.enter_context(PdfWorker()) if helps else None
         results = experiment if isinstance(experiment, Results) else load_results(experiment)
         material = Material(results, analyse(results, measures=measures, alpha=alpha))
-        return _write_report(material, kind, output, figures, worker)
+        folder = ExperimentFolder(results.folder).report if output is None else output
+        made = made_by("Report", datetime.now(UTC))
+        if draws:
+            return _write_document(report_document(material, made=made), kind, folder, figures, worker)
+        return WrittenReport(_write(folder / "report.json", json_of_report(material, made=made)))
 
 
-def _is_worth_a_worker(kind: ReportFormat, figures: Sequence[FigureFormat]) -> bool:
-    return kind is not ReportFormat.JSON and FigureFormat.PDF in figures and (os.cpu_count() or 1) > 1
+def write_page(document: Document, path: Path) -> None:
+    """Write a document as one HTML file that needs nothing beside it.
 
-
-def _write_report(
-    material: Material,
-    kind: ReportFormat,
-    output: Path | None,
-    figures: Sequence[FigureFormat],
-    worker: PdfWorker | None,
-) -> WrittenReport:
-    folder = ExperimentFolder(material.results.folder).report if output is None else output
-    made = made_by("Report", datetime.now(UTC))
-    if kind is ReportFormat.JSON:
-        path = folder / "report.json"
-        _make(folder)
-        write_beside_and_rename(path, lambda file: file.write(json_of_report(material, made=made)))
-        return WrittenReport(path)
-    return write_document(report_document(material, made=made), kind, folder, "report", figures, worker)
+    Raises:
+        StorageError: the file cannot be written.
+    """
+    drawings = {block.name: figure_bytes(block.draw(), FigureFormat.SVG) for block in document.figures}
+    text = html_of(document, drawings)
+    write_beside_and_rename(path, lambda file: file.write(text))
 
 
 def made_by(what: str, moment: datetime) -> str:
@@ -113,84 +107,63 @@ def made_by(what: str, moment: datetime) -> str:
     return f"{what} made by Robot Runner {version('robot-runner')} on {moment:%Y-%m-%d at %H:%M} UTC."
 
 
-def write_document(
+def _write_document(
     document: Document,
     kind: ReportFormat,
     folder: Path,
-    name: str,
     formats: Sequence[FigureFormat],
-    worker: PdfWorker | None = None,
+    worker: PdfWorker | None,
 ) -> WrittenReport:
-    """Write a document as HTML or Markdown, with its tables and figures in `tables/` and `figures/`.
-
-    Args:
-        document: what is written.
-        kind: HTML or Markdown.
-        folder: where to; it is made if need be.
-        name: of the document's file, without its ending.
-        formats: which files are made of each figure.
-        worker: makes the PDF files meanwhile; None makes them here.
-
-    Raises:
-        StorageError: the folder cannot be written.
-    """
-    names = SafeNames()
-    drawings, figures = _Figures(folder / "figures", names, tuple(formats), worker).write(document, kind)
+    """Write a document as HTML or Markdown, with its tables and figures in `tables/` and `figures/`."""
+    needed = {FigureFormat.SVG} if kind is ReportFormat.MARKDOWN else set()  # the document refers to them
+    kinds = [each for each in FigureFormat if each in needed.union(formats)]
+    names, drawings = SafeNames(), {}
+    figures = []
+    for block in document.figures:
+        figure = block.draw()
+        drawings[block.name] = figure_bytes(figure, FigureFormat.SVG)
+        for each in kinds:
+            path = folder / "figures" / f"{names(block.name)}.{each.value}"
+            figures.append(_write_figure(path, figure, each, drawings[block.name], worker))
     tables = _write_tables(document, folder / "tables")
-    path = folder / f"{name}.{kind.value}"
-    _make(folder)
     if kind is ReportFormat.MARKDOWN:
-        text = markdown_of(document, lambda figure: f"figures/{names(figure)}.svg")
+        text = markdown_of(document, lambda name: f"figures/{names(name)}.svg")
     else:
         text = html_of(document, drawings)
-    write_beside_and_rename(path, lambda file: file.write(text))
-    return WrittenReport(path, tables, figures)
+    return WrittenReport(_write(folder / f"report.{kind.value}", text), tables, tuple(figures))
 
 
-@dataclass(frozen=True, slots=True)
-class _Figures:
-    """Writes the figures of a document."""
-
-    folder: Path
-    names: SafeNames
-    formats: tuple[FigureFormat, ...]
-    worker: PdfWorker | None
-
-    def write(self, document: Document, kind: ReportFormat) -> tuple[dict[str, bytes], tuple[Path, ...]]:
-        """Write all figures; return them as SVG by their names, and the files."""
-        formats = [each for each in FigureFormat if each in self.formats]
-        if kind is ReportFormat.MARKDOWN and FigureFormat.SVG not in formats:  # the document refers to them
-            formats.insert(0, FigureFormat.SVG)
-        if formats and document.figures:
-            _make(self.folder)
-        drawings: dict[str, bytes] = {}
-        paths: list[Path] = []
-        for block in document.figures:
-            figure = block.draw()
-            drawings[block.name] = figure_bytes(figure, FigureFormat.SVG)
-            paths += [self._write(block.name, figure, drawings[block.name], each) for each in formats]
-        return drawings, tuple(paths)
-
-    def _write(self, name: str, figure: Figure, svg: bytes, kind: FigureFormat) -> Path:
-        path = self.folder / f"{self.names(name)}.{kind.value}"
-        if kind is FigureFormat.PDF and self.worker is not None:
-            self.worker.write(figure, path)
-        else:
-            _write(path, svg if kind is FigureFormat.SVG else figure_bytes(figure, kind))
+def _write_figure(path: Path, figure: Figure, kind: FigureFormat, svg: bytes, worker: PdfWorker | None) -> Path:
+    if kind is FigureFormat.PDF and worker is not None:
+        _make(path.parent)
+        worker.write(figure, path)
         return path
+    return _write_bytes(path, svg if kind is FigureFormat.SVG else figure_bytes(figure, kind))
 
 
 def _write_tables(document: Document, folder: Path) -> tuple[Path, ...]:
     names = SafeNames()
-    if document.tables:
-        _make(folder)
-    paths = []
-    for table in document.tables:
-        for ending, text in (("csv", csv_of(table)), ("tex", latex_of(table))):
-            path = folder / f"{names(table.name)}.{ending}"
-            _write(path, text.encode("utf-8"))
-            paths.append(path)
-    return tuple(paths)
+    formats = {"csv": csv_of, "tex": latex_of}
+    return tuple(
+        _write_bytes(folder / f"{names(table.name)}.{ending}", render(table).encode("utf-8"))
+        for table in document.tables
+        for ending, render in formats.items()
+    )
+
+
+def _write(path: Path, text: str) -> Path:
+    _make(path.parent)
+    write_beside_and_rename(path, lambda file: file.write(text))
+    return path
+
+
+def _write_bytes(path: Path, data: bytes) -> Path:
+    _make(path.parent)
+    try:
+        path.write_bytes(data)
+    except OSError as error:
+        raise storage_error(path, "written", error) from error
+    return path
 
 
 def _make(folder: Path) -> None:
@@ -198,10 +171,3 @@ def _make(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise storage_error(folder, "made", error) from error
-
-
-def _write(path: Path, data: bytes) -> None:
-    try:
-        path.write_bytes(data)
-    except OSError as error:
-        raise storage_error(path, "written", error) from error

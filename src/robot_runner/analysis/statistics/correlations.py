@@ -16,7 +16,7 @@ from robot_runner.analysis.statistics.effect_sizes import correlation_magnitude
 from robot_runner.analysis.statistics.outcome import Interval, NotComputed
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import Correlation, Drift
-from robot_runner.analysis.wording import in_figures, p_in_words
+from robot_runner.analysis.wording import p_in_words, with_unit
 from robot_runner.core.design.columns import RUN_ID
 
 if TYPE_CHECKING:
@@ -147,7 +147,7 @@ def _p_of_places(data: MeasureData, factor: str) -> float:
 
 def _warning(measure: str, unit: str, slope: float, rho: float, p_value: float, *, is_confounded: bool) -> str:
     direction = "rises" if slope > 0 else "falls"
-    amount = f"{in_figures(abs(slope))} {unit}".strip()
+    amount = with_unit(abs(slope), unit)
     figures = f"rho = {rho:.2f}, {p_in_words(p_value)}"
     head = f"{measure} {direction} over the order of execution by about {amount} a run ({figures})"
     if is_confounded:

@@ -10,7 +10,7 @@ import pandas as pd
 
 from robot_runner.analysis.run_frame import treatment_texts
 from robot_runner.analysis.statistics.outcome import DesignSummary
-from robot_runner.analysis.wording import counted, listed
+from robot_runner.analysis.wording import counted, enumerated
 from robot_runner.core.design.columns import RUN_ID
 
 if TYPE_CHECKING:
@@ -181,7 +181,7 @@ class Design:
         named = [f"{name} ({counted(_distinct(self.frame[name]), 'treatment')})" for name in self.factors]
         sizes = f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
         blocks = f", in blocks of {self.block}" if self.block else ""
-        return f"{runs}; varied: {listed(named)}; {sizes} runs a combination{blocks}."
+        return f"{runs}; varied: {enumerated(named)}; {sizes} runs a combination{blocks}."
 
 
 def design_of(results: Results) -> Design:

@@ -22,7 +22,7 @@ from robot_runner.analysis.statistics.effect_sizes import (
 )
 from robot_runner.analysis.statistics.linear_model import aligned_ranks, coded_frame, fit_aligned, formula_of
 from robot_runner.analysis.statistics.tested import AssumptionCheck, Effect, EffectSize, MeasureTest, TestMethod
-from robot_runner.analysis.wording import listed, p_in_words
+from robot_runner.analysis.wording import enumerated, p_in_words
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -75,17 +75,17 @@ def _conclusion(
     measure: str, factors: tuple[str, ...], figures: str, sizes: tuple[EffectSize, ...], is_significant: bool
 ) -> str:
     if not is_significant:
-        what = f"an interaction of {listed(factors)}" if len(factors) > 1 else f"an effect of {factors[0]}"
+        what = f"an interaction of {enumerated(factors)}" if len(factors) > 1 else f"an effect of {factors[0]}"
         return f"The data do not show {what} on {measure} ({figures}); that is no proof that there is none."
     size = f"; the effect is {sizes[0].magnitude.value}, {sizes[0].name} = {sizes[0].value:.2f}" if sizes else ""
     if len(factors) > 1:
-        others = listed(factors[1:])
+        others = enumerated(factors[1:])
         return f"The effect of {factors[0]} on {measure} depends on {others} ({figures}{size})."
     return f"{factors[0]} has an effect on {measure} ({figures}{size})."
 
 
 def _named(factors: tuple[str, ...]) -> str:
-    return listed(factors)
+    return enumerated(factors)
 
 
 def _number(value: float) -> str:

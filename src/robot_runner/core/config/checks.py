@@ -11,7 +11,6 @@ from robot_runner.core.config.experiment import experiment_folder
 from robot_runner.core.config.loader import place_in, raised_in
 from robot_runner.core.config.parameters import (
     PARAMETERS,
-    PARAMETERS_BY_NAME,
     REQUIRED,
     Parameter,
     Parameters,
@@ -65,7 +64,7 @@ def check_names(loaded: LoadedConfig) -> list[Finding]:
     """Return a finding for each public name of the config that nearly is a parameter or a callback."""
     names = {name for parent in type(loaded.config).__mro__[:-1] for name in _names_of(parent)}
     names |= set(vars(loaded.config)) if hasattr(loaded.config, "__dict__") else set()
-    parameters = [*PARAMETERS_BY_NAME, "plugins"]
+    parameters = [*PARAMETERS, "plugins"]
     callbacks = [*EVENTS_BY_CALLBACK, "create_run_table"]
     findings = []
     for name in sorted(names):
@@ -109,14 +108,14 @@ def read_parameters(loaded: LoadedConfig) -> tuple[Parameters | None, list[Findi
     """Return the static parameters, or None where one of them is missing or malformed, and the findings."""
     values: dict[str, Any] = {}
     findings: list[Finding] = []
-    for parameter in PARAMETERS:
+    for parameter in PARAMETERS.values():
         value = getattr(loaded.config, parameter.name, parameter.default)
         if value is REQUIRED:
             findings.append(_missing(loaded, parameter))
-        elif not parameter.accepts(value):
+        elif not parameter.kind.accepts(value):
             findings.append(_malformed(loaded, parameter, value))
         else:
-            values[parameter.name] = parameter.normalise(value)
+            values[parameter.name] = parameter.kind.normalise(value)
     return (None if findings else Parameters(**values)), findings
 
 
@@ -124,7 +123,7 @@ def _missing(loaded: LoadedConfig, parameter: Parameter) -> Finding:
     return Finding.error(
         f"{loaded.where}.{parameter.name}",
         "this static parameter is missing",
-        f"Give it a value: it must be {parameter.expected}.",
+        f"Give it a value: it must be {parameter.kind.expected}.",
     )
 
 
@@ -132,7 +131,7 @@ def _malformed(loaded: LoadedConfig, parameter: Parameter, value: object) -> Fin
     return Finding.error(
         f"{loaded.where}.{parameter.name}",
         f"it is {value!r}, of type {type(value).__name__}",
-        f"It must be {parameter.expected}.",
+        f"It must be {parameter.kind.expected}.",
     )
 
 

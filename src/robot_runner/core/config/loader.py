@@ -12,7 +12,7 @@ from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.config.parameters import PARAMETERS_BY_NAME
+from robot_runner.core.config.parameters import PARAMETERS
 from robot_runner.core.config.source import ConfigSource, activating_imports, read_source
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, did_you_mean, nearest
 from robot_runner.core.events.manager import RequestedSubscription, recorded_subscriptions
@@ -93,22 +93,22 @@ def own_parameters(config_class: type) -> dict[str, Any]:
         name: value
         for parent in reversed(config_class.__mro__)
         for name, value in vars(parent).items()
-        if not name.startswith("_") and isinstance(value, _SIMPLE_TYPES) and name not in PARAMETERS_BY_NAME
+        if not name.startswith("_") and isinstance(value, _SIMPLE_TYPES) and name not in PARAMETERS
     }
 
 
 def _read(config_class: type, name: str, text: str) -> Any:
     own = own_parameters(config_class)
     where = f"--set {name}={text}"
-    if name in PARAMETERS_BY_NAME:
-        parameter = PARAMETERS_BY_NAME[name]
-        read, expected = parameter.from_text, parameter.expected
+    if name in PARAMETERS:
+        parameter = PARAMETERS[name]
+        read, expected = parameter.kind.from_text, parameter.kind.expected
     elif name in own:
         kind = type(own[name])
         read, expected = _reader(kind), f"a value of type {kind.__name__}"
     else:
         raise ConfigError(
-            f"there is no static parameter {name!r}", where=where, fix=did_you_mean(name, [*PARAMETERS_BY_NAME, *own])
+            f"there is no static parameter {name!r}", where=where, fix=did_you_mean(name, [*PARAMETERS, *own])
         )
     try:
         return read(text)

@@ -1,12 +1,16 @@
-"""The class that an experiment's config may derive from."""
+"""The class that an experiment's config may derive from, and its static parameters, each declared once.
+
+A declaration in `StaticParameters` is the class attribute that editors and type checkers see, and says how the value is
+checked, normalised, read from the command line and documented.
+"""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 from robot_runner.core.config.experiment import Author, authors_from_text, is_licence
 from robot_runner.core.design.analysis_plan import AnalysisPlan
@@ -21,7 +25,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "PARAMETERS",
-    "PARAMETERS_BY_NAME",
     "REQUIRED",
     "ExperimentConfig",
     "FailurePolicy",
@@ -29,10 +32,8 @@ __all__ = [
     "Parameter",
     "Parameters",
     "RunProcess",
+    "StaticParameters",
 ]
-
-
-# The choices that static parameters offer.
 
 
 class OperationType(Enum):
@@ -62,57 +63,77 @@ class RunProcess(Enum):
     IN_PROCESS = "in_process"
 
 
-# The static parameters of a config: what each may be, its default, and how it is read from the command line.
-
 #: The default of a parameter that has none.
 REQUIRED: Any = object()
 
-_NAME = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9 ._-]{0,126}[A-Za-z0-9_-])?")
-_ROS_VERSIONS = (1, 2)
 
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """What the values of a static parameter are.
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Parameters:
-    """The static parameters of a config that was found to be well formed. See `PARAMETERS` for their meaning."""
+    Attributes:
+        expected: completes the sentence "it must be ...".
+        accepts: says whether a value is well formed.
+        from_text: reads a value of the command line; raises ValueError.
+        normalise: makes what `Parameters` holds of a value that is accepted.
+        type_name: what the documentation calls the type, where the annotation says less.
+    """
 
-    experiment_name: str
-    required_ros_version: int | str | None
-    required_ros_distro: str | None
-    operation_type: OperationType
-    results_output_path: Path
-    time_between_runs_in_ms: int
-    robot: str | None
-    on_failure: FailurePolicy
-    attempts: int
-    run_deadline_in_s: float | None
-    event_deadline_in_s: float | None
-    grace_in_s: float
-    run_process: RunProcess
-    analysis: AnalysisPlan | None
-    authors: tuple[Author, ...]
-    licence: str | None
-    citation: str | None
+    expected: str
+    accepts: Callable[[Any], bool]
+    from_text: Callable[[str], Any] = str
+    normalise: Callable[[Any], Any] = lambda value: value
+    type_name: str = ""
+
+    def or_none(self) -> Kind:
+        """Return the same with None as one more value."""
+        return replace(
+            self,
+            expected=f"{self.expected}, or None",
+            accepts=lambda value: value is None or self.accepts(value),
+            from_text=lambda text: None if text.casefold() == "none" else self.from_text(text),
+            normalise=lambda value: None if value is None else self.normalise(value),
+        )
+
+    def or_any(self, expected: str) -> Kind:
+        """Return the same with None and `any` (the word, or Python's function) as two more values."""
+        return replace(
+            self.or_none(),
+            expected=expected,
+            accepts=lambda value: value is None or _is_any(value) or self.accepts(value),
+            normalise=lambda value: "any" if _is_any(value) else value,
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One static parameter.
-
-    Attributes:
-        accepts: says whether a value is well formed.
-        expected: completes the sentence "it must be ...".
-        normalise: makes the value that `Parameters` holds from one that is accepted.
-        from_text: reads a value of the command line; raises ValueError.
-    """
+    """One static parameter, as it is declared in `StaticParameters`."""
 
     name: str
     type_name: str
     default: Any
     description: str
-    accepts: Callable[[Any], bool]
-    expected: str
-    from_text: Callable[[str], Any]
-    normalise: Callable[[Any], Any] = lambda value: value
+    kind: Kind
+
+
+#: All static parameters by name, in the order of their declarations.
+PARAMETERS: dict[str, Parameter] = {}
+
+
+def _declare(description: str, kind: Kind, default: Any = REQUIRED) -> Any:
+    return Parameter("", kind.type_name, default, description, kind)
+
+
+def _declared(cls: type[StaticParameters]) -> type[StaticParameters]:
+    """Take down the declarations of a class, and leave their defaults in their places."""
+    for name, annotation in cls.__annotations__.items():
+        declared: Parameter = vars(cls)[name]
+        PARAMETERS[name] = replace(declared, name=name, type_name=declared.type_name or annotation)
+        if declared.default is REQUIRED:
+            delattr(cls, name)
+        else:
+            setattr(cls, name, declared.default)
+    return cls
 
 
 def _is_integer(value: Any) -> bool:
@@ -127,205 +148,158 @@ def _is_any(value: Any) -> bool:
     return value is any or (isinstance(value, str) and value.casefold() == "any")
 
 
-def _without_any(value: Any) -> Any:
-    return "any" if _is_any(value) else value
-
-
-def _optional(read: Callable[[str], Any]) -> Callable[[str], Any]:
-    return lambda text: None if text.casefold() == "none" else read(text)
-
-
-def _number_or_word(text: str) -> int | str:
-    return int(text) if text.lstrip("-").isdigit() else text
-
-
-def _choice(name: str, choices: type[Enum], default: Enum, description: str) -> Parameter:
-    names = ", ".join(f"{choices.__name__}.{choice.name}" for choice in choices)
-    return Parameter(
-        name,
-        choices.__name__,
-        default,
-        description,
-        accepts=lambda value: isinstance(value, choices),
-        expected=f"one of {names}",
-        from_text=lambda text: choices(text.casefold().rpartition(".")[2]),
-    )
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str) and value.strip() != ""
 
 
 def _are_authors(value: Any) -> bool:
-    return isinstance(value, list | tuple) and all(
-        isinstance(each, Author) or (isinstance(each, str) and each.strip() != "") for each in value
-    )
+    return isinstance(value, list | tuple) and all(isinstance(each, Author) or _is_text(each) for each in value)
 
 
-def _as_authors(value: Any) -> tuple[Author, ...]:
-    return tuple(each if isinstance(each, Author) else Author(each.strip()) for each in value)
-
-
-def _not_as_text(text: str) -> Any:
+def _not_from_text(text: str) -> NoReturn:
     raise ValueError(f"{text!r} cannot be set from outside")
 
 
-def _deadline(name: str, description: str) -> Parameter:
-    return Parameter(
-        name,
-        "float | None",
-        None,
-        description,
-        accepts=lambda value: value is None or _is_seconds(value),
-        expected="a positive number of seconds, or None",
-        from_text=_optional(float),
+def _whole(least: int, what: str) -> Kind:
+    return Kind(f"a whole number{what}, {least} or more", lambda value: _is_integer(value) and value >= least, int)
+
+
+def _choice(choices: type[Enum]) -> Kind:
+    return Kind(
+        f"one of {', '.join(f'{choices.__name__}.{choice.name}' for choice in choices)}",
+        lambda value: isinstance(value, choices),
+        lambda text: choices(text.casefold().rpartition(".")[2]),
     )
 
 
-PARAMETERS = (
-    Parameter(
-        "experiment_name",
-        "str",
-        REQUIRED,
-        "Names the experiment and its folder.",
-        accepts=lambda value: isinstance(value, str) and _NAME.fullmatch(value) is not None,
-        expected="a name that can name a folder: letters, digits, blanks, '.', '_' and '-', 128 at most",
-        from_text=str,
-    ),
-    Parameter(
-        "results_output_path",
-        "Path",
-        Path("experiments"),
+_FOLDER_NAME = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9 ._-]{0,126}[A-Za-z0-9_-])?")
+_NAME = Kind(
+    "a name that can name a folder: letters, digits, blanks, '.', '_' and '-', 128 at most",
+    lambda value: isinstance(value, str) and _FOLDER_NAME.fullmatch(value) is not None,
+)
+_PATH = Kind(
+    "a path, such as Path('~/results')",
+    lambda value: isinstance(value, str | Path) and "\0" not in str(value) and str(value) != "",
+    Path,
+    Path,
+)
+_LINK = Kind('the name of a robot link, such as "simulated"', lambda value: isinstance(value, str) and value != "")
+_ROS_GENERATION = Kind(
+    "", lambda value: _is_integer(value) and value in {1, 2}, lambda text: int(text) if text.isdigit() else text
+).or_any("1, 2, any or None")
+_ROS_DISTRIBUTION = Kind("", _is_text).or_any('the name of a ROS distribution, such as "noetic", any or None')
+_SECONDS = Kind("a positive number of seconds", _is_seconds, float)
+_PLAN = Kind("an AnalysisPlan(...) in the config file", lambda value: isinstance(value, AnalysisPlan), _not_from_text)
+_AUTHORS = Kind(
+    "a list of names or Author(...)",
+    _are_authors,
+    authors_from_text,
+    lambda value: tuple(each if isinstance(each, Author) else Author(each.strip()) for each in value),
+)
+_LICENCE = Kind('an SPDX identifier such as "CC-BY-4.0", a URL', is_licence)
+_TEXT = Kind("a text", _is_text)
+
+
+@_declared
+class StaticParameters:
+    """What can be set in a config, beside what the experiment does and measures."""
+
+    experiment_name: str = _declare("Names the experiment and its folder.", _NAME)
+    results_output_path: Path | str = _declare(
         "The folder in which the experiment's folder is made; `~` is the home folder, and a relative path begins "
         "where the config file is.",
-        accepts=lambda value: isinstance(value, str | Path) and "\0" not in str(value) and str(value) != "",
-        expected="a path, such as Path('~/results')",
-        from_text=Path,
-        normalise=Path,
-    ),
-    _choice(
-        "operation_type",
-        OperationType,
-        OperationType.AUTO,
+        _PATH,
+        Path("experiments"),
+    )
+    operation_type: OperationType = _declare(
         "AUTO starts each run by itself; SEMI waits after each run until the user says to go on.",
-    ),
-    Parameter(
-        "time_between_runs_in_ms",
-        "int",
-        0,
-        "How long the robot rests between two runs, in milliseconds.",
-        accepts=lambda value: _is_integer(value) and value >= 0,
-        expected="a whole number of milliseconds, 0 or more",
-        from_text=int,
-    ),
-    Parameter(
-        "robot",
-        "str | None",
-        None,
+        _choice(OperationType),
+        OperationType.AUTO,
+    )
+    time_between_runs_in_ms: int = _declare(
+        "How long the robot rests between two runs, in milliseconds.", _whole(0, " of milliseconds"), 0
+    )
+    robot: str | None = _declare(
         'How the robot is reached: "simulated" is the embedded TurtleBot3, which is never chosen silently; real ones '
         "by ros1, ros2, dds, rosbridge://host:9090 or auto.",
-        accepts=lambda value: value is None or (isinstance(value, str) and value != ""),
-        expected='the name of a robot link, such as "simulated", or None',
-        from_text=_optional(str),
-    ),
-    Parameter(
-        "required_ros_version",
-        "int | None",
+        _LINK.or_none(),
         None,
+    )
+    required_ros_version: Any = _declare(
         "The ROS generation that the experiment needs: 1, 2, `any`, or None for none at all.",
-        accepts=lambda value: value is None or _is_any(value) or (_is_integer(value) and value in _ROS_VERSIONS),
-        expected="1, 2, any or None",
-        from_text=_optional(_number_or_word),
-        normalise=_without_any,
-    ),
-    Parameter(
-        "required_ros_distro",
-        "str | None",
+        replace(_ROS_GENERATION, type_name="int | None"),
         None,
+    )
+    required_ros_distro: Any = _declare(
         'The ROS distribution that the experiment needs, such as "noetic"; `any` or None where it does not matter.',
-        accepts=lambda value: value is None or _is_any(value) or (isinstance(value, str) and value.strip() != ""),
-        expected='the name of a ROS distribution, such as "noetic", any or None',
-        from_text=_optional(str),
-        normalise=_without_any,
-    ),
-    _choice(
-        "on_failure",
-        FailurePolicy,
-        FailurePolicy.CONTINUE,
+        replace(_ROS_DISTRIBUTION, type_name="str | None"),
+        None,
+    )
+    on_failure: FailurePolicy = _declare(
         "What follows a run that failed: CONTINUE with the next one, or STOP the experiment.",
-    ),
-    Parameter(
-        "attempts",
-        "int",
-        1,
-        "How often a run is tried before it counts as failed.",
-        accepts=lambda value: _is_integer(value) and value >= 1,
-        expected="a whole number, 1 or more",
-        from_text=int,
-    ),
-    _deadline("run_deadline_in_s", "How long a run may take, in seconds of real time; None for no limit."),
-    _deadline(
-        "event_deadline_in_s", "How long one event of a run may take, in seconds of real time; None for no limit."
-    ),
-    Parameter(
-        "grace_in_s",
-        "float",
-        10.0,
+        _choice(FailurePolicy),
+        FailurePolicy.CONTINUE,
+    )
+    attempts: int = _declare("How often a run is tried before it counts as failed.", _whole(1, ""), 1)
+    run_deadline_in_s: float | None = _declare(
+        "How long a run may take, in seconds of real time; None for no limit.", _SECONDS.or_none(), None
+    )
+    event_deadline_in_s: float | None = _declare(
+        "How long one event of a run may take, in seconds of real time; None for no limit.", _SECONDS.or_none(), None
+    )
+    grace_in_s: float = _declare(
         "How long a run that is told to end may take to stop its robot and close its profilers before it is killed, "
         "in seconds.",
-        accepts=_is_seconds,
-        expected="a positive number of seconds",
-        from_text=float,
-    ),
-    _choice(
-        "run_process",
-        RunProcess,
-        RunProcess.FORK,
+        _SECONDS,
+        10.0,
+    )
+    run_process: RunProcess = _declare(
         "Where a run is executed: in a process that is forked (FORK), in a fresh interpreter (SPAWN), or in the "
         "orchestrator itself (IN_PROCESS).",
-    ),
-    Parameter(
-        "analysis",
-        "AnalysisPlan | None",
-        None,
+        _choice(RunProcess),
+        RunProcess.FORK,
+    )
+    analysis: AnalysisPlan | None = _declare(
         "What is fixed for the analysis before the experiment: measures, level of significance, hypotheses.",
-        accepts=lambda value: value is None or isinstance(value, AnalysisPlan),
-        expected="an AnalysisPlan(...) in the config file, or None",
-        from_text=_not_as_text,
-    ),
-    Parameter(
-        "authors",
-        "Sequence[Author | str]",
-        (),
+        _PLAN.or_none(),
+        None,
+    )
+    authors: Sequence[Author | str] = _declare(
         "Who made the experiment: names, or `Author(name, orcid=..., affiliation=..., affiliation_url=...)`.",
-        accepts=_are_authors,
-        expected="a list of names or Author(...)",
-        from_text=authors_from_text,
-        normalise=_as_authors,
-    ),
-    Parameter(
-        "licence",
-        "str | None",
-        None,
+        _AUTHORS,
+        (),
+    )
+    licence: str | None = _declare(
         'Under which terms others may use the results: an SPDX identifier such as "CC-BY-4.0", or a URL.',
-        accepts=lambda value: value is None or is_licence(value),
-        expected='an SPDX identifier such as "CC-BY-4.0", a URL, or None',
-        from_text=_optional(str),
-    ),
-    Parameter(
-        "citation",
-        "str | None",
+        _LICENCE.or_none(),
         None,
-        "What to cite when the results are used: a DOI, a URL or a sentence.",
-        accepts=lambda value: value is None or (isinstance(value, str) and value.strip() != ""),
-        expected="a text, or None",
-        from_text=_optional(str),
-    ),
-)
-
-PARAMETERS_BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
-
-if set(PARAMETERS_BY_NAME) != {field.name for field in fields(Parameters)}:  # pragma: no cover - a slip of ours
-    raise AssertionError("PARAMETERS and Parameters differ")
+    )
+    citation: str | None = _declare(
+        "What to cite when the results are used: a DOI, a URL or a sentence.", _TEXT.or_none(), None
+    )
 
 
-class ExperimentConfig:
+class Parameters(StaticParameters):
+    """The static parameters of a config that was found to be well formed: normalised, and fixed.
+
+    Example:
+        >>> Parameters(experiment_name="two_speeds", attempts=2).attempts
+        2
+    """
+
+    results_output_path: Path
+    required_ros_version: int | str | None
+    required_ros_distro: str | None
+    authors: tuple[Author, ...]
+
+    def __init__(self, **values: Any) -> None:
+        vars(self).update(values)
+
+    def __setattr__(self, name: str, value: object) -> NoReturn:
+        raise AttributeError(f"{name} is fixed, and cannot become {value!r}")
+
+
+class ExperimentConfig(StaticParameters):
     """An experiment: its static parameters, its run table, its plugins, and what happens at its events.
 
     A method that is named like an event hears it: `before_experiment`, `before_run`, `start_run`,
@@ -344,23 +318,6 @@ class ExperimentConfig:
         6
     """
 
-    experiment_name: str
-    results_output_path: Path | str = Path("experiments")
-    operation_type: OperationType = OperationType.AUTO
-    time_between_runs_in_ms: int = 0
-    robot: str | None = None
-    required_ros_version: Any = None
-    required_ros_distro: Any = None
-    on_failure: FailurePolicy = FailurePolicy.CONTINUE
-    attempts: int = 1
-    run_deadline_in_s: float | None = None
-    event_deadline_in_s: float | None = None
-    grace_in_s: float = 10.0
-    run_process: RunProcess = RunProcess.FORK
-    analysis: AnalysisPlan | None = None
-    authors: Sequence[Author | str] = ()
-    licence: str | None = None
-    citation: str | None = None
     plugins: ClassVar[Sequence[Plugin]] = ()
 
     def create_run_table(self) -> RunTableModel | RunTable:
@@ -370,7 +327,7 @@ class ExperimentConfig:
             ConfigError: the config does not define it.
         """
         raise ConfigError(
-            "it does not say which runs to execute",
+            "the config does not say which runs to execute",
             where=f"{type(self).__name__}.create_run_table",
             fix="Define create_run_table(self) and return a RunTableModel.",
         )

@@ -51,9 +51,7 @@ class _Matching:
     cause: Exception | None = None
 
 
-def apply_exclusions(
-    factors: Sequence[Factor], combinations: Sequence[Combination], exclusions: object
-) -> Exclusions:
+def apply_exclusions(factors: Sequence[Factor], combinations: Sequence[Combination], exclusions: object) -> Exclusions:
     """Find out which combinations are left out.
 
     Args:

@@ -78,6 +78,7 @@ class ProgressManager:
             self._make_folder()
             opened.enter_context(ExperimentLock(self._folder.lock))
             self._manifest = self._load_manifest()
+            started = time.monotonic()
             recovered = recover_table(self._experiment, self._manifest, accept_changes=self._resumption.accept_changes)
             self._selected = selected_places(recovered.rows, self._resumption)
             self._take(recovered)
@@ -88,7 +89,11 @@ class ProgressManager:
             keep_config(self._experiment)
             write_manifest(self._folder.manifest, self._manifest)
             recovered.write_schema(self._folder.schema)
-            self._write_table()
+            if recovered.is_on_disk:  # reading it took longer than writing it will
+                self._table_written = time.monotonic()
+                self._table_cost = self._table_written - started
+            else:
+                self._write_table()
             self._resources = opened.pop_all()
         seed, runs = self.seed, self.run_count
         self.note("experiment_started", flush=True, name=self._manifest["experiment_name"], seed=seed, runs=runs)

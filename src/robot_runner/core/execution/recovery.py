@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import ast
 import difflib
+import re
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.columns import REPETITION
+from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
 from robot_runner.core.errors import ExecutionError, Finding, did_you_mean
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.storage.journal import journal_lines, parsed_record
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows
@@ -67,9 +68,8 @@ def selected_places(rows: RunTableRows, resumption: Resumption) -> list[int]:
     redo, only = set(resumption.redo), set(resumption.only)
     return [
         place
-        for place in range(len(rows))
-        if (rows.status(place) is not RunStatus.DONE or (redo and rows.run_id(place) in redo))
-        and (not only or rows.run_id(place) in only or rows.run_id(place) in redo)
+        for place, (run_id, status) in enumerate(zip(rows.values(RUN_ID), rows.values(STATUS), strict=True))
+        if (status is not RunStatus.DONE or run_id in redo) and (not only or run_id in only or run_id in redo)
     ]
 
 
@@ -124,6 +124,8 @@ def config_changes(experiment: Experiment) -> list[Finding]:
 
 def table_differences(path: Path, plan: RunTable, rows: RunTableRows) -> Iterator[Finding]:
     """Yield each cell in which the run table on disk differs from the plan, and each run that only one of them has."""
+    if list(map(_key, plan)) == list(map(_key, rows.planned)):  # as nearly always, and many times faster
+        return
     planned = {run.run_id: run for run in plan}
     for found in rows.planned:
         run = planned.pop(found.run_id, None)
@@ -133,6 +135,11 @@ def table_differences(path: Path, plan: RunTable, rows: RunTableRows) -> Iterato
             yield from _different_cells(path, run, found, has_repetition=rows.layout.has_repetition)
     for run_id in planned:
         yield Finding.error(f"{path}, run {run_id}", "the table lacks this run of the plan", _TABLE_FIX)
+
+
+def _key(run: PlannedRun) -> tuple[Any, ...]:
+    # By identity, as rows hold the factors' own treatments, some of which have no equality.
+    return (run.run_id, run.repetition, *map(id, run.combination.treatments))
 
 
 def _different_cells(path: Path, run: PlannedRun, found: PlannedRun, *, has_repetition: bool) -> Iterator[Finding]:
@@ -194,6 +201,7 @@ class RecoveredTable:
         failed: why each failed run failed.
         unfinished: the run whose attempt nobody saw the end of, or None.
         findings: what looked odd in the file.
+        is_on_disk: whether the file holds all this, so that it need not be written.
     """
 
     experiment: Experiment
@@ -202,28 +210,35 @@ class RecoveredTable:
     failed: dict[str, str] = field(default_factory=dict)
     unfinished: str | None = None
     findings: tuple[Finding, ...] = ()
+    is_on_disk: bool = False
     origins: defaultdict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
-    _kinds: set[tuple[str, type]] = field(default_factory=set)
+    _kinds: set[tuple[str, Any]] = field(default_factory=set)
     doubts: defaultdict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
 
     def take_outcome(self, run_id: str, outcome: RunOutcome) -> bool:
-        """Bring the row of a run up to date with how its attempt ended; returns whether a measure's type is new."""
+        """Bring the row of a run up to date with how its attempt ended; returns whether a type or origin is new."""
         for measure in outcome.measures.values():
             self.origins[measure.name].add(measure.origin.value)
         for finding in outcome.findings:
             self.doubts[finding.where.partition(", ")[2]].add(f"{run_id}: {finding.problem}")
         values = {name: measure.value for name, measure in outcome.measures.items()}
         self._record(run_id, outcome.status.value, outcome.stamps, values)
-        kinds = {(name, type(value)) for name, value in values.items() if value is not None}
+        kinds: set[tuple[str, Any]] = {(name, type(value)) for name, value in values.items() if value is not None}
+        kinds |= {(measure.name, measure.origin) for measure in outcome.measures.values()}
         has_new = not kinds <= self._kinds
         self._kinds |= kinds
         return has_new
 
     def take_record(self, record: Mapping[str, Any]) -> None:
         """Bring the row of a run up to date with how the journal says that its attempt ended."""
-        measures = record["measures"]
-        values = {name: measure["value"] for name, measure in measures.items()}
+        self.take_origins(record)
+        values = {name: measure["value"] for name, measure in record["measures"].items()}
         self._record(record["run"], record["status"], record["stamps"], values)
+
+    def take_origins(self, record: Mapping[str, Any]) -> None:
+        """Remember where the measures of an attempt came from, as the journal says."""
+        for name, measure in record["measures"].items():
+            self.origins[name].add(measure["origin"])
 
     def write_schema(self, path: Path) -> None:
         """Write the run table's schema as far as it is known."""
@@ -236,7 +251,9 @@ class RecoveredTable:
         self.rows.record(
             run_id,
             status=_ENDS[status],
-            stamps={name: stamp for event, stamp in stamps.items() if (name := f"{event}_at") in self.rows.layout.stamps},
+            stamps={
+                name: stamp for event, stamp in stamps.items() if (name := f"{event}_at") in self.rows.layout.stamps
+            },
             measures={name: value for name, value in measures.items() if name in self.rows.layout.measures},
         )
 
@@ -274,37 +291,57 @@ def recover_table(
     """
     folder = experiment.folder
     plan = experiment.model.plan(manifest["seed"])
-    types = {column.name: column.type for column in read_schema(folder.schema)} if folder.schema.exists() else None
-    layout = experiment.table_layout(types)
+    schema = read_schema(folder.schema) if folder.schema.exists() else ()
+    layout = experiment.table_layout({column.name: column.type for column in schema} or None)
     if not folder.run_table.exists():
         recovered = RecoveredTable(experiment, RunTableRows.of_plan(plan, layout))
     else:
         rows = read_run_table(folder.run_table, layout)
         if manifest["design"]["source"] == "config" and not accept_changes:
             _refuse(table_differences(folder.run_table, plan, rows))
-        recovered = RecoveredTable(experiment, rows, findings=rows.warnings)
-    _replay(recovered, folder.journal)
+        recovered = RecoveredTable(experiment, rows, findings=rows.warnings, is_on_disk=rows.has_file)
+    for column in schema:
+        recovered.origins[column.name].update(column.origin.split(", ") if column.origin else ())
+    _replay(recovered, folder.journal, has_origins=bool(schema))
     return recovered
 
 
-def _replay(recovered: RecoveredTable, journal: Path) -> None:
-    since_table_written: dict[str, dict[str, Any]] = {}
-    reasons: dict[str, str] = {}
-    for record in read_journal(journal, kinds={"attempt_started", "attempt_finished", "table_written"}):
-        if record["kind"] == "attempt_started":
-            recovered.attempts[record["run"]] += 1
-            recovered.unfinished = record["run"]
-        elif record["kind"] == "table_written":
+# As `Journal.append` writes them: run and status are read from the line, as parsing takes twenty times as long.
+_RUN = re.compile(rb'\{"kind":"[^"]*","at":"[^"\\]*","run":"([^"\\]*)"')
+_STARTED = b'{"kind":"attempt_started"'
+_TABLE_WRITTEN = b'{"kind":"table_written"'
+_IS_DONE = b'"status":"done"'  # quotes inside a text are escaped: these stand nowhere else
+
+
+def _replay(recovered: RecoveredTable, journal: Path, *, has_origins: bool) -> None:
+    """Take from the journal what the file does not have; measures' origins as well, where no schema tells them."""
+    since_table_written: dict[str, bytes] = {}
+    failed: dict[str, bytes] = {}
+    for line in journal_lines(journal, kinds={"attempt_started", "attempt_finished", "table_written"}):
+        if line.startswith(_TABLE_WRITTEN):
             since_table_written.clear()
-        else:
-            recovered.unfinished = None
-            since_table_written[record["run"]] = record
-            reasons[record["run"]] = record["failure"] or ""
-            for name, measure in record["measures"].items():
-                recovered.origins[name].add(measure["origin"])
-    for record in since_table_written.values():
-        recovered.take_record(record)
-    _settle(recovered, reasons)
+            continue
+        run_id = _run_of(journal, line)
+        if line.startswith(_STARTED):
+            recovered.attempts[run_id] += 1
+            recovered.unfinished = run_id
+            continue
+        recovered.unfinished = None
+        since_table_written[run_id] = line
+        failed.pop(run_id, None)
+        if _IS_DONE not in line:
+            failed[run_id] = line
+        if not has_origins:
+            recovered.take_origins(parsed_record(journal, line))
+    for line in since_table_written.values():
+        recovered.take_record(parsed_record(journal, line))
+    recovered.is_on_disk &= not since_table_written and not recovered.rows.count(RunStatus.RUNNING)
+    _settle(recovered, {run_id: parsed_record(journal, line)["failure"] or "" for run_id, line in failed.items()})
+
+
+def _run_of(journal: Path, line: bytes) -> str:
+    found = _RUN.match(line)
+    return found[1].decode() if found else str(parsed_record(journal, line)["run"])
 
 
 def _settle(recovered: RecoveredTable, reasons: Mapping[str, str]) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.config.dialects import prepare_or_refuse
+from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.events.manager import RUN_EVENTS, EventManager, OwnerKind
 from robot_runner.core.events.measure import CONFIG_OWNER, as_measure_value
 from robot_runner.core.execution.guarding import Ends, await_task, execute_in_child, forked, settle_streams
@@ -63,7 +64,7 @@ def warm_up(experiment: Experiment) -> None:
     events = EventManager()
     for event in RUN_EVENTS:
         events.subscribe(event, dict, owner=CONFIG_OWNER, kind=OwnerKind.CONFIG)
-    parameters = replace(experiment.parameters, robot=None)
+    parameters = Parameters(**vars(experiment.parameters) | {"robot": None})
     nobody = replace(experiment, parameters=parameters, events=events, plugins=())
     with Path(os.devnull).open("wb", buffering=0) as nowhere:
         report = RecordWriter(nowhere.fileno())

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-__all__ = ["Journal", "read_journal", "utc_now"]
+__all__ = ["Journal", "journal_lines", "parsed_record", "read_journal", "utc_now"]
 
 _encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), default=str).encode
 
@@ -108,30 +108,42 @@ def read_journal(path: Path, *, kinds: Collection[str] | None = None) -> Iterato
     Raises:
         StorageError: it cannot be read, or a line before the last is no record.
     """
+    return (parsed_record(path, line) for line in journal_lines(path, kinds=kinds))
+
+
+def journal_lines(path: Path, *, kinds: Collection[str] | None = None) -> Iterator[bytes]:
+    """Yield the lines of a journal as they stand, for a reader that need not parse each; see `read_journal`."""
     # `append` writes the kind first.
     beginnings = tuple(f'{{"kind":"{kind}"'.encode() for kind in kinds) if kinds is not None else b""
     try:
         with path.open("rb") as file:
-            for number, line in enumerate(file, start=1):
-                if line.endswith(b"\n") and line.startswith(beginnings):
-                    yield _record(path, number, line)
+            for line in file:
+                if line.startswith(beginnings) and line.endswith(b"\n"):
+                    yield line
     except FileNotFoundError:
         return
     except OSError as error:
         raise storage_error(path, "read", error) from error
 
 
-def _record(path: Path, number: int, line: bytes) -> dict[str, Any]:
+def parsed_record(path: Path, line: bytes) -> dict[str, Any]:
+    """Return the record that a line of the journal holds.
+
+    Raises:
+        StorageError: it is no record.
+    """
     try:
         record = json.loads(line)
     except ValueError as error:
-        raise _corrupt(path, number) from error
+        raise _corrupt(path, line) from error
     if not isinstance(record, dict) or not isinstance(record.get("kind"), str):
-        raise _corrupt(path, number)
+        raise _corrupt(path, line)
     return record
 
 
-def _corrupt(path: Path, number: int) -> StorageError:
+def _corrupt(path: Path, line: bytes) -> StorageError:
+    with path.open("rb") as file:  # lines are counted only where one is wrong
+        number = next((number for number, each in enumerate(file, start=1) if each == line), 0)
     return StorageError(
         "this line is no record of a journal",
         where=f"{path}:{number}",

@@ -61,11 +61,13 @@ class Headings:
         places: the place of each column that is there, counted from 0, by its name in the layout.
         extras: the columns that are a user's own, in the order of the file; they are in `places` as well.
         width: how many cells a row has.
+        cells: the headings as they stand in the file.
     """
 
     places: Mapping[str, int]
     extras: tuple[str, ...]
     width: int
+    cells: Sequence[str]
 
 
 def delimiter_of(first_line: str, layout: TableLayout) -> str:
@@ -106,7 +108,7 @@ def match_headings(cells: Sequence[str], layout: TableLayout, findings: TableFin
             near = nearest(name, extras)
             fix = f"Rename {near!r}." if near else f"Add a column {name!r}."
             findings.error(f"the column of factor {name!r} is missing", fix, line=line)
-    return Headings(places, extras, len(names))
+    return Headings(places, extras, len(names), cells)
 
 
 def _names(trimmed: Sequence[str], layout: TableLayout) -> list[str]:
@@ -196,17 +198,21 @@ class _Reading:
         """Read the whole file, then refuse it with everything that is wrong, or return its rows."""
         lines = csv.reader(file, delimiter=delimiter, strict=True)
         rows: list[RunRow] = []
+        first_cells: Sequence[str] = ()
         count = 0
         for headings, chunk in self._chunks(lines):
             if chunk.rows:
                 rows += self._rows(headings, chunk, first=count + 1)
                 count += len(chunk.rows)
+            first_cells = first_cells or headings.cells
         self._run_ids.check()
         if not count:
             fix = "Add a line for each run, or delete the file: it is planned anew then."
             self._findings.error("there are no runs in it", fix)
         self._findings.raise_errors()
-        return RunTableRows(replace(self._layout, extras=self._extras), rows, self._findings.warnings)
+        layout = replace(self._layout, extras=self._extras)
+        has_file = delimiter == "," and list(first_cells) == layout.headings
+        return RunTableRows(layout, rows, self._findings.warnings, has_file=has_file)
 
     def _rows(self, headings: Headings, chunk: RowChunk, *, first: int) -> Iterable[RunRow]:
         """Return the rows of a chunk; `first` is the number of its first run."""
@@ -238,12 +244,16 @@ class _Reading:
             self._kept(headings, cells, count),
         )
 
-    def _repetitions_of(self, found: Mapping[str, Sequence[Any]], treatments: Sequence[tuple[Any, ...]]) -> Iterable[int]:
+    def _repetitions_of(
+        self, found: Mapping[str, Sequence[Any]], treatments: Sequence[tuple[Any, ...]]
+    ) -> Iterable[int]:
         if not self._layout.has_repetition:  # a column of that name is a factor or a user's own
             return repeat(1)
         return found.get(REPETITION) or self._repetitions.counted(treatments)
 
-    def _kept(self, headings: Headings, cells: Sequence[Sequence[str]], count: int) -> Iterable[Mapping[str, str] | None]:
+    def _kept(
+        self, headings: Headings, cells: Sequence[Sequence[str]], count: int
+    ) -> Iterable[Mapping[str, str] | None]:
         """Return the text that each row keeps as it is: a user's own columns, and what no treatment is written as."""
         odd = [factor for factor in self._factors if factor.kept]
         if not headings.extras and not odd:

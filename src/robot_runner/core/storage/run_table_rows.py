@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from itertools import islice, repeat
+from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
@@ -63,6 +64,7 @@ class RunTableRows:
     Attributes:
         layout: which columns there are.
         warnings: what looked odd when the table was read.
+        has_file: whether the file that it was read from has the same columns, as they would be written.
 
     Example:
         >>> from robot_runner.core.design.factor import Factor
@@ -75,20 +77,29 @@ class RunTableRows:
         (1, 719.0)
     """
 
-    def __init__(self, layout: TableLayout, rows: Iterable[RunRow], warnings: Sequence[Finding] = ()) -> None:
+    def __init__(
+        self,
+        layout: TableLayout,
+        rows: Iterable[RunRow],
+        warnings: Sequence[Finding] = (),
+        *,
+        has_file: bool = False,
+    ) -> None:
         """Put rows together.
 
         Args:
             layout: which columns there are.
             rows: their stamps and measures are those of the layout.
             warnings: what looked odd when the table was read.
+            has_file: whether the file that it was read from has the same columns, as they would be written.
         """
         self.layout = layout
         self.warnings = tuple(warnings)
+        self.has_file = has_file
         self._rows = list(rows)
         self._counts = Counter(row.status for row in self._rows)
         self._places: dict[str, int] | None = None
-        self._values = _values_by_column(layout)
+        self._sources = _sources(layout)
 
     @classmethod
     def of_plan(cls, plan: Sequence[PlannedRun], layout: TableLayout) -> RunTableRows:
@@ -109,12 +120,20 @@ class RunTableRows:
 
     def row(self, place: int) -> dict[str, Any]:
         """Return the row at `place`: the typed value of each column, by heading."""
-        row = self._rows[place]
-        return {name: value(row) for name, value in self._values.items()}
+        row = (self._rows[place],)
+        return {name: next(self._values(name, row)) for name in self._sources}
 
     def values(self, name: str) -> Iterator[Any]:
-        """Yield the value of a column in each row."""
-        return map(self._values[name], self._rows)
+        """Return the value of a column in each row."""
+        return self._values(name, self._rows)
+
+    def recorded(self) -> dict[str, tuple[Any, ...]]:
+        """Return the time stamps and the measures of the runs that have any, by heading."""
+        no_stamps, no_measures = _nothing(self.layout)
+        stamps = zip(*(row.stamps for row in self._rows if row.stamps != no_stamps), strict=True)
+        measures = zip(*(row.measures for row in self._rows if row.measures != no_measures), strict=True)
+        nothing: dict[str, tuple[Any, ...]] = dict.fromkeys((*self.layout.stamps, *self.layout.measures), ())
+        return nothing | dict(zip(self.layout.stamps, stamps)) | dict(zip(self.layout.measures, measures))
 
     def run_id(self, place: int) -> str:
         """Return the id of the run at `place`."""
@@ -223,6 +242,15 @@ class RunTableRows:
                     cells[places[name]] = text
             yield cells
 
+    def _values(self, name: str, rows: Iterable[RunRow]) -> Iterator[Any]:
+        attribute, key = self._sources[name]
+        held = map(attrgetter(attribute), rows)
+        if key is None:
+            return held
+        if attribute == "kept":
+            return (texts.get(name) if texts else None for texts in held)
+        return map(itemgetter(key), held)
+
     def _change(self, row: RunRow, status: RunStatus) -> None:
         self._counts[row.status] -= 1
         self._counts[status] += 1
@@ -244,29 +272,16 @@ def _replaced(names: Sequence[str], values: tuple[Any, ...], changed: Mapping[st
     return tuple(changed.get(name, value) for name, value in zip(names, values, strict=True))
 
 
-def _values_by_column(layout: TableLayout) -> dict[str, Callable[[RunRow], Any]]:
-    """Return what takes the value of a column from a row, by heading, in the order of the layout."""
-
-    def stamp(place: int) -> Callable[[RunRow], Any]:
-        return lambda row: row.stamps[place]
-
-    def factor(place: int) -> Callable[[RunRow], Any]:
-        return lambda row: row.run.combination.treatments[place]
-
-    def measure(place: int) -> Callable[[RunRow], Any]:
-        return lambda row: row.measures[place]
-
-    def extra(name: str) -> Callable[[RunRow], Any]:
-        return lambda row: row.kept.get(name) if row.kept else None
-
+def _sources(layout: TableLayout) -> dict[str, tuple[str, int | str | None]]:
+    """Return where a row holds the value of each column, by heading: an attribute, and what to look up in it."""
     return {
-        RUN_ID: lambda row: row.run.run_id,
-        STATUS: lambda row: row.status,
-        **{name: stamp(place) for place, name in enumerate(layout.stamps)},
-        **{name: factor(place) for place, name in enumerate(layout.factor_names)},
-        **({REPETITION: lambda row: row.run.repetition} if layout.has_repetition else {}),
-        **{name: measure(place) for place, name in enumerate(layout.measures)},
-        **{name: extra(name) for name in layout.extras},
+        RUN_ID: ("run.run_id", None),
+        STATUS: ("status", None),
+        **{name: ("stamps", place) for place, name in enumerate(layout.stamps)},
+        **{name: ("run.combination.treatments", place) for place, name in enumerate(layout.factor_names)},
+        **dict.fromkeys(layout.repetition, ("run.repetition", None)),
+        **{name: ("measures", place) for place, name in enumerate(layout.measures)},
+        **{name: ("kept", name) for name in layout.extras},
     }
 
 
@@ -293,7 +308,7 @@ def table_text(rows: RunTableRows) -> Iterator[str]:
 
     The columns stand in the order of the layout, see `TableLayout`.
     """
-    yield csv_text([[rows.layout.spelling.heading(name) for name in rows.layout.columns]])
+    yield csv_text([rows.layout.headings])
     cells = rows.cells()
     while piece := list(islice(cells, _ROWS_AT_ONCE)):
         yield csv_text(piece)

@@ -236,6 +236,11 @@ class TableLayout:
         )
 
     @property
+    def headings(self) -> list[str]:
+        """What stands at the head of the columns in the file, in order."""
+        return list(map(self.spelling.heading, self.columns))
+
+    @property
     def factor_names(self) -> tuple[str, ...]:
         """The headings of the factors, in order."""
         return tuple(column.name for column in self.factors)

@@ -135,6 +135,7 @@ def describe_columns(
         rows: the run table; types are those of the values that it holds.
         known: what is known of columns beside their values (titles, units, owners, ...), by heading.
     """
+    recorded = rows.recorded()
     words = {status: rows.layout.spelling.status_words[status] for status in RunStatus}
     described = [
         ColumnDescription(
@@ -151,11 +152,14 @@ def describe_columns(
             title="Status",
             description=f"How far the run has come: {', '.join(dict.fromkeys(words.values()))}.",
         ),
-        *(_stamp(name, rows.values(name)) for name in rows.layout.stamps),
+        *(_stamp(name, recorded[name]) for name in rows.layout.stamps),
         *(_factor(column, rows) for column in rows.layout.factors),
         *(_repetition(name) for name in rows.layout.repetition),
-        *(_measure(name, rows.values(name)) for name in rows.layout.measures),
-        *(ColumnDescription(name=name, role=ColumnRole.EXTRA, type="string", title=name) for name in rows.layout.extras),
+        *(_measure(name, recorded[name]) for name in rows.layout.measures),
+        *(
+            ColumnDescription(name=name, role=ColumnRole.EXTRA, type="string", title=name)
+            for name in rows.layout.extras
+        ),
     ]
     spelled = (replace(column, heading=_other_heading(rows, column.name)) for column in described)
     return tuple(_merged(column, (known or {}).get(column.name)) for column in spelled)
@@ -168,13 +172,11 @@ def _other_heading(rows: RunTableRows, name: str) -> str:
 
 def type_of_values(values: Iterable[Any]) -> str:
     """Return the type of a column that holds these values; `any` where no single one fits, or there are no values."""
-    kinds = {bool if isinstance(value, bool) else _plain_kind(value) for value in values if value is not None}
-    if not kinds:
+    present = [value for value in values if value is not None]
+    kinds = set(map(_plain_kind, set(map(type, present))))  # few types among many values
+    if not kinds or not all(math.isfinite(value) for value in present if isinstance(value, float)):
         return "any"
-    for name, fitting in _FITTING:
-        if kinds <= fitting:
-            return name
-    return "any"
+    return next((name for name, fitting in _FITTING if kinds <= fitting), "any")
 
 
 _FITTING = (
@@ -185,10 +187,11 @@ _FITTING = (
 )
 
 
-def _plain_kind(value: Any) -> type | None:
-    if isinstance(value, float):
-        return float if math.isfinite(value) else None
-    return int if isinstance(value, Integral) else str  # an object stands in the table as its text
+def _plain_kind(kind: type) -> type:
+    for plain in (bool, float):
+        if issubclass(kind, plain):
+            return plain
+    return int if issubclass(kind, Integral) else str  # an object stands in the table as its text
 
 
 def _stamp(name: str, texts: Iterable[str | None]) -> ColumnDescription:
@@ -206,7 +209,7 @@ def _factor(column: FactorColumn, rows: RunTableRows) -> ColumnDescription:
     name = column.name
     # Treatments that are known and in no row count as well: so the type is the same in every order.
     treatments = (*(column.factor.treatments if column.factor else ()), *rows.values(name))
-    kind = type_of_values("None" if treatment is None else treatment for treatment in treatments)
+    kind = type_of_values(["None" if treatment is None else treatment for treatment in treatments])
     return ColumnDescription(name=name, role=ColumnRole.FACTOR, type=kind, title=name, description="A factor.")
 
 

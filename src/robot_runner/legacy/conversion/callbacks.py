@@ -1,22 +1,23 @@
-"""CodeCarbon's decorators: our profiler of the same name takes their place."""
+"""The methods of a config: what they read from their context, their events, and CodeCarbon's decorators."""
 
 from __future__ import annotations
 
 import ast
 from collections import Counter
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK, RobotRunnerEvents
 from robot_runner.legacy.profilers.profiler_catalogue import plugin_of
-from robot_runner.legacy.syntax import imports_of
+from robot_runner.legacy.syntax import imports_of, nodes
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
-    from robot_runner.legacy.conversion.edits import Edits
-    from robot_runner.legacy.conversion.imports import ConvertedImports
+    from robot_runner.legacy.conversion.names import ConvertedImports
     from robot_runner.legacy.session import Session
+    from robot_runner.legacy.syntax import Edits
 
 __all__ = [
     "CallbackNames",
@@ -38,15 +39,15 @@ _ATTRIBUTES = {"run_nr": "run_number", "run_dir": "run_folder"}
 _RUN_ID = "__run_id"
 
 
-def convert_contexts(functions: Collection[ast.FunctionDef], edits: Edits, columns: Collection[str]) -> None:
+def convert_contexts(tree: ast.Module, edits: Edits, columns: Collection[str]) -> None:
     """Convert the functions that have a parameter `context`.
 
     Args:
-        functions: all functions of the file.
+        tree: the file.
         edits: takes the changes.
         columns: the measures' columns.
     """
-    for function in functions:
+    for function in nodes(tree, ast.FunctionDef):
         if any(argument.arg == "context" for argument in function.args.args):
             _Function(function, edits, columns).convert()
 
@@ -89,14 +90,15 @@ class _Function:
             self._edits.replace(row, "context.combination")
 
     def _row_variables(self) -> Iterator[str]:
-        for node in ast.walk(self._function):
-            match node:
-                case ast.Assign(targets=[ast.Name(id=name)], value=value) if self._is_row(value):
+        for node in nodes(self._function, ast.Assign):
+            match node.targets:
+                case [ast.Name(id=name)] if self._is_row(node.value):
                     yield name
                 case _:
                     pass
 
-    def _is_row(self, node: ast.expr) -> bool:
+    @staticmethod
+    def _is_row(node: ast.expr) -> bool:
         match node:
             case ast.Attribute(value=ast.Name(id="context"), attr=name):
                 return name in _ROWS
@@ -115,6 +117,7 @@ _OF_FORK = f"{_OF_ALL}_multiple_callbacks"
 _INDENT = 4
 
 
+@dataclass(frozen=True, slots=True)
 class CallbackNames:
     """What the methods of a config are called afterwards.
 
@@ -123,9 +126,8 @@ class CallbackNames:
         is_by_name: whether every callback hears its event by its name alone.
     """
 
-    def __init__(self, renamed: dict[str, str], *, is_by_name: bool) -> None:
-        self.renamed = renamed
-        self.is_by_name = is_by_name
+    renamed: dict[str, str]
+    is_by_name: bool
 
 
 def named_callbacks(session: Session, methods: set[str]) -> CallbackNames:
@@ -135,7 +137,7 @@ def named_callbacks(session: Session, methods: set[str]) -> CallbackNames:
         session: what the config subscribed when it was loaded.
         methods: the methods that the config class defines.
     """
-    heard = [(each.event, getattr(each.callback, "__name__", "")) for each in session.subscriptions]
+    heard = [(each.event, _name_of(each.callback)) for each in session.subscriptions]
     events = Counter(event for event, _ in heard)
     names = Counter(name for _, name in heard)
     is_by_name = all(name in methods for _, name in heard) and all(
@@ -146,14 +148,12 @@ def named_callbacks(session: Session, methods: set[str]) -> CallbackNames:
     for method in methods & set(EVENTS_BY_CALLBACK):
         if method not in subscribed:
             renamed[method] = f"_{method}"  # it would hear the event now
-    return CallbackNames(renamed, is_by_name=is_by_name)
+    return CallbackNames(renamed, is_by_name)
 
 
 def remove_subscriptions(config: ast.ClassDef, edits: Edits) -> None:
     """Remove the subscriptions of a class, and an `__init__` in which nothing else is done."""
-    for method in config.body:
-        if not isinstance(method, ast.FunctionDef):
-            continue
+    for method in _methods(config):
         found = [statement for statement in method.body if _subscribes(statement)]
         others = [statement for statement in method.body if statement not in found and not _is_docstring(statement)]
         if found and not others and method.name == "__init__":
@@ -167,51 +167,47 @@ def remove_subscriptions(config: ast.ClassDef, edits: Edits) -> None:
 
 def convert_lists_of_callbacks(config: ast.ClassDef, edits: Edits) -> None:
     """Write an entry for each callback where a fork took lists of them; what is in them is converted already."""
-    for node in ast.walk(config):
-        match node:
-            case ast.Call(func=ast.Attribute(value=ast.Name(id=name), attr=attr) as func) if (
-                name == _CONTROLLER and attr == _OF_FORK
-            ):
+    for call in nodes(config, ast.Call):
+        match call.func:
+            case ast.Attribute(value=ast.Name(id=name), attr=attr) as func if name == _CONTROLLER and attr == _OF_FORK:
                 edits.replace_span(edits.end_of(func) - len(_OF_FORK), edits.end_of(func), _OF_ALL)
-                for pair in ast.walk(node):
-                    match pair:
-                        case ast.Tuple(elts=[event, ast.List(elts=callbacks)]):
-                            parts = [f"({edits.edited(event)}, {edits.edited(each)})" for each in callbacks]
-                            edits.replace(pair, ", ".join(parts))
-                        case _:
-                            pass
+                for pair in nodes(call, ast.Tuple):
+                    _convert_pair(pair, edits)
             case _:
                 pass
 
 
+def _convert_pair(pair: ast.Tuple, edits: Edits) -> None:
+    match pair.elts:
+        case [event, ast.List(elts=callbacks)]:
+            parts = [f"({edits.edited(event)}, {edits.edited(each)})" for each in callbacks]
+            edits.replace(pair, ", ".join(parts))
+        case _:
+            pass
+
+
 def convert_continue(config: ast.ClassDef, names: CallbackNames, edits: Edits) -> None:
     """Have the callback of `continue` return True: it has asked the user itself."""
-    for method in config.body:
-        if isinstance(method, ast.FunctionDef) and names.renamed.get(method.name, method.name) == "continue_experiment":
-            last = method.body[-1]
+    for method in _methods(config):
+        if names.renamed.get(method.name, method.name) == "continue_experiment":
             indent = " " * (method.col_offset + _INDENT)
-            edits.insert(edits.end_of(last), f"\n{indent}return True  # the user was asked here")
+            edits.insert(edits.end_of(method.body[-1]), f"\n{indent}return True  # the user was asked here")
 
 
 def convert_rows_of_before_run(config: ast.ClassDef, session: Session, edits: Edits) -> None:
     """Have a `before_run` that took the row take the context."""
-    heard = {
-        getattr(each.callback, "__name__", "")
-        for each in session.subscriptions
-        if each.event is RobotRunnerEvents.BEFORE_RUN
-    }
-    for method in config.body:
-        if isinstance(method, ast.FunctionDef) and method.name in heard:
-            for argument in method.args.args[1:2]:
-                if argument.arg != "context":
-                    edits.replace(argument, "context")
-                    first = method.body[0]
-                    indent = " " * first.col_offset
-                    edits.insert(edits.start_of(first), f"{argument.arg} = context.combination\n{indent}")
+    heard = {_name_of(each.callback) for each in session.subscriptions if each.event is RobotRunnerEvents.BEFORE_RUN}
+    for method in _methods(config):
+        for argument in method.args.args[1:2] if method.name in heard else ():
+            if argument.arg != "context":
+                edits.replace(argument, "context")
+                first = method.body[0]
+                indent = " " * first.col_offset
+                edits.insert(edits.start_of(first), f"{argument.arg} = context.combination\n{indent}")
 
 
 def order_findings(session: Session) -> Iterator[Finding]:
-    """Say where the order of the events differs from the earlier tool's."""
+    """Yield where the order of the events differs from the earlier tool's."""
     heard = {each.event for each in session.subscriptions}
     is_robot_runner = session.recognised.dialect.class_name == "RobotRunnerConfig"
     if is_robot_runner and {RobotRunnerEvents.STOP_RUN, RobotRunnerEvents.POPULATE_RUN_DATA} <= heard:
@@ -220,6 +216,14 @@ def order_findings(session: Session) -> Iterator[Finding]:
             "populate_run_data is called after stop_run now; Robot Runner called it before",
             "See that stop_run leaves what populate_run_data reads.",
         )
+
+
+def _methods(config: ast.ClassDef) -> Iterator[ast.FunctionDef]:
+    return (node for node in config.body if isinstance(node, ast.FunctionDef))
+
+
+def _name_of(callback: object) -> str:
+    return str(getattr(callback, "__name__", ""))
 
 
 def _subscribes(statement: ast.stmt) -> bool:
@@ -286,7 +290,7 @@ def _countries(decorators: list[ast.expr]) -> Iterator[ast.expr]:
 
 
 def _is_decorating(module: str, name: str) -> bool:
-    plugin = plugin_of(f"{module}.{name}") or plugin_of(module)
+    plugin = plugin_of(f"{module}.{name}")
     return plugin is not None and plugin.ours == _PLUGIN
 
 

@@ -22,12 +22,16 @@ from robot_runner.legacy.conversion.callbacks import (
     order_findings,
     remove_subscriptions,
 )
-from robot_runner.legacy.conversion.edits import Edits
-from robot_runner.legacy.conversion.imports import ConvertedImports, convert_imports, convert_parameters
-from robot_runner.legacy.conversion.run_table_calls import ONLY_FACTOR, convert_run_tables
+from robot_runner.legacy.conversion.names import (
+    ONLY_FACTOR,
+    ConvertedImports,
+    convert_imports,
+    convert_parameters,
+    convert_run_tables,
+)
 from robot_runner.legacy.recognition import Recognised, is_earlier_import, recognise
 from robot_runner.legacy.session import active_session
-from robot_runner.legacy.syntax import classes_of, imports_of
+from robot_runner.legacy.syntax import Edits, attributes_of, classes_of, imports_of, nodes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -39,8 +43,11 @@ if TYPE_CHECKING:
 __all__ = ["Conversion", "check_conversion", "check_neighbours", "convert", "differences"]
 
 
-# Whether two configs plan the same run table.
+#: The events that have another name here.
+_RENAMED_EVENTS = {"INTERACT": "LAUNCH_MISSION", "DURING_RUN": "LAUNCH_MISSION", "SIGNAL_SEMI_CONTINUE": "CONTINUE"}
+_INSTALLED = frozenset({"dist-packages", "site-packages"})
 
+#: The treatments of a run by factor, as texts.
 Run = tuple[tuple[str, str], ...]
 
 
@@ -54,10 +61,12 @@ def differences(before: Experiment, after: Experiment) -> Iterator[Finding]:
             f"nothing is varied, so there is a factor {ONLY_FACTOR!r} with one treatment",
             "Name what you will compare it with.",
         )
-    for run, count in (Counter(old) - Counter(new)).items():
-        yield Finding.error("run table", f"{_shown(run)} is planned {count} times less than before", "Mend it by hand.")
-    for run, count in (Counter(new) - Counter(old)).items():
-        yield Finding.error("run table", f"{_shown(run)} is planned {count} times more than before", "Mend it by hand.")
+    for more, fewer, change in ((old, new, "less"), (new, old, "more")):
+        for run, count in (Counter(more) - Counter(fewer)).items():
+            shown = ", ".join(f"{name}={value}" for name, value in run)
+            yield Finding.error(
+                "run table", f"{shown} is planned {count} times {change} than before", "Mend it by hand."
+            )
     is_random = before.model.shuffle or after.model.shuffle
     if Counter(old) == Counter(new) and old != new and not is_random:
         yield Finding.error("run table", "the order of the runs is another", "Mend it by hand.")
@@ -74,17 +83,8 @@ def _runs(experiment: Experiment) -> list[Run]:
     return [tuple((name, str(value)) for name, value in run.combination.items()) for run in experiment.model.plan()]
 
 
-def _shown(run: Run) -> str:
-    return ", ".join(f"{name}={value}" for name, value in run)
-
-
-# The modules that a config imports: those written for the earlier tool have to be mended first.
-
-_INSTALLED = frozenset({"dist-packages", "site-packages"})
-
-
 def check_neighbours(experiment: Experiment, tree: ast.Module) -> Iterator[Finding]:
-    """Say which modules that the config imports are written for the earlier tool themselves."""
+    """Yield which modules that the config imports are written for the earlier tool themselves: they come first."""
     modules = {*experiment.local_modules, *_imported_files(tree)}
     for module in sorted(modules):
         for each in imports_of(ast.parse(module.read_text(encoding="utf-8"))):
@@ -125,12 +125,12 @@ def convert(path: Path) -> Conversion:
     """Convert a config file of an earlier tool.
 
     Raises:
-        ConfigError: it is none, cannot be loaded, or uses what has no counterpart here.
+        ConfigError: the file is none, cannot be loaded, or uses what has no counterpart here.
     """
     recognised = recognise(path)
     if recognised is None:
         raise ConfigError(
-            "it is written in our own spelling already", where=str(path), fix=f"Execute it: robot-runner {path}"
+            "the config is written in our own spelling already", where=str(path), fix=f"Execute it: robot-runner {path}"
         )
     preparation = prepare(path, is_for_here=False)
     experiment = preparation.experiment
@@ -182,8 +182,7 @@ class _Converting:
             self.imports.ours -= {"EventSubscriptionController", "RobotRunnerEvents"}
         convert_rows_of_before_run(config, self._session, self._edits)
         convert_continue(config, callbacks, self._edits)
-        functions = [node for node in ast.walk(self._tree) if isinstance(node, ast.FunctionDef)]
-        convert_contexts(functions, self._edits, self._experiment.columns.names)
+        convert_contexts(self._tree, self._edits, self._experiment.columns.names)
         self._rename_members(config, callbacks.renamed | {"create_run_table_model": "create_run_table"})
         convert_run_tables(self._session, self._tree, self.imports, self._edits)
         self._convert_names()
@@ -207,33 +206,29 @@ class _Converting:
                 start = self._edits.find(node.name, self._edits.line_start(node.lineno))
                 self._edits.replace_span(start, start + len(node.name.encode()), renamed[node.name])
         names = {**renamed, "name": "experiment_name"}
-        for reference in ast.walk(config):
-            match reference:
-                case ast.Attribute(value=ast.Name(id="self" | "cls" | "RunnerConfig"), attr=name) if name in names:
-                    owner = self._edits.end_of(reference.value)
-                    self._edits.replace_span(owner, self._edits.end_of(reference), f".{names[name]}")
-                case _:
-                    pass
+        for owner, member in attributes_of(config, {"self", "cls", "RunnerConfig"}):
+            if member.attr in names:
+                self._edits.replace_span(
+                    self._edits.end_of(owner), self._edits.end_of(member), f".{names[member.attr]}"
+                )
 
     def _convert_names(self) -> None:
-        for node in ast.walk(self._tree):
-            match node:
-                case ast.Call(func=ast.Attribute(value=ast.Name(id=name), attr=called)) if (
-                    name in self.imports.outputs and called.startswith("console_log") and node.args
+        for call in nodes(self._tree, ast.Call):
+            match call.func:
+                case ast.Attribute(value=ast.Name(id=name), attr=called) if (
+                    name in self.imports.outputs and called.startswith("console_log") and call.args
                 ):
-                    end = self._edits.end_of(node.args[0])
-                    self._edits.replace_span(self._edits.start_of(node), self._edits.start_of(node.args[0]), "print(")
-                    self._edits.replace_span(end, self._edits.end_of(node), ")")
-                case ast.Attribute(value=ast.Name(id=name), attr="INTERACT" | "DURING_RUN") if (
-                    name in self.imports.events
-                ):
-                    self._edits.replace(node, "RobotRunnerEvents.LAUNCH_MISSION")
-                case ast.Attribute(value=ast.Name(id=name), attr="SIGNAL_SEMI_CONTINUE") if name in self.imports.events:
-                    self._edits.replace(node, "RobotRunnerEvents.CONTINUE")
-                case ast.Name(id=name) if self.imports.names.get(name, name) != name:
-                    self._edits.replace(node, self.imports.names[name])
+                    end = self._edits.end_of(call.args[0])
+                    self._edits.replace_span(self._edits.start_of(call), self._edits.start_of(call.args[0]), "print(")
+                    self._edits.replace_span(end, self._edits.end_of(call), ")")
                 case _:
                     pass
+        for _, event in attributes_of(self._tree, self.imports.events):
+            if event.attr in _RENAMED_EVENTS:
+                self._edits.replace(event, f"RobotRunnerEvents.{_RENAMED_EVENTS[event.attr]}")
+        for node in nodes(self._tree, ast.Name):
+            if self.imports.names.get(node.id, node.id) != node.id:
+                self._edits.replace(node, self.imports.names[node.id])
 
     def _put_imports(self) -> None:
         lines = [each.line for each in imports_of(self._tree) if is_earlier_import(each.module)]
@@ -243,7 +238,7 @@ class _Converting:
 
 def _left_out(session: Session) -> Iterator[Finding]:
     with active_session(session):
-        if any(isinstance(node, ast.Name) and node.id == "self_measure" for node in ast.walk(session.recognised.tree)):
+        if any(node.id == "self_measure" for node in nodes(session.recognised.tree, ast.Name)):
             yield Finding.warning(
                 session.path.name,
                 "self_measure means nothing here",

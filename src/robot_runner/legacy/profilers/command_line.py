@@ -1,9 +1,14 @@
-"""Experiment Runner's profilers that are programs of the command line: Ps, PowerJoular, EnergiBridge."""
+"""Experiment Runner's profilers that are programs: Ps, PowerJoular, EnergiBridge, PowerMetrics and PowerLetrics.
+
+Each names its program, the parameters that the program has, and where the samples go; `CLISource` starts and stops it.
+"""
 
 from __future__ import annotations
 
+import plistlib
 import re
 import shlex
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -12,17 +17,85 @@ from robot_runner.legacy.profilers.programs import Table, read_table
 from robot_runner.legacy.session import warn_of_run
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
-__all__ = ["EnergiBridge", "PowerJoular", "Ps"]
+__all__ = [
+    "EnergiBridge",
+    "PLFormatTypes",
+    "PLOrderTypes",
+    "PMFormatTypes",
+    "PMOrderTypes",
+    "PMSampleTypes",
+    "PowerJoular",
+    "PowerLetrics",
+    "PowerMetrics",
+    "Ps",
+]
+
+_ORDERS = {"PID": "pid", "WAKEUP": "wakeups", "CPU": "cputime", "HYBRID": "composite"}
+_SAMPLERS = {
+    "TASKS": "tasks",
+    "BAT": "battery",
+    "NET": "network",
+    "DISK": "disk",
+    "INT": "interrupts",
+    "CPU_POWER": "cpu_power",
+    "TEMP": "thermal",
+    "SFI": "sfi",
+    "GPU_POWER": "gpu_power",
+    "AGPM": "gpu_agpm_stats",
+    "SMC": "smc",
+    "DCC": "gpu_dcc_stats",
+    "NVME": "nvme_ssd",
+    "THROTTLE": "io_throttle_ssd",
+}
+
+
+def _choices(name: str, prefix: str, values: Mapping[str, str]) -> Any:
+    return StrEnum(name, {f"{prefix}{key}": value for key, value in values.items()})
+
+
+PMFormatTypes = _choices("PMFormatTypes", "PM_FMT_", {"TEXT": "text", "PLIST": "plist"})
+PMOrderTypes = _choices("PMOrderTypes", "PM_ORDER_", _ORDERS)
+PMSampleTypes = _choices("PMSampleTypes", "PM_SAMPLE_", _SAMPLERS)
+PLFormatTypes = _choices("PLFormatTypes", "PL_FMT_", {"TEXT": "text", "PLIST": "plist"})
+PLOrderTypes = _choices("PLOrderTypes", "PL_ORDER_", _ORDERS)
+
+_KINDS = {"": None, "str": str, "int": int, "list": list}
+
+
+def _parameters(text: str) -> ParameterDict:
+    """Return parameters from their spellings: `-o|--output:str -g|--gpu`."""
+    named = (word.partition(":") for word in text.split())
+    return ParameterDict({tuple(spellings.split("|")): _KINDS[kind] for spellings, _, kind in named})
+
 
 # The manual page of procps-ng's ps(1); letters without a dash are the BSD spellings.
-_PS_FLAGS = "-A -e -a a -d -N --deselect r T x -F -f f --forest -H -j j -l l -M Z -P s u v X --context --headers "
-_PS_FLAGS += "--no-headers --noheader --signames H -L -m m -T -c c e L n S --cumulative -y -w w"
-_PS_VALUES = "-C -G --Group -g --group -p p --pid --ppid -q q --quick-pid -s --sid -t t --tty -u U --user -U --User "
-_PS_VALUES += "-D -O O -o o --format --cols --columns --width --rows --lines k --sort"
-
-_NUMBER = re.compile(r"[0-9]+(?:\.[0-9]+)?")
+_OF_PS = """
+    -A -e -a a -d -N --deselect r T x -F -f f --forest -H -j j -l l -M Z -P s u v X --context --headers --no-headers
+    --noheader --signames H -L -m m -T -c c e L n S --cumulative -y -w w
+    -C:str -G:str --Group:str -g:str --group:str -p:str p:str --pid:str --ppid:str -q:str q:str --quick-pid:str -s:str
+    --sid:str -t:str t:str --tty:str -u:str U:str --user:str -U:str --User:str -D:str -O:str O:str -o:str o:str
+    --format:str --cols:str --columns:str --width:str --rows:str --lines:str k:str --sort:str
+"""
+_OF_ENERGIBRIDGE = """
+    -o|--output:str -s|--separator:str -c|--output-command|--command-output:str -i|--interval:int
+    -m|--max-execution:int -g|--gpu --summary
+"""
+# The manual page powermetrics(1) of macOS.
+_OF_POWERMETRICS = """
+    --poweravg|-a:int --buffer-size|-b:int --format|-f:str --sample-rate|-i:int --sample-count|-n:int
+    --output-file|-o:str --order|-r:str --samplers|-s:list --wakeup-cost|-t:int --unhide-info:list --show-all|-A
+    --show-initial-usage --show-usage-summary --show-extra-power-info --show-pstates --show-plimits --show-cpu-qos
+    --show-cpu-scalability --show-hwp-capability --show-process-coalition --show-responsible-pid
+    --show-process-wait-times --show-process-qos-tiers --show-process-io --show-process-gpu --show-process-netstats
+    --show-process-qos --show-process-energy --show-process-samp-norm --handle-invalid-values --hide-cpu-duty-cycle
+"""
+_OF_POWERLETRICS = """
+    -i|--sample-rate:int -n|--sample-count:int -o|--output-file:str -r|--order:str -A|--show-all --format:str
+    -f|--flush -c|--clear -s|--server --port:int --host:str --rapl-sample-rate:int --show-process-io
+    --show-process-netstats --show-command-line --short --proc-memory --rapl --psys --overhead --thread
+"""
 
 
 class Ps(CLISource):
@@ -31,7 +104,7 @@ class Ps(CLISource):
     `%cpu` of `ps` is the time on the processor over the life of the process, not its utilisation at a moment.
     """
 
-    parameters: ClassVar[Any] = ParameterDict(dict.fromkeys(_PS_FLAGS.split()) | dict.fromkeys(_PS_VALUES.split(), str))
+    parameters: ClassVar[Any] = _parameters(_OF_PS)
     source_name: ClassVar[Any] = "ps"
     supported_platforms: ClassVar[Any] = ["Linux"]
 
@@ -53,11 +126,8 @@ class Ps(CLISource):
 
     def _format_cmd(self) -> str:
         output = "" if self.logfile is None else f" >> {shlex.quote(str(self.logfile))}"
-        as_csv = "awk '{$1=$1};1' OFS=,"
-        loop = (
-            f"while :; do {super()._format_cmd()} | {as_csv}{output}; sleep {self.sleep_interval} >/dev/null 2>&1; done"
-        )
-        return f"sh -c {shlex.quote(loop)}"
+        as_csv = f"{super()._format_cmd()} | awk '{{$1=$1}};1' OFS=,{output}"
+        return f"sh -c {shlex.quote(f'while :; do {as_csv}; sleep {self.sleep_interval} >/dev/null 2>&1; done')}"
 
     @staticmethod
     def parse_log(logfile: Path | str, column_names: Sequence[str] | None = None) -> Table:
@@ -68,9 +138,7 @@ class Ps(CLISource):
 class PowerJoular(CLISource):
     """Has PowerJoular write the power of the processor, and of one process, once a second."""
 
-    parameters: ClassVar[Any] = ParameterDict(
-        dict.fromkeys(("-p", "-a", "-f", "-o", "-m", "-s"), str) | dict.fromkeys(("-t", "-l"))
-    )
+    parameters: ClassVar[Any] = _parameters("-p:str -a:str -f:str -o:str -m:str -s:str -t -l")
     source_name: ClassVar[Any] = "powerjoular"
     supported_platforms: ClassVar[Any] = ["Linux"]
 
@@ -103,17 +171,7 @@ class PowerJoular(CLISource):
 class EnergiBridge(CLISource):
     """Has EnergiBridge measure while a program runs, or (`sleep`) until it is stopped."""
 
-    parameters: ClassVar[Any] = ParameterDict(
-        {
-            ("-o", "--output"): str,
-            ("-s", "--separator"): str,
-            ("-c", "--output-command", "--command-output"): str,
-            ("-i", "--interval"): int,
-            ("-m", "--max-execution"): int,
-            ("-g", "--gpu"): None,
-            ("--summary",): None,
-        }
-    )
+    parameters: ClassVar[Any] = _parameters(_OF_ENERGIBRIDGE)
     source_name: ClassVar[Any] = "energibridge"
     supported_platforms: ClassVar[Any] = ["Linux", "Darwin", "Windows"]
 
@@ -151,8 +209,7 @@ class EnergiBridge(CLISource):
         """End the measuring, or `wait` for the program; the summary is kept in a file."""
         printed = super().stop(wait)
         if self.summary and self.summary_logfile is not None:
-            lines = printed.strip().splitlines()
-            summary = lines[-1] if lines else ""
+            summary = (printed.strip().splitlines() or [""])[-1]
             if not summary.startswith("Energy consumption"):
                 warn_of_run("EnergiBridge gave no summary: it was computed from its log", fix="Measure for longer.")
                 summary = self.generate_summary()
@@ -175,7 +232,7 @@ class EnergiBridge(CLISource):
         if not summary_logfile:
             return log
         text = Path(summary_logfile).read_text(encoding="utf-8")
-        numbers = [float(each) for each in _NUMBER.findall(text)]
+        numbers = [float(each) for each in re.findall(r"[0-9]+(?:\.[0-9]+)?", text)]
         keys = ("total_joules", "runtime_seconds")
         return log, dict(zip(keys, numbers, strict=True)) if len(numbers) == len(keys) else text
 
@@ -183,3 +240,96 @@ class EnergiBridge(CLISource):
 def _growth(log: Table, column: str) -> float:
     values = [value for value in log.get(column, {}).values() if isinstance(value, int | float)]
     return float(values[-1] - values[0]) if values else 0.0
+
+
+class PowerMetrics(CLISource):
+    """Has powermetrics of macOS write a property list for each sample."""
+
+    parameters: ClassVar[Any] = _parameters(_OF_POWERMETRICS)
+    source_name: ClassVar[Any] = "powermetrics"
+    supported_platforms: ClassVar[Any] = ["Darwin"]
+
+    def __init__(
+        self,
+        sample_frequency: int = 5000,
+        out_file: Path | str = "pm_out.plist",
+        additional_args: Mapping[str, Any] | None = None,
+        additional_samplers: Sequence[Any] = (),
+        hide_cpu_duty_cycle: bool = True,
+        order: Any = PMOrderTypes.PM_ORDER_CPU,
+    ) -> None:
+        super().__init__()
+        self.requires_admin = True
+        self.logfile = out_file
+        self.args = {
+            "--output-file": self._logfile,
+            "--sample-rate": sample_frequency,
+            "--format": PMFormatTypes.PM_FMT_PLIST,
+            "--samplers": ["cpu_power", "gpu_power", "gpu_agpm_stats", *additional_samplers],
+            "--order": order,
+        }
+        if hide_cpu_duty_cycle:
+            self.args["--hide-cpu-duty-cycle"] = None
+        self.update_parameters(add=additional_args)
+
+    @staticmethod
+    def parse_log(logfile: Path | str) -> list[dict[str, Any]]:
+        """Return the samples of a log."""
+        return _property_lists(Path(logfile).read_bytes())
+
+    @staticmethod
+    def parse_plist_power(pm_plists: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        """Return what samples tell of power: graphics, processor, time."""
+        return [_power_of(sample) for sample in pm_plists]
+
+
+class PowerLetrics(CLISource):
+    """Has powerletrics write a property list for each sample."""
+
+    parameters: ClassVar[Any] = _parameters(_OF_POWERLETRICS)
+    source_name: ClassVar[Any] = "powerletrics"
+    supported_platforms: ClassVar[Any] = ["Linux"]
+
+    def __init__(
+        self,
+        sample_frequency: int = 1000,
+        out_file: Path | str = "pl_out.plist",
+        additional_args: Mapping[str, Any] | None = None,
+        order: Any = PLOrderTypes.PL_ORDER_CPU,
+    ) -> None:
+        super().__init__()
+        self.requires_admin = True
+        self.logfile = out_file
+        self.args = {
+            "--output-file": self._logfile,
+            "--format": PLFormatTypes.PL_FMT_PLIST,
+            "--order": order,
+            "--sample-rate": sample_frequency,
+            "--short": None,
+            "--overhead": None,
+        }
+        self.update_parameters(add=additional_args)
+
+    @staticmethod
+    def parse_log(logfile: Path | str) -> list[dict[str, Any]]:
+        """Return the samples of a log; its first two lines are no property list."""
+        return _property_lists(b"".join(Path(logfile).read_bytes().splitlines(keepends=True)[2:]))
+
+
+def _property_lists(data: bytes) -> list[dict[str, Any]]:
+    """Return the property lists that stand one after another, with a zero byte between them; a torn one is left out."""
+    *whole, _ = data.replace(b"\0", b"").split(_END)
+    return [plistlib.loads(each.lstrip() + _END) for each in whole]
+
+
+_END = b"</plist>"
+
+
+def _power_of(sample: Mapping[str, Any]) -> dict[str, Any]:
+    power: dict[str, Any] = {name: sample[name] for name in ("agpm_stats", "timestamp") if name in sample}
+    if "GPU" in sample:
+        left_out = {"misc_counters", "p_states"}
+        power["GPU"] = [{name: each[name] for name in each if name not in left_out} for each in sample["GPU"]]
+    if "processor" in sample:
+        power["processor"] = {name: value for name, value in sample["processor"].items() if name != "packages"}
+    return power

@@ -1,4 +1,4 @@
-"""What Experiment Runner's profilers derive from: a program or a device that is started, stopped, and has a log.
+"""The base classes of Experiment Runner's profilers: a program or a device that is started, stopped, and has a log.
 
 Configs and forks derive profilers of their own from these classes, so attributes and hooks keep their names.
 """
@@ -11,6 +11,7 @@ import threading
 from abc import ABC, abstractmethod
 from collections import UserDict
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from enum import Enum
 from os import X_OK, access, geteuid
 from queue import Empty, Queue
@@ -72,7 +73,7 @@ class DataSource(ABC):
             )
 
     def is_admin(self) -> bool:
-        """Return whether this process has every right."""
+        """Return whether this process is root's."""
         return geteuid() == 0
 
     @abstractmethod
@@ -90,11 +91,11 @@ class DataSource(ABC):
 
 
 class CLISource(DataSource):
-    """A program of the command line that measures until it is told to end.
+    """A program of the command line that measures until it is stopped.
 
     Attributes:
         args: its parameters, by spelling; None where a parameter has no value.
-        requires_admin: whether it needs every right (`sudo` is put before it where the user has not).
+        requires_admin: whether it needs root: then `sudo` is put before it, unless the user is root.
     """
 
     parameters: ClassVar[Any] = ParameterDict()
@@ -136,22 +137,22 @@ class CLISource(DataSource):
         """Start the program.
 
         Raises:
-            LinkError: it cannot be started, or has ended at once.
+            PluginError: it cannot be started.
+            LinkError: it has failed at once.
         """
         self._program = Program(self._format_cmd(), name=str(self.source_name))
         self.process = self._program.process
-        self._program.check_started()
 
     def stop(self, wait: bool = False) -> str:
         """End the program, or `wait` until it ends by itself; returns what it printed.
 
         Raises:
-            LinkError: it does not end.
+            LinkError: it had to be killed.
         """
         if self._program is None:
             return ""
         program, self._program = self._program, None
-        return program.end(None if wait else _CLOSING_S)
+        return program.end(wait=wait)
 
     def _validate_platform(self) -> None:
         super()._validate_platform()
@@ -198,7 +199,7 @@ class DeviceSource(DataSource):
         self.thread_queue: Queue[Any] = Queue(maxsize=1)
 
     def log(self) -> Any:
-        """Read until told to end; what a derived profiler's own `log` begins with.
+        """Read until `stop_thread` is set; a derived profiler's own `log` begins with this one.
 
         Raises:
             PluginError: no device was opened, or it is not called by `start`.
@@ -209,7 +210,7 @@ class DeviceSource(DataSource):
     def start(self) -> None:
         """Begin to read."""
         if self.process is not None:
-            raise PluginError("it was started already", where=type(self).__name__, fix="Call stop first.")
+            raise PluginError("the device was started already", where=type(self).__name__, fix="Call stop first.")
         self.stop_thread.clear()
         self.process = threading.Thread(target=self.log, name="DeviceWorker", daemon=True)
         self.process.start()
@@ -224,15 +225,11 @@ class DeviceSource(DataSource):
             return None
         worker, self.process = self.process, None
         self.stop_thread.set()
-        try:
+        with suppress(Empty):
             read = self.thread_queue.get(timeout=max(_CLOSING_S, 2e-3 * float(self.sample_frequency or 0)))
-            self.thread_queue.task_done()
-        except Empty as error:
-            raise LinkError(
-                "the device delivered nothing", where=type(self).__name__, fix="Look at the log of the run."
-            ) from error
-        worker.join(_CLOSING_S)
-        return read
+            worker.join(_CLOSING_S)
+            return read
+        raise LinkError("the device delivered nothing", where=type(self).__name__, fix="Look at the log of the run.")
 
 
 def _shown(value: Any) -> str:

@@ -6,12 +6,12 @@ import csv
 import functools
 from collections.abc import Callable, Iterable
 from enum import Enum
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from robot_runner.core.errors import PluginError
 from robot_runner.legacy.session import warn_of_run
+from robot_runner.meters.codecarbon import started_tracker, stop_tracker
 
 __all__ = [
     "DataColumns",
@@ -53,11 +53,14 @@ def emission_tracker(*arguments: Any, online: bool = False, **settings: Any) -> 
 
     def decorated(config: Any) -> Any:
         table = "create_run_table_model" if hasattr(config, "create_run_table_model") else "create_run_table"
-        setattr(config, table, add_data_columns(columns)(getattr(config, table)))
-        start = start_emission_tracker(*arguments, online=online, **settings)
-        config.start_measurement = start(config.start_measurement)
-        config.stop_measurement = stop_emission_tracker(config.stop_measurement)
-        config.populate_run_data = populate_data_columns(config.populate_run_data)
+        decorators = {
+            table: add_data_columns(columns),
+            "start_measurement": start_emission_tracker(*arguments, online=online, **settings),
+            "stop_measurement": stop_emission_tracker,
+            "populate_run_data": populate_data_columns,
+        }
+        for name, decorator in decorators.items():
+            setattr(config, name, decorator(getattr(config, name)))
         return config
 
     return decorated
@@ -65,14 +68,13 @@ def emission_tracker(*arguments: Any, online: bool = False, **settings: Any) -> 
 
 def start_emission_tracker(*arguments: Any, online: bool = False, **settings: Any) -> Callable[[Method], Method]:
     """Decorate `start_measurement`: the tracker is started before it."""
+    kind = "EmissionsTracker" if online else "OfflineEmissionsTracker"
 
     def decorated(method: Method) -> Method:
         @functools.wraps(method)
         def started(self: Any, context: Any) -> Any:
             given = {"project_name": self.name, "output_dir": str(context.run_dir.resolve())} | settings
-            tracker = _tracker_class(online=online)(*arguments, **given)
-            setattr(self, _TRACKER, tracker)
-            tracker.start()
+            setattr(self, _TRACKER, started_tracker(kind, *arguments, **given))
             return method(self, context)
 
         return started
@@ -88,23 +90,14 @@ def stop_emission_tracker(method: Method) -> Method:
         try:
             return method(self, context)
         finally:
-            self.__emissions__ = getattr(self, _TRACKER).stop()
+            self.__emissions__ = stop_tracker(getattr(self, _TRACKER))
 
     return stopped
 
 
 def add_data_columns(data_cols: Iterable[DataColumns]) -> Callable[[Method], Method]:
     """Decorate the method that makes the run table: it gets these columns."""
-    names = [column.name for column in data_cols]
-
-    def decorated(method: Method) -> Method:
-        @functools.wraps(method)
-        def made(self: Any) -> Any:
-            return _with_columns(self, method(self), names)
-
-        return made
-
-    return decorated
+    return functools.partial(_with_columns, [column.name for column in data_cols])
 
 
 def populate_data_columns(method: Method) -> Method:
@@ -123,8 +116,8 @@ def populate_data_columns(method: Method) -> Method:
 
 
 def _measured(tracker: Any) -> dict[str, str]:
-    """Return what a tracker wrote last; nothing, with a word to the user, where it could not measure."""
-    file = Path(tracker._output_dir) / tracker._output_file  # noqa: SLF001 - it has no other
+    """Return what a tracker wrote last; nothing, with a warning to the user, where it could not measure."""
+    file = Path(tracker._output_dir) / tracker._output_file  # noqa: SLF001 - there is no public attribute
     if not file.exists():
         warn_of_run("CodeCarbon measured nothing: it wrote no emissions.csv", fix="Look into the run's log for why.")
         return {}
@@ -134,12 +127,7 @@ def _measured(tracker: Any) -> dict[str, str]:
 
 def add_co2_data_column(method: Method) -> Method:
     """Decorate the method that makes the run table, as the plugin's first version did."""
-
-    @functools.wraps(method)
-    def made(self: Any) -> Any:
-        return _with_columns(self, method(self), [_EMISSIONS])
-
-    return made
+    return _with_columns([_EMISSIONS], method)
 
 
 def populate_co2_data(method: Method) -> Method:
@@ -152,18 +140,19 @@ def populate_co2_data(method: Method) -> Method:
     return populated
 
 
-def _with_columns(config: Any, made: Any, names: Iterable[str]) -> Any:
-    model = getattr(config, "run_table_model", None)
-    if model is None:
-        raise PluginError(
-            "the config keeps no run-table model, to which columns could be added",
-            where="CodecarbonWrapper",
-            fix="Write self.run_table_model = RunTableModel(...).",
-        )
-    columns = model.get_data_columns()
-    columns += [name for name in names if name not in columns]
-    return model.generate_experiment_run_table() if isinstance(made, list) else model
+def _with_columns(names: Iterable[str], method: Method) -> Method:
+    @functools.wraps(method)
+    def made(self: Any) -> Any:
+        made = method(self)
+        model = getattr(self, "run_table_model", None)
+        if model is None:
+            raise PluginError(
+                "the config keeps no run-table model, to which columns could be added",
+                where="CodecarbonWrapper",
+                fix="Write self.run_table_model = RunTableModel(...).",
+            )
+        columns = model.get_data_columns()
+        columns += [name for name in names if name not in columns]
+        return model.generate_experiment_run_table() if isinstance(made, list) else model
 
-
-def _tracker_class(*, online: bool) -> Any:
-    return getattr(import_module("codecarbon"), "EmissionsTracker" if online else "OfflineEmissionsTracker")
+    return made

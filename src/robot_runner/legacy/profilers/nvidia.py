@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import time
+from dataclasses import dataclass
 from enum import Enum
 from importlib import import_module
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import PluginError
 from robot_runner.legacy.profilers.data_source import DeviceSource
+from robot_runner.legacy.stand_ins.machinery import OutputProcedure
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -36,8 +38,7 @@ __all__ = [
 ]
 
 
-# The names that configs take from Experiment Runner's NvidiaML: queries, and the constants of NVIDIA's library.
-
+# Queries by the name of the library's function, `nvmlDeviceGet<name>`: what stays as it is, and what changes.
 _STATIC = (
     "Name UUID Serial Index Architecture NumGpuCores VbiosVersion Brand NumFans MemoryInfo BusType BoardId Attributes "
     "BoardPartNumber MinMaxFanSpeed ComputeMode PersistenceMode PowerManagementMode EnforcedPowerLimit "
@@ -66,12 +67,7 @@ class NVML_Query(Enum):  # noqa: N801 - the name that configs import
     """What both kinds of queries are."""
 
 
-class NVML_IDs(Enum):  # noqa: N801 - the name that configs import
-    """How a GPU is named."""
-
-    NVML_ID_INDEX = 0
-    NVML_ID_SERIAL = 1
-    NVML_ID_UUID = 2
+NVML_IDs = Enum("NVML_IDs", {"NVML_ID_INDEX": 0, "NVML_ID_SERIAL": 1, "NVML_ID_UUID": 2})
 
 
 def _queries(name: str, functions: str) -> type[Enum]:
@@ -89,12 +85,16 @@ NVML_Static_Query: Any = _queries("NVML_Static_Query", _STATIC)
 NVML_Dynamic_Query: Any = _queries("NVML_Dynamic_Query", _DYNAMIC)
 
 
+@dataclass(frozen=True, slots=True)
 class _Constant:
-    """A constant of NVIDIA's library; what it is called in a log is its name without prefix, in lower case."""
+    """A constant of NVIDIA's library.
 
-    def __init__(self, name: str, prefix: str, value: Any) -> None:
-        self.name = name.removeprefix(prefix).lower()
-        self.value = value
+    Attributes:
+        name: what it is called in a log: its name without prefix, in lower case.
+    """
+
+    name: str
+    value: Any
 
     def __repr__(self) -> str:
         return self.name
@@ -105,14 +105,13 @@ class _Constants:
 
     def __init__(self, prefix: str) -> None:
         self._prefix = prefix
-        self._known: dict[str, _Constant] = {}
 
     def __getattr__(self, name: str) -> _Constant:
         if name.startswith("__"):
             raise AttributeError(name)
-        if name not in self._known:
-            self._known[name] = _Constant(name, self._prefix, getattr(library(), name))
-        return self._known[name]
+        constant = _Constant(name.removeprefix(self._prefix).lower(), getattr(library(), name))
+        setattr(self, name, constant)
+        return constant
 
 
 NVML_Field = _Constants("NVML_FI_DEV_")
@@ -160,14 +159,12 @@ class NvidiaML(DeviceSource):
         self.measurements |= {kind: list(names) for kind, names in chosen.items() if names}
 
     def list_devices(self, print_dev: bool = False) -> list[dict[str, Any]]:
-        """Return what each GPU says of itself; `print_dev` asks for it in the log, too."""
+        """Return the answers of each GPU to the static queries; `print_dev` prints them, too."""
         devices = []
         for index in range(library().nvmlDeviceGetCount()):
             handle = library().nvmlDeviceGetHandleByIndex(index)
             devices.append({query.value: self._ask(handle, query.value) for query in NVML_Static_Query})
         if print_dev:
-            from robot_runner.legacy.stand_ins.machinery import OutputProcedure  # noqa: PLC0415 - only for this
-
             for device in devices:
                 OutputProcedure.console_log_tabulate_dict(device)
         return devices
@@ -203,7 +200,7 @@ class NvidiaML(DeviceSource):
                 raise PluginError(
                     f"the GPU refuses {name} = {plain}: {error}",
                     where="NvidiaML",
-                    fix="Leave the setting out, or execute the experiment with every right.",
+                    fix="Leave the setting out, or execute the experiment as root.",
                 ) from error
 
     def measure(self) -> dict[str, Any]:
@@ -219,7 +216,7 @@ class NvidiaML(DeviceSource):
         return read
 
     def log(self) -> None:
-        """Read until told to end, and write everything."""
+        """Read until `stop_thread` is set, and write everything."""
         super().log()
         library().nvmlInit()
         self.device_handle = self._handle()
@@ -278,9 +275,9 @@ class NvidiaML(DeviceSource):
     def _field(self, field: Any) -> Any:
         nvml = library()
         value = nvml.nvmlDeviceGetFieldValues(self.device_handle, [field.value])[0]
-        return (
-            _unpacked(value) if value.nvmlReturn == nvml.NVML_SUCCESS else f"error: {nvml.NVMLError(value.nvmlReturn)}"
-        )
+        if value.nvmlReturn != nvml.NVML_SUCCESS:
+            return f"error: {nvml.NVMLError(value.nvmlReturn)}"
+        return _unpacked(value.valueType, value.value)
 
     def _kept_by_driver(self, sample: Any) -> list[tuple[int, Any]]:
         nvml = library()
@@ -288,22 +285,25 @@ class NvidiaML(DeviceSource):
             kind, values = nvml.nvmlDeviceGetSamples(self.device_handle, sample.value, self._latest.get(sample.name, 0))
         except nvml.NVMLError:
             return []  # nothing new
-        read = [(value.timeStamp, _unpacked(value, kind)) for value in values]
+        read = [(value.timeStamp, _unpacked(kind, value.sampleValue)) for value in values]
         self._latest[sample.name] = max((at for at, _ in read), default=self._latest.get(sample.name, 0))
         return read
 
 
-def _unpacked(value: Any, kind: int | None = None) -> Any:
-    nvml = import_module("pynvml")
-    members = {
-        nvml.NVML_VALUE_TYPE_DOUBLE: "dVal",
-        nvml.NVML_VALUE_TYPE_UNSIGNED_INT: "uiVal",
-        nvml.NVML_VALUE_TYPE_UNSIGNED_LONG: "ulVal",
-        nvml.NVML_VALUE_TYPE_UNSIGNED_LONG_LONG: "ullVal",
-        nvml.NVML_VALUE_TYPE_SIGNED_LONG_LONG: "sllVal",
-    }
-    held = value.sampleValue if kind is not None else value.value
-    return getattr(held, members.get(value.valueType if kind is None else kind, "ullVal"))
+#: The member of the library's union that holds a value, by the type that it tells.
+_MEMBERS = {
+    "DOUBLE": "dVal",
+    "UNSIGNED_INT": "uiVal",
+    "UNSIGNED_LONG": "ulVal",
+    "UNSIGNED_LONG_LONG": "ullVal",
+    "SIGNED_LONG_LONG": "sllVal",
+}
+
+
+def _unpacked(kind: int, value: Any) -> Any:
+    nvml = library()
+    members = {getattr(nvml, f"NVML_VALUE_TYPE_{name}"): member for name, member in _MEMBERS.items()}
+    return getattr(value, members.get(kind, "ullVal"))
 
 
 def _is_error(value: Any) -> bool:

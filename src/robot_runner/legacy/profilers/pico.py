@@ -25,31 +25,20 @@ _NO_SAMPLES = 0x25
 _WARM_UP_S = 5.0
 
 
-class CM3DataTypes(Enum):
-    """How a channel is read."""
+CM3DataTypes = Enum(
+    "CM3DataTypes",
+    {
+        "PLCM3_OFF": 0,
+        "PLCM3_1_MILLIVOLT": 1,
+        "PLCM3_10_MILLIVOLTS": 2,
+        "PLCM3_100_MILLIVOLTS": 3,
+        "PLCM3_VOLTAGE": 4,
+    },
+)
+CM3Channels = Enum("CM3Channels", {"PLCM3_CHANNEL_1": 1, "PLCM3_CHANNEL_2": 2, "PLCM3_CHANNEL_3": 3})
+CM3MainsTypes = Enum("CM3MainsTypes", {"PLCM3_MAINS_50HZ": 0, "PLCM3_MAINS_60HZ": 1})
 
-    PLCM3_OFF = 0
-    PLCM3_1_MILLIVOLT = 1
-    PLCM3_10_MILLIVOLTS = 2
-    PLCM3_100_MILLIVOLTS = 3
-    PLCM3_VOLTAGE = 4
-
-
-class CM3Channels(Enum):
-    """The channels."""
-
-    PLCM3_CHANNEL_1 = 1
-    PLCM3_CHANNEL_2 = 2
-    PLCM3_CHANNEL_3 = 3
-
-
-class CM3MainsTypes(Enum):
-    """The frequency of the mains."""
-
-    PLCM3_MAINS_50HZ = 0
-    PLCM3_MAINS_60HZ = 1
-
-
+#: By what a reading is multiplied, and the unit that it then has, by the channel's data type.
 _SCALES = {0: (0.0, ""), 1: (1e-3, "A"), 2: (1e-3, "A"), 3: (1.0, "mA"), 4: (1e-3, "mV")}
 
 
@@ -105,20 +94,17 @@ class PicoCM3:
         """Apply the settings of the channels and of the mains.
 
         Raises:
-            PluginError: a setting cannot be.
+            PluginError: a setting is not valid.
             LinkError: the device refuses.
         """
-        known = {each.value for each in CM3DataTypes}
-        if (
-            set(self.channel_settings) != set(range(1, _CHANNELS + 1))
-            or not set(self.channel_settings.values()) <= known
-        ):
+        settings = self.channel_settings
+        if set(settings) != set(range(1, _CHANNELS + 1)) or not set(settings.values()) <= set(_SCALES):
             raise PluginError(
-                f"the channels' settings are {self.channel_settings}",
+                f"the channels' settings are {settings}",
                 where="PicoCM3",
                 fix="Give each of the channels 1 to 3 one of CM3DataTypes.",
             )
-        for channel, setting in self.channel_settings.items():
+        for channel, setting in settings.items():
             _call("PLCM3SetChannel", self.handle, ctypes.c_uint32(channel), ctypes.c_uint32(setting))
         _call("PLCM3SetMains", self.handle, ctypes.c_uint16(self.mains_setting))
 

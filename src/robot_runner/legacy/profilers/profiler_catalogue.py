@@ -110,13 +110,13 @@ PLUGINS: tuple[EarlierPlugin, ...] = (
     ),
     EarlierPlugin(
         _profiler("PowerMetrics"),
-        _names("property_lists", "PowerMetrics", "PMFormatTypes", "PMOrderTypes", "PMSampleTypes"),
+        _names("command_line", "PowerMetrics", "PMFormatTypes", "PMOrderTypes", "PMSampleTypes"),
         (_platform("darwin", "macOS"), _program("powermetrics", "Execute the experiment on macOS.")),
         ours="Powermetrics",
     ),
     EarlierPlugin(
         _profiler("PowerLetrics"),
-        _names("property_lists", "PowerLetrics", "PLFormatTypes", "PLOrderTypes"),
+        _names("command_line", "PowerLetrics", "PLFormatTypes", "PLOrderTypes"),
         (_platform("linux", "Linux"), _program("powerletrics", "Install it: pip install powerletrics.")),
         ours="CommandProfiler",
     ),

@@ -1,4 +1,4 @@
-"""Robot Runner's BasicTurtleBot3: its calls, carried out by our own system plugin on whatever link the robot has."""
+"""Robot Runner's plugins: their calls, carried out by our own plugins, on whatever link the robot has."""
 
 from __future__ import annotations
 
@@ -24,12 +24,9 @@ if TYPE_CHECKING:
 __all__ = ["BasicTurtleBot3", "BasicTurtleBot3Ros2", "INA219Profiler", "NetworkProfiler", "TopicSubscriber"]
 
 
-# Robot Runner's plugins for real robots: INA219Profiler, NetworkProfiler and TopicSubscriber.
-
 #: How long somebody may take to bring the memory card, s.
 _PATIENCE_S = 3600.0
 _LOOK_S = 1.0
-_CLOSING_S = 10.0
 
 
 class INA219Profiler:
@@ -100,13 +97,12 @@ class NetworkProfiler:
     def stop_sniffing(self) -> None:
         """End the capture."""
         if self._capture is not None:
-            self._capture.end(_CLOSING_S)
+            self._capture.end()
             self._capture = None
 
     def _start(self, context: Any, interface: str, file: str, capture_filter: list[str]) -> None:
         target = str(context.run_dir / file)
         self._capture = Program(["tshark", "-q", "-i", interface, *capture_filter, "-w", target], name="tshark")
-        self._capture.check_started()
 
 
 class TopicSubscriber:

@@ -25,13 +25,12 @@ __all__ = ["COLUMN", "SelfMeasure"]
 COLUMN = "self-measure"
 
 _DEFAULT_BINARY = "/usr/local/bin/energibridge"
-_CLOSING_S = 5.0
 #: EnergiBridge's summary: `Energy consumption in joules: 12.3 for 4.5 sec of execution.`
 _JOULES = re.compile(r"joules:\s*([0-9]+(?:\.[0-9]+)?)")
 
 
 class SelfMeasure(Profiler):
-    """Measures the energy of this machine over a whole run, with EnergiBridge.
+    """Measures the energy of this machine over a whole run, by EnergiBridge's own summary.
 
     Args:
         binary: the program; None is where Experiment Runner looked for it.
@@ -59,28 +58,25 @@ class SelfMeasure(Profiler):
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no such program, or a machine that it does not measure."""
         del circumstances
+        off = "write self_measure = False."
         if sys.platform != "linux":
-            yield Finding.error("self_measure", "it measures on Linux alone", "Write self_measure = False.")
+            yield Finding.error("self_measure", "self_measure measures on Linux alone", "Write self_measure = False.")
         elif shutil.which(self.binary) is None:
-            yield Finding.error(
-                "self_measure_bin",
-                f"there is no program {self.binary!r}",
-                "Install EnergiBridge and name its path, or write self_measure = False.",
-            )
+            problem = f"there is no program {self.binary!r}"
+            yield Finding.error("self_measure_bin", problem, f"Install EnergiBridge and name its path, or {off}")
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Start EnergiBridge beside the run."""
         log = "/dev/null" if self.logfile is None else str(context.run_folder / str(self.logfile))
         self._joules = None
         self._program = Program([self.binary, "--summary", "-o", log, "--", "sleep", "1000000"], name="EnergiBridge")
-        self._program.check_started()
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """End EnergiBridge, and read its summary."""
         program, self._program = self._program, None
         if program is None:
             return
-        found = _JOULES.search(program.end(_CLOSING_S))
+        found = _JOULES.search(program.end())
         if found is None:
             context.warn("EnergiBridge gave no summary", fix=f"Try {self.binary} --summary -- sleep 1 in a terminal.")
         else:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,18 +10,15 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.links.connect import open_serial_line
 from robot_runner.core.links.serial_line import port_problem
 from robot_runner.legacy.session import active_context
+from robot_runner.meters.watts_up_pro import Recording
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from robot_runner.core.links.serial_line import SerialLine
+    from robot_runner.core.events.context import RobotRunnerContext
 
 __all__ = ["WattsUpPro"]
 
 #: Source: Electronic Educational Devices, Watts up? PRO communications protocol (2009).
 _LOG_TO_LINE = "#L,W,3,{mode},,{interval:d};"
-_RECORD = "#d"
-_POLL_S = 0.05
 
 
 class WattsUpPro:
@@ -52,7 +48,7 @@ class WattsUpPro:
 
     def mode(self, runmode: str) -> None:
         """Have the meter log to the line (`E`) or into itself (`I`)."""
-        line = self._line()
+        line = self._recording().line
         line.write(_LOG_TO_LINE.format(mode=runmode, interval=int(self.interval)).encode())
         if runmode == self.INTERNAL_MODE:
             line.write(f"#O,W,1,{self.FULLHANDLING};".encode())
@@ -61,36 +57,31 @@ class WattsUpPro:
         """Read for `timeout` seconds; a line of the log holds time, second, W, V and A."""
         self.logfile = logfile
         self.mode(self.EXTERNAL_MODE)
+        recording, clock = self._recording(), _run().clock
+        begun, start = datetime.now(), clock.now()  # noqa: DTZ005 - its format
+        recording.wait(lambda: False, clock, timeout)
         lines = []
-        second = 0.0
-        for watts, volts, amperes in self._records(timeout):
+        for place, sample in enumerate(recording.samples):
+            second = place * float(self.interval)
             self.t.append(second)
-            self.power.append(watts)
-            self.potential.append(volts)
-            self.current.append(amperes)
-            lines.append(f"{datetime.now()} {second:.0f} {watts:3.1f} {volts:3.1f} {amperes:5.3f}\n")  # noqa: DTZ005 - its format
-            second += self.interval
+            self.power.append(sample.watts)
+            self.potential.append(sample.volts)
+            self.current.append(sample.amperes)
+            at = begun + timedelta(seconds=sample.time - start)
+            lines.append(f"{at} {second:.0f} {sample.watts:3.1f} {sample.volts:3.1f} {sample.amperes:5.3f}\n")
         if logfile is not None:
             Path(logfile).write_text("".join(lines), encoding="ascii")
 
-    def _records(self, seconds: float) -> Iterator[tuple[float, float, float]]:
-        line, rest = self._line(), ""
-        deadline = time.monotonic() + seconds
-        while time.monotonic() < deadline:
-            for chunk in line.drain():
-                *records, rest = (rest + chunk.data.decode("ascii", errors="replace")).split(";")
-                for record in records:
-                    fields = record.strip().split(",")
-                    if fields[0] == _RECORD and all(field.strip().isdigit() for field in fields[3:6]):
-                        yield int(fields[3]) / 10, int(fields[4]) / 10, int(fields[5]) / 1000
-            time.sleep(_POLL_S)
+    def _recording(self) -> Recording:
+        return Recording(open_serial_line(_run(), self.port))
 
-    def _line(self) -> SerialLine:
-        context = active_context()
-        if context is None:
-            raise LinkError(
-                "the meter can be read only while a run is executed",
-                where="WattsUpPro",
-                fix="Read it in start_measurement or interact.",
-            )
-        return open_serial_line(context, self.port)
+
+def _run() -> RobotRunnerContext:
+    context = active_context()
+    if context is None:
+        raise LinkError(
+            "the meter can be read only while a run is executed",
+            where="WattsUpPro",
+            fix="Read it in start_measurement or interact.",
+        )
+    return context

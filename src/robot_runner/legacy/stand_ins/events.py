@@ -1,57 +1,47 @@
-"""The events of the earlier tools, and how a config subscribed to them."""
+"""The config classes, contexts and events of the earlier tools, and how a config subscribed to events."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
-from enum import Enum, auto
-from typing import TYPE_CHECKING, Any
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from robot_runner.core.errors import ConfigError, did_you_mean
+from robot_runner.core.config.parameters import OperationType
+from robot_runner.core.errors import ConfigError, did_you_mean, nearest
 from robot_runner.core.events.manager import RobotRunnerEvents as OwnEvents
 from robot_runner.legacy.session import EarlierSubscription, current_session
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, MutableMapping
     from types import CodeType
 
     from robot_runner.legacy.session import Session
 
-__all__ = ["EventSubscriptionController", "RobotRunnerEvents", "RunnerEvents", "own_event"]
+__all__ = [
+    "CONTEXT_ATTRIBUTES",
+    "EarlierContext",
+    "EventSubscriptionController",
+    "RobotRunnerConfig",
+    "RobotRunnerEvents",
+    "RunnerConfig",
+    "RunnerEvents",
+    "own_event",
+]
 
 
-class RobotRunnerEvents(Enum):
-    """The events of Robot Runner; `DURING_RUN` and `SIGNAL_SEMI_CONTINUE` are those of its first months."""
-
-    BEFORE_EXPERIMENT = auto()
-    BEFORE_RUN = auto()
-    START_RUN = auto()
-    START_MEASUREMENT = auto()
-    LAUNCH_MISSION = auto()
-    DURING_RUN = auto()
-    CONTINUE = auto()
-    SIGNAL_SEMI_CONTINUE = auto()
-    STOP_MEASUREMENT = auto()
-    STOP_RUN = auto()
-    POPULATE_RUN_DATA = auto()
-    AFTER_EXPERIMENT = auto()
-
-
-class RunnerEvents(Enum):
-    """The events of Experiment Runner."""
-
-    BEFORE_EXPERIMENT = auto()
-    BEFORE_RUN = auto()
-    START_RUN = auto()
-    START_MEASUREMENT = auto()
-    INTERACT = auto()
-    CONTINUE = auto()
-    STOP_MEASUREMENT = auto()
-    STOP_RUN = auto()
-    POPULATE_RUN_DATA = auto()
-    AFTER_EXPERIMENT = auto()
-
-
+#: The events of Robot Runner; DURING_RUN and SIGNAL_SEMI_CONTINUE are those of its first months.
+RobotRunnerEvents = Enum(
+    "RobotRunnerEvents",
+    "BEFORE_EXPERIMENT BEFORE_RUN START_RUN START_MEASUREMENT LAUNCH_MISSION DURING_RUN CONTINUE SIGNAL_SEMI_CONTINUE "
+    "STOP_MEASUREMENT STOP_RUN POPULATE_RUN_DATA AFTER_EXPERIMENT",
+)
+RunnerEvents = Enum(
+    "RunnerEvents",
+    "BEFORE_EXPERIMENT BEFORE_RUN START_RUN START_MEASUREMENT INTERACT CONTINUE STOP_MEASUREMENT STOP_RUN "
+    "POPULATE_RUN_DATA AFTER_EXPERIMENT",
+)
 _OTHER_NAMES = {
     "DURING_RUN": OwnEvents.LAUNCH_MISSION,
     "INTERACT": OwnEvents.LAUNCH_MISSION,
@@ -183,3 +173,94 @@ def _no_pair(subscription: Any) -> ConfigError:
         where="EventSubscriptionController.subscribe_to_multiple_events",
         fix="Write a list of pairs such as (RunnerEvents.START_RUN, self.start_run).",
     )
+
+
+#: `execute_run` is the later name of `run_variation`.
+CONTEXT_ATTRIBUTES = ("run_variation", "execute_run", "run_nr", "run_dir")
+
+
+class EarlierContext:
+    """The context of a run, the same object for all of its callbacks.
+
+    Attributes:
+        run_variation: the row of the run table, with `__run_id`, `__done`, treatments and measures; callbacks may
+            write into it. `execute_run` is the same.
+        run_nr: the place of the run in the table, from 1.
+        run_dir: the run's folder.
+
+    Example:
+        >>> EarlierContext({"Task": "Video"}, 1, Path("run_0")).execute_run["Task"]
+        'Video'
+    """
+
+    def __init__(self, run_variation: MutableMapping[str, Any], run_nr: int, run_dir: Path) -> None:
+        self.run_variation = run_variation
+        self.run_nr = run_nr
+        self.run_dir = Path(run_dir)
+
+    @property
+    def execute_run(self) -> MutableMapping[str, Any]:
+        """The row of the run table."""
+        return self.run_variation
+
+    @execute_run.setter
+    def execute_run(self, row: MutableMapping[str, Any]) -> None:
+        self.run_variation = row
+
+    def __getattr__(self, name: str) -> Any:
+        near = nearest(name, CONTEXT_ATTRIBUTES)
+        hint = f"Did you mean {near!r}?" if near else f"It has {', '.join(CONTEXT_ATTRIBUTES)}."
+        raise AttributeError(f"the context has no {name!r}. {hint}", name=name, obj=self)
+
+
+class _BesideConfig:
+    """The folder of the config file, or one in it: where Experiment Runner kept results if nothing else was said."""
+
+    def __init__(self, name: str = "") -> None:
+        self._name = name
+
+    def __get__(self, config: object, owner: type) -> Path:
+        return current_session().path.parent / self._name
+
+
+def _do_nothing(config: object, context: Any = None) -> None:
+    """Do nothing: a callback that a derived config may leave out."""
+
+
+class _Config:
+    name: str
+    operation_type: OperationType = OperationType.AUTO
+    time_between_runs_in_ms: int = 1000
+    run_table_model: Any = None
+    experiment_path: Path | None = None
+    _events: ClassVar[Any]
+
+    before_experiment = before_run = start_run = start_measurement = _do_nothing
+    stop_measurement = stop_run = populate_run_data = after_experiment = _do_nothing
+
+    def __init__(self) -> None:
+        names = [(event, event.name.lower()) for event in self._events if "CONTINUE" not in event.name]
+        EventSubscriptionController.subscribe_to_multiple_events(
+            [(event, getattr(self, name)) for event, name in names if hasattr(self, name)]
+        )
+
+
+class RobotRunnerConfig(_Config):
+    """The config class of Robot Runner: it subscribes every callback under its own name."""
+
+    name: str = "new_robot_runner_experiment"
+    required_ros_version: Any = 2
+    required_ros_distro: Any = "foxy"
+    results_output_path: Path = Path("~/Documents/experiments")
+    _events = RobotRunnerEvents
+    launch_mission = _do_nothing
+
+
+class RunnerConfig(_Config):
+    """The config class of Experiment Runner: it subscribes every callback under its own name."""
+
+    ROOT_DIR = _BesideConfig()
+    name: str = "new_runner_experiment"
+    results_output_path: Any = _BesideConfig("experiments")
+    _events = RunnerEvents
+    interact = _do_nothing

@@ -1,40 +1,95 @@
-"""Names of the earlier tools' own machinery that config files imported, mostly for a type hint."""
+"""Names of the earlier tools' own machinery that config files import: mostly for a type hint, to print, or to read."""
 
 from __future__ import annotations
 
+import csv
 import inspect
+import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from enum import Enum
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar, runtime_checkable
+from functools import cache
+from pathlib import Path
+from typing import Any, ClassVar, NoReturn, Protocol, TypeVar, runtime_checkable
 
-from robot_runner.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+from robot_runner.core.errors import ConfigError, StorageError
 
 __all__ = [
+    "BaseError",
+    "BaseOutputManager",
     "BashHeaders",
+    "CSVOutputManager",
+    "JSONOutputManager",
+    "Metadata",
+    "OutputProcedure",
+    "RunProgress",
+    "RunTableManager",
+    "Singleton",
+    "SupportsStr",
+    "class_to_dict",
+    "is_path_exists_or_creatable_portable",
+    "pop_from_each_dict_in_list",
+    "processify",
+]
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+class BaseError(Exception):
+    """The base class of every error of the earlier tools."""
+
+    def __init__(self, message: object = "", *details: object) -> None:
+        super().__init__(" ".join(str(part) for part in (message, *details) if part != ""))
+
+
+#: Errors that configs raised and caught, by name, each with the name of its base class.
+_ERRORS = {
+    "CommandNotRecognisedError": "BaseError",
+    "ConfigBaseError": "BaseError",
+    "ConfigAttributeInvalidError": "ConfigBaseError",
+    "ConfigInvalidClassNameError": "ConfigBaseError",
+    "ConfigInvalidError": "ConfigBaseError",
+    "ConfigROSMandatoryNotInstalledError": "ConfigBaseError",
+    "ConfigRunTableCreationError": "ConfigBaseError",
+    "ExperimentOutputFileDoesNotExistError": "BaseError",
+    "ExperimentOutputPathAlreadyExistsError": "BaseError",
+    "InvalidConfigTypeSpecifiedError": "BaseError",
+    "InvalidUserSpecifiedPathError": "BaseError",
+    "ProgressBaseError": "BaseError",
+    "AllRunsCompletedOnRestartError": "ProgressBaseError",
+}
+#: Classes that validated configs and executed experiments: they can be imported, and are refused where they are used.
+_REFUSED = (
     "CLIRegister",
     "ConfigCreate",
     "ConfigValidator",
     "ExperimentController",
     "Help",
     "IRunController",
-    "OutputProcedure",
     "Prepare",
     "RunController",
-    "RunProgress",
-    "Singleton",
-    "SingletonABCMeta",
-    "SupportsStr",
-    "class_to_dict",
-    "pop_from_each_dict_in_list",
-    "processify",
-]
+)
 
 
-# What config files of the earlier tools printed with: here it goes where everything else goes that is printed.
+class _Machinery:
+    def __init__(self, *_: object, **__: object) -> None:
+        name = type(self).__name__
+        raise ConfigError(
+            f"{name} belonged to the earlier tool itself: Robot Runner executes the experiment in its own way",
+            where=name,
+            fix=f"Leave {name} out, and start the file with `robot-runner run`.",
+        )
+
+
+@cache
+def __getattr__(name: str) -> type:
+    """Return a class that is nothing but its name and its base class."""
+    if name in _REFUSED:
+        return type(name, (_Machinery,), {"__module__": __name__})
+    if name in _ERRORS:
+        base = BaseError if _ERRORS[name] == "BaseError" else __getattr__(_ERRORS[name])
+        return type(name, (base,), {"__module__": __name__})
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}", name=name)
 
 
 class BashHeaders:
@@ -100,11 +155,8 @@ class OutputProcedure:
 
 def class_to_dict(obj: object) -> dict[str, Any]:
     """Return the attributes of an object that are no methods."""
-    return {
-        name: getattr(obj, name)
-        for name in dir(obj)
-        if not name.startswith("__") and not inspect.ismethod(getattr(obj, name))
-    }
+    names = [name for name in dir(obj) if not name.startswith("__")]
+    return {name: getattr(obj, name) for name in names if not inspect.ismethod(getattr(obj, name))}
 
 
 def pop_from_each_dict_in_list(
@@ -116,18 +168,12 @@ def pop_from_each_dict_in_list(
     return list_of_dicts
 
 
-# How far a run had come in the earlier tools.
-
-
 class RunProgress(Enum):
-    """The `__done` of a row; its name is what stood in the file."""
+    """The `__done` of a row, by the name that stood in the file."""
 
     TODO = 1
     DONE = 2
     KILLED = 3
-
-
-Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 @runtime_checkable
@@ -149,51 +195,92 @@ class Singleton(type):
         return cls._instances[cls]
 
 
-SingletonABCMeta = Singleton
-
-
 def processify(function: Function) -> Function:
     """Return the function: a run has a process of its own already."""
     return function
 
 
-class _Machinery:
-    def __init__(self, *_: object, **__: object) -> None:
-        name = type(self).__name__
-        raise ConfigError(
-            f"{name} belonged to the earlier tool itself: Robot Runner executes the experiment in its own way",
-            where=name,
-            fix=f"Leave {name} out, and start the file with `robot-runner run`.",
+def is_path_exists_or_creatable_portable(pathname: str) -> bool:
+    """Return whether a path exists, or could be made."""
+    path = Path(pathname).expanduser().absolute()
+    if path.exists():
+        return True
+    parent = next(each for each in path.parents if each.exists())
+    return os.access(parent, os.W_OK)
+
+
+class BaseOutputManager:
+    """Knows the experiment's folder."""
+
+    def __init__(self, experiment_path: Path | str | None = None) -> None:
+        self._experiment_path = experiment_path
+
+    def set_experiment_output_path(self, experiment_output_path: Path | str) -> None:
+        """Take the experiment's folder."""
+        self._experiment_path = experiment_output_path
+
+
+class CSVOutputManager(BaseOutputManager):
+    """Reads the run table of an experiment; the table has one writer, which is not this."""
+
+    def read_run_table(self) -> list[dict[str, Any]]:
+        """Return the rows: whole numbers as such, `__done` as a `RunProgress`, all else as text.
+
+        Raises:
+            ExperimentOutputFileDoesNotExistError: the table cannot be read.
+        """
+        try:
+            with (Path(self._experiment_path or "") / "run_table.csv").open(encoding="utf-8", newline="") as file:
+                return [{name: _cell(name, text) for name, text in row.items()} for row in csv.DictReader(file)]
+        except (OSError, ValueError, KeyError) as error:
+            raise __getattr__("ExperimentOutputFileDoesNotExistError")(str(error)) from error
+
+    def write_run_table(self, *_: object) -> NoReturn:
+        """Refuse to write.
+
+        Raises:
+            StorageError: always.
+        """
+        raise StorageError(
+            "a config cannot write the run table: it has one writer",
+            where="CSVOutputManager",
+            fix="Return the values from populate_run_data.",
         )
 
-
-class ConfigValidator(_Machinery):
-    """Validated configs."""
-
-
-class ExperimentController(_Machinery):
-    """Executed experiments."""
+    read_run_table_from_csv = read_run_table
+    write_run_table_to_csv = write_run_table
+    update_row_data = write_run_table
 
 
-class IRunController(_Machinery):
-    """Executed a run."""
+def _cell(name: str, text: str | None) -> Any:
+    if name == "__done":
+        return RunProgress[text or ""]
+    return int(text) if text is not None and text.isnumeric() else text
 
 
-class RunController(_Machinery):
-    """Executed a run."""
+class JSONOutputManager(BaseOutputManager):
+    """Kept a checksum of the config; the manifest and the kept config tell more."""
+
+    def read_metadata(self) -> Metadata:
+        """Return an empty checksum."""
+        return Metadata(b"")
+
+    def write_metadata(self, metadata: object) -> None:
+        """Do nothing: the manifest is written by Robot Runner."""
 
 
-class ConfigCreate(_Machinery):
-    """A command."""
+class Metadata:
+    """A checksum of a config."""
+
+    def __init__(self, md5sum: bytes) -> None:
+        self.md5sum = md5sum
 
 
-class Prepare(_Machinery):
-    """A command."""
+class RunTableManager:
+    """Compared tables; Robot Runner does so itself."""
 
-
-class Help(_Machinery):
-    """A command."""
-
-
-class CLIRegister(_Machinery):
-    """The commands."""
+    @staticmethod
+    def are_config_and_restart_csv_equal(config: object) -> bool:
+        """Return that they are: a difference would have refused the experiment."""
+        del config
+        return True

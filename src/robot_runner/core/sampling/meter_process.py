@@ -11,7 +11,7 @@ import threading
 import time
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 from robot_runner.core.errors import PluginError
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import Clock
 
-__all__ = ["Ending", "MeterProcess", "Record"]
+__all__ = ["ChildProgram", "Ending", "MeterProcess", "Record"]
 
 #: How often output is looked at, s: records are stamped as much too late, at most.
 _LOOK = 0.01
@@ -57,56 +57,54 @@ class Ending:
     complaint: str
 
 
-class MeterProcess:
-    """A program in a process group of its own, whose output is followed from a file.
+class ChildProgram:
+    """A program that was started, and is ended in one way or another.
 
-    Its stdin is a pipe that is never written to: a program that ends at the end of its input ends with us, and on
-    Linux it gets SIGTERM should we die without a chance to end it.
+    In a process group of its own, it gets SIGTERM on Linux should this process die without a chance to end it; in this
+    process's group, it is ended with the group. Its stdin is a pipe that is never written to: a program that ends at
+    the end of its input ends with us.
 
     Args:
         command: the program and its arguments.
-        output: the file that it writes its records to; None for its stdout.
-        folder: takes `stdout.txt` and `stderr.txt`.
-        clock: the run's, for the stamps.
-        separator: what ends a record.
+        output: takes what it writes to stdout.
+        errors: takes what it writes to stderr, and can be read; closed when the program has ended.
+        has_own_group: whether it gets a process group of its own.
 
     Raises:
         PluginError: it cannot be started.
     """
 
     def __init__(
-        self, command: Sequence[str], *, output: Path | None, folder: Path, clock: Clock, separator: str = "\n"
+        self, command: Sequence[str], *, output: IO[bytes], errors: IO[bytes], has_own_group: bool = True
     ) -> None:
-        self._name = command[0]
-        self._output = output or folder / "stdout.txt"
-        self._errors = folder / "stderr.txt"
-        self._clock = clock
-        self._separator = separator.encode()
-        self._records: list[Record] = []
-        self._rest = b""
-        self._offset = 0
+        self._errors = errors
         self._ending: Ending | None = None
-        self._process = self._started(command, folder / "stdout.txt")
-        self._has_ended = threading.Event()
-        self._follower = threading.Thread(target=self._follow, name=f"output of {self._name}", daemon=True)
-        self._follower.start()
-
-    @property
-    def records(self) -> list[Record]:
-        """What has come so far, oldest first."""
-        return list(self._records)
+        try:
+            self.process = subprocess.Popen(  # noqa: S603 - the user's own command
+                command,
+                stdin=subprocess.PIPE,
+                stdout=output,
+                stderr=errors,
+                process_group=0 if has_own_group else None,
+                preexec_fn=_die_with_parent if has_own_group else None,  # noqa: PLW1509 - one system call, no lock
+            )
+        except OSError as error:
+            errors.close()
+            problem = f"{command[0]!r} cannot be started: {error.strerror}"
+            raise PluginError(problem, where=" ".join(command), fix="Install it, or give its full path.") from error
+        self._group = -self.process.pid if has_own_group else None
 
     @property
     def is_running(self) -> bool:
         """Whether it has not ended yet."""
-        return self._process.poll() is None
+        return self.process.poll() is None
 
     def wait(self, is_enough: Callable[[], bool], *, seconds: float) -> bool:
         """Wait for a condition, at most so many real seconds or until the program ends; say whether it came true."""
         deadline = time.monotonic() + seconds
         while not is_enough():
             if not self.is_running:
-                time.sleep(2 * _LOOK)  # its last words may be on their way
+                time.sleep(2 * _LOOK)  # the last of its output may be on the way
                 return is_enough()
             if time.monotonic() >= deadline:
                 return False
@@ -116,8 +114,8 @@ class MeterProcess:
     def stop(self, stop_signal: signal.Signals, *, grace: float) -> Ending:
         """End it and return how it ended; a second call returns the same.
 
-        It gets its own signal, alone, so that it can end what it started itself; then the whole group gets SIGTERM,
-        and then SIGKILL.
+        It gets its own signal, alone, so that it can end what it started itself; then its own group gets SIGTERM, and
+        then SIGKILL.
 
         Args:
             stop_signal: what it takes for "write what you have, and end".
@@ -126,29 +124,33 @@ class MeterProcess:
         if self._ending is None:
             was_asked = self.is_running
             was_killed = was_asked and not self._end(stop_signal, grace)
-            self._send(-self._process.pid, signal.SIGTERM)  # what it may have left behind
-            self._has_ended.set()
-            self._follower.join()
-            if self._process.stdin is not None:
-                self._process.stdin.close()
+            if self._group is not None:
+                self._send(self._group, signal.SIGTERM)  # what it may have left behind
+            self._stop_following()
+            if self.process.stdin is not None:
+                self.process.stdin.close()
             self._is_gone_within(_DEATH)
-            self._ending = Ending(self._process.poll(), was_asked, was_killed, self._complaint())
+            self._ending = Ending(self.process.poll(), was_asked, was_killed, self._complaint())
         return self._ending
+
+    def _stop_following(self) -> None:
+        """Take the last of its output; nothing here, where nobody follows it."""
 
     def _end(self, stop_signal: signal.Signals, grace: float) -> bool:
         """Return whether it ended without being killed."""
-        self._send(self._process.pid, stop_signal)
+        everything = self._group or self.process.pid
+        self._send(self.process.pid, stop_signal)
         if self._is_gone_within(grace):
             return True
-        self._send(-self._process.pid, signal.SIGTERM)
+        self._send(everything, signal.SIGTERM)
         if self._is_gone_within(_LAST_GRACE):
             return True
-        self._send(-self._process.pid, signal.SIGKILL)
+        self._send(everything, signal.SIGKILL)
         return False
 
     def _is_gone_within(self, seconds: float) -> bool:
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(seconds)
+            self.process.wait(seconds)
             return True
         return False
 
@@ -165,20 +167,51 @@ class MeterProcess:
                     command, stdin=subprocess.DEVNULL, capture_output=True, timeout=_DEATH, check=False
                 )
 
-    def _started(self, command: Sequence[str], stdout: Path) -> subprocess.Popen[bytes]:
-        try:
-            with stdout.open("wb") as out, self._errors.open("wb") as errors:
-                return subprocess.Popen(  # noqa: S603 - the user's own command
-                    command,
-                    stdin=subprocess.PIPE,
-                    stdout=out,
-                    stderr=errors,
-                    process_group=0,
-                    preexec_fn=_die_with_parent,  # noqa: PLW1509 - it makes one system call and takes no lock
-                )
-        except OSError as error:
-            problem = f"{command[0]!r} cannot be started: {error.strerror}"
-            raise PluginError(problem, where=" ".join(command), fix="Install it, or give its full path.") from error
+    def _complaint(self) -> str:
+        with self._errors:
+            self._errors.seek(0)
+            lines = self._errors.read().decode(errors="replace").split("\n")
+        return next((line.strip() for line in reversed(lines) if line.strip()), "")
+
+
+class MeterProcess(ChildProgram):
+    """A program in a process group of its own, whose output is followed from a file.
+
+    Args:
+        command: the program and its arguments.
+        output: the file that it writes its records to; None for its stdout.
+        folder: takes `stdout.txt` and `stderr.txt`.
+        clock: the run's, for the stamps.
+        separator: what ends a record.
+
+    Raises:
+        PluginError: it cannot be started.
+    """
+
+    def __init__(
+        self, command: Sequence[str], *, output: Path | None, folder: Path, clock: Clock, separator: str = "\n"
+    ) -> None:
+        self._output = output or folder / "stdout.txt"
+        self._clock = clock
+        self._separator = separator.encode()
+        self._records: list[Record] = []
+        self._rest = b""
+        self._offset = 0
+        errors = (folder / "stderr.txt").open("w+b")
+        with (folder / "stdout.txt").open("wb") as out:
+            super().__init__(command, output=out, errors=errors)
+        self._has_ended = threading.Event()
+        self._follower = threading.Thread(target=self._follow, name=f"output of {command[0]}", daemon=True)
+        self._follower.start()
+
+    @property
+    def records(self) -> list[Record]:
+        """What has come so far, oldest first."""
+        return list(self._records)
+
+    def _stop_following(self) -> None:
+        self._has_ended.set()
+        self._follower.join()
 
     def _follow(self) -> None:
         while not self._has_ended.wait(_LOOK):
@@ -200,10 +233,6 @@ class MeterProcess:
         self._offset += len(fresh)
         *whole, self._rest = (self._rest + fresh).split(self._separator)
         self._records += [Record(now, piece.decode(errors="replace")) for piece in whole]
-
-    def _complaint(self) -> str:
-        lines = self._errors.read_text(encoding="utf-8", errors="replace").split("\n")
-        return next((line.strip() for line in reversed(lines) if line.strip()), "")
 
 
 _LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None

@@ -1,0 +1,140 @@
+"""Times as other tools write them: seconds since some start, moments since 1970, dates, times of day."""
+
+from __future__ import annotations
+
+import re
+from enum import Enum
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from robot_runner.analysis.importing.units import TIME_UNITS, split_heading
+from robot_runner.core.errors import AnalysisError, did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+__all__ = ["TimeKind", "is_number", "nanoseconds_of", "time_column", "time_kind", "time_unit", "unit_words"]
+
+_HEADINGS = ("timestamp", "time", "datetime", "date_time", "date", "t", "elapsed", "elapsed_time", "seconds", "clock")
+
+#: Numbers as large as these count the seconds (or fractions of a second) since 1970.
+_EPOCHS = {"ns": 1e17, "us": 1e14, "ms": 1e11, "s": 1e8}
+_NANOSECONDS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1, "min": 60 * 10**9, "h": 3600 * 10**9}
+_DAY = 24 * _NANOSECONDS["h"]
+_CLOCK = re.compile(r"\d{1,2}:\d\d:\d\d(\.\d+)?")
+_LOOKED_AT = 20  # texts that show what all texts of a column are
+
+
+class TimeKind(Enum):
+    """From when times are counted: from a start that the tool chose, from 1970 (also dates), or from midnight."""
+
+    COUNTED = "counted"
+    MOMENT = "moment"
+    CLOCK = "clock"
+
+
+def time_column(table: pa.Table, headings: Sequence[str], given: str | None, where: str) -> str:
+    """Return the heading of the times: as given, else by its name, else the first column if it holds moments.
+
+    Raises:
+        AnalysisError: there is no such column.
+    """
+    if given:
+        if given in headings:
+            return given
+        fix = did_you_mean(given, headings)
+        raise AnalysisError(f"there is no column {given!r} for the time", where=where, fix=fix)
+    plain = {re.sub(r"[\s-]", "_", split_heading(name)[0].casefold()).strip("_"): name for name in reversed(headings)}
+    named = next((plain[name] for name in _HEADINGS if name in plain), None)
+    if named is None and pa.types.is_timestamp(table.column(0).type):
+        named = headings[0]
+    if not named:
+        fix = "Name the column: --samples FILE:COLUMN."
+        raise AnalysisError("no column is recognised as the time", where=where, fix=fix)
+    return named
+
+
+def time_unit(heading: str, column: pa.ChunkedArray, where: str) -> str:
+    """Return the unit in which times are counted, `iso` or `clock`, by what they look like.
+
+    Raises:
+        AnalysisError: they do not look like times.
+    """
+    if pa.types.is_timestamp(column.type):
+        return "iso"
+    values = column.drop_null()
+    if pa.types.is_time(column.type) or _are_clocks(values):
+        return "clock"
+    if is_number(column.type) and len(values):
+        first = values[0].as_py()
+        named = split_heading(heading)[1]
+        counted = named.symbol if named and named.symbol in TIME_UNITS else "s"
+        return next((unit for unit, least in _EPOCHS.items() if first >= least), counted)
+    parsed = pd.to_datetime(_texts(values), errors="coerce", format="ISO8601")
+    if not len(parsed) or parsed.isna().any():
+        raise AnalysisError(f"the times in {heading} cannot be read", where=where, fix="Give time_unit.")
+    return "iso"
+
+
+def _are_clocks(values: pa.ChunkedArray) -> bool:
+    texts = _texts(values)
+    return bool(len(texts)) and texts.str.strip().str.fullmatch(_CLOCK).all()
+
+
+def _texts(values: pa.ChunkedArray) -> pd.Series:
+    return pd.Series(values[:_LOOKED_AT].to_pylist(), dtype="str")
+
+
+def unit_words(unit: str, column: pa.ChunkedArray) -> str:
+    """Return a unit of times in words, with what is assumed where moments have no time zone."""
+    words = {"iso": "dates and times of day", "clock": "times of day"}.get(unit, unit)
+    return f"{words}, taken as UTC" if pa.types.is_timestamp(column.type) and column.type.tz is None else words
+
+
+def time_kind(unit: str, column: pa.ChunkedArray) -> TimeKind:
+    """Return from when the times of a column are counted."""
+    if unit == "clock":
+        return TimeKind.CLOCK
+    if unit not in TIME_UNITS:
+        return TimeKind.MOMENT
+    first = next(iter(column.drop_null()[:1].to_pylist()), 0) if is_number(column.type) else 0
+    return TimeKind.MOMENT if first * _NANOSECONDS[unit] >= _EPOCHS["ns"] else TimeKind.COUNTED
+
+
+def is_number(kind: pa.DataType) -> bool:
+    """Return whether a column of this type holds numbers."""
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind))
+
+
+def nanoseconds_of(column: pa.ChunkedArray, unit: str, where: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return times as whole nanoseconds, so that nothing is lost to rounding, and which of them are valid.
+
+    Times of day go on counting past midnight.
+
+    Raises:
+        AnalysisError: the column does not hold times in this unit.
+    """
+    if unit in TIME_UNITS:
+        if not is_number(column.type):
+            raise AnalysisError(f"the times are not numbers of {unit}", where=where, fix="Give another time_unit.")
+        values = column.to_numpy()
+        valid = np.isfinite(values)
+        return (np.where(valid, values, 0) * _NANOSECONDS[unit]).round().astype(np.int64), valid
+    texts = pd.Series(column.to_pandas())
+    if unit == "clock":
+        spans = pd.to_timedelta(texts.astype("str"), errors="coerce").to_numpy("timedelta64[ns]")
+        times = spans.astype(np.int64)
+        return times + _DAY * np.cumsum(np.diff(times, prepend=times[:1]) < -_DAY // 2), ~np.isnat(spans)
+    try:
+        moments = pd.to_datetime(texts, utc=True, format="ISO8601" if unit == "iso" else unit)
+    except ValueError as error:
+        fix = "Give another time_unit, or mend the file."
+        problem = f"the times cannot be read: {str(error).partition(chr(10))[0]}"
+        raise AnalysisError(problem, where=where, fix=fix) from error
+    stamps = moments.dt.tz_localize(None).to_numpy("datetime64[ns]")
+    return stamps.astype(np.int64), ~np.isnat(stamps)

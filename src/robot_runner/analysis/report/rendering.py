@@ -1,0 +1,227 @@
+"""Renders a document as HTML and Markdown, and its tables as CSV and LaTeX.
+
+Each format is a family of templates with an environment of its own, which escapes whatever a template prints: a name
+means nothing to HTML, LaTeX or Markdown.
+"""
+
+from __future__ import annotations
+
+import base64
+import csv
+import io
+import json
+import re
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from robot_runner.analysis.figures.style import file_name
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from robot_runner.analysis.report.blocks import Document, Table
+
+__all__ = ["SafeNames", "csv_of", "html_of", "latex_of", "latex_text", "markdown_of", "markdown_text"]
+
+_PACKAGE = "robot_runner.analysis.report"
+#: Rows of a table that a page shows; files have them all.
+_MOST_ROWS = 400
+#: Screen pixels for a point of a figure: a column of a paper becomes 470 pixels wide.
+_SCALE = 1.87
+_SIZE = re.compile(rb'<svg[^>]*? viewBox="0 0 ([\d.]+) ([\d.]+)"', re.DOTALL)
+_PATH = re.compile(rb' d="[^"]*"')
+_LONG_DECIMALS = re.compile(rb"(\d\.\d\d)\d+")
+_BLANK_LINES = re.compile(r"\n{3,}")
+_MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#|~$!&])")
+_LATEX = {
+    "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "_": r"\_", "%": r"\%",
+    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}",
+    "|": r"\textbar{}", '"': r"\textquotedbl{}", "\N{MINUS SIGN}": "$-$", "\N{EN DASH}": "--",
+    "\N{MULTIPLICATION SIGN}": r"$\times$", "±": r"$\pm$", "≤": r"$\leq$", "≥": r"$\geq$",
+    "\N{GREEK SMALL LETTER ALPHA}": r"$\alpha$", "\N{GREEK SMALL LETTER RHO}": r"$\rho$", "η": r"$\eta$",
+    "ω": r"$\omega$", "δ": r"$\delta$", "χ": r"$\chi$", "²": r"\textsuperscript{2}", "°": r"\textdegree{}",
+    "·": r"$\cdot$", "…": r"\ldots{}",
+}  # fmt: skip
+
+
+class SafeNames:
+    """Gives each name a safe one of its own for files and links; the same name always gets the same.
+
+    Example:
+        >>> names = SafeNames()
+        >>> [names("a/b"), names("a b"), names("a/b")]
+        ['a_b', 'a_b-2', 'a_b']
+    """
+
+    def __init__(self) -> None:
+        self._given: dict[str, str] = {}
+        self._taken: set[str] = set()
+
+    def __call__(self, name: str) -> str:
+        """Return the safe name."""
+        if name not in self._given:
+            safe = base = file_name(name)
+            number = 1
+            while safe.casefold() in self._taken:
+                number += 1
+                safe = f"{base}-{number}"
+            self._taken.add(safe.casefold())
+            self._given[name] = safe
+        return self._given[name]
+
+
+def html_of(document: Document, drawings: Mapping[str, bytes]) -> str:
+    """Return a document as one HTML file that fetches nothing: style, scripts, figures and data stand in it.
+
+    Args:
+        document: what is written.
+        drawings: its figures as SVG, by their names.
+    """
+    anchors = SafeNames()
+    for section in document.sections:  # their names are promised, so nothing else may take them
+        anchors(section.name)
+    return (
+        _pages()
+        .get_template("report.html.j2")
+        .render(
+            document=document,
+            drawings={name: _drawing(svg) for name, svg in drawings.items()},
+            anchor=anchors,
+            safe_name=SafeNames(),
+            most_rows=_MOST_ROWS,
+        )
+    )
+
+
+def markdown_of(document: Document, figure_path: Callable[[str], str]) -> str:
+    """Return a document as Markdown.
+
+    Args:
+        document: what is written.
+        figure_path: returns the path of a figure's file by the figure's name, relative to the document.
+    """
+    template = _environment(markdown_text).get_template("report.md.j2")
+    return _BLANK_LINES.sub("\n\n", template.render(document=document, figure_path=figure_path))
+
+
+def latex_of(table: Table) -> str:
+    """Return a table as LaTeX, for `booktabs`, with numbers as a reader sees them."""
+    label = re.sub(r"[^A-Za-z0-9]+", "-", table.name).strip("-").lower()
+    return _papers().get_template("table.tex.j2").render(table=table.for_readers, label=label)
+
+
+def csv_of(table: Table) -> str:
+    """Return a table as CSV, with numbers in full and missing values empty."""
+    table = table.for_programs
+    into = io.StringIO()
+    # With \r\n (RFC 4180) cells that hold either of the two are quoted.
+    rows = csv.writer(into, lineterminator="\r\n")
+    rows.writerow(column.name for column in table.columns)
+    rows.writerows(["" if cell.value is None else cell.value for cell in row] for row in table.rows)
+    return into.getvalue()
+
+
+def latex_text(text: str) -> str:
+    r"""Return a text that LaTeX prints as it is.
+
+    Example:
+        >>> latex_text("50% of $x_1$ \\input{a}")
+        '50\\% of \\$x\\_1\\$ \\textbackslash{}input\\{a\\}'
+    """
+    return "".join(_LATEX.get(character, character if character.isprintable() else " ") for character in text)
+
+
+def markdown_text(text: str) -> str:
+    r"""Return a text that Markdown shows as it is, on one line, in a table as well.
+
+    Example:
+        >>> markdown_text("a|b *c* <d>")
+        'a\\|b \\*c\\* \\<d\\>'
+    """
+    line = "".join(character if character.isprintable() else " " for character in text)
+    return _MARKDOWN.sub(r"\\\1", line)
+
+
+@cache
+def _environment(escape: Callable[[str], str] | None = None, **settings: str) -> Environment:
+    """Return templates of a format: what they print is escaped by `escape`, or as HTML, unless it is `Markup`."""
+
+    def finalize(value: object) -> object:
+        if escape is None or hasattr(value, "__html__"):
+            return value
+        return Markup(escape(str(value)))  # noqa: S704 - that it is escaped for another format is the point
+
+    environment = Environment(
+        loader=PackageLoader(_PACKAGE),
+        autoescape=True,
+        finalize=finalize,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        **settings,  # type: ignore[arg-type]  # delimiters only
+    )
+    environment.globals["kind_of"] = lambda block: type(block).__name__
+    return environment
+
+
+@cache
+def _pages() -> Environment:
+    environment = _environment()
+    environment.globals.update(asset=_asset, json_of=_json_of, data_uri=_data_uri, csv_of=csv_of, latex_of=latex_of)
+    return environment
+
+
+@cache
+def _papers() -> Environment:
+    # Braces mean too much in LaTeX to delimit anything else.
+    return _environment(
+        latex_text,
+        block_start_string="<%",
+        block_end_string="%>",
+        variable_start_string="<<",
+        variable_end_string=">>",
+        comment_start_string="<#",
+        comment_end_string="#>",
+    )
+
+
+def _asset(name: str) -> Markup:
+    # Ours, not a user's: it may hold markup.
+    return Markup(files(_PACKAGE).joinpath("assets", name).read_text(encoding="utf-8"))  # noqa: S704
+
+
+def _json_of(data: Mapping[str, Any]) -> Markup:
+    """Return JSON that cannot end the element that it stands in."""
+    text = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    for character in "<>&\u2028\u2029":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return Markup(text)  # noqa: S704 - every character that HTML knows was escaped
+
+
+def _data_uri(text: str, kind: str) -> str:
+    return f"data:{kind};charset=utf-8,{quote(text)}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Drawing:
+    """A figure as a page shows it."""
+
+    uri: str
+    width: int
+    height: int
+
+
+def _drawing(svg: bytes) -> _Drawing:
+    found = _SIZE.search(svg)
+    width, height = map(float, found.groups()) if found else (252.0, 180.0)
+    # A hundredth of a point is less than anybody sees.
+    small = _PATH.sub(lambda path: _LONG_DECIMALS.sub(rb"\1", path[0]), svg[svg.index(b"<svg") :])
+    uri = f"data:image/svg+xml;base64,{base64.b64encode(small).decode('ascii')}"
+    return _Drawing(uri, round(width * _SCALE), round(height * _SCALE))

@@ -1,0 +1,164 @@
+"""What packages announce is found however they are installed, and as `importlib.metadata` finds it."""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+import zipfile
+from importlib.metadata import entry_points as found_by_python
+from pathlib import Path
+
+import pytest
+
+from robot_runner.core import entry_points as module
+from robot_runner.core.entry_points import EntryPoint, entry_points, named_entry_point
+from robot_runner.core.errors import PluginError
+from robot_runner.core.plugin import described_circumstances
+
+ROOT = Path(__file__).parents[2]
+GROUPS = ("systems", "profilers", "links", "dialects", "checks", "circumstances", "commands")
+
+SOURCE = """\
+def circumstances():
+    return {"room_temperature": 295.0}
+
+def broken():
+    raise RuntimeError("the sensor is gone")
+"""
+ANNOUNCED = """\
+[console_scripts]
+stranger = stranger:main
+
+# a comment
+[robot_runner.circumstances]
+weather = stranger:circumstances
+broken=stranger:broken
+lost = nowhere_at_all:circumstances
+
+[other.group]
+weather = stranger:circumstances
+"""
+METADATA = "Metadata-Version: 2.1\nName: Some.Stranger\nVersion: 2.1\n"
+
+
+def ordinary(folder: Path) -> list[Path]:
+    """Return what `sys.path` has where the package was copied into a folder of packages."""
+    about = folder / "some_stranger-2.1.dist-info"
+    about.mkdir()
+    (folder / "stranger.py").write_text(SOURCE)
+    (about / "METADATA").write_text(METADATA)
+    (about / "entry_points.txt").write_text(ANNOUNCED)
+    return [folder]
+
+
+def editable(folder: Path) -> list[Path]:
+    """Return what `sys.path` has where the package's source stays where it is, as by `pip install -e`."""
+    ordinary(folder)
+    source = folder / "source"
+    source.mkdir()
+    (folder / "stranger.py").rename(source / "stranger.py")
+    return [folder, source]
+
+
+def zipped(folder: Path) -> list[Path]:
+    """Return what `sys.path` has where the package is a zip file, as a wheel is one."""
+    ordinary(folder)
+    path = folder / "some_stranger-2.1-py3-none-any.whl"
+    with zipfile.ZipFile(path, "w") as archive:
+        for file in sorted(folder.rglob("*")):
+            if file.is_file() and file != path:
+                archive.write(file, file.relative_to(folder))
+    return [path]
+
+
+@pytest.fixture
+def clean(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+    monkeypatch.setattr(module, "_read_before", {})
+    monkeypatch.delitem(sys.modules, "stranger", raising=False)
+    return monkeypatch
+
+
+@pytest.mark.parametrize("installed", [ordinary, editable, zipped])
+def test_a_stranger_s_package_is_found_however_it_is_installed(installed, clean, tmp_path):
+    for path in installed(tmp_path):
+        clean.syspath_prepend(path)
+    point = named_entry_point("circumstances", "weather")
+    assert point is not None
+    assert (point.value, point.package, point.version) == ("stranger:circumstances", "Some.Stranger", "2.1")
+    assert point.load()() == {"room_temperature": 295.0}
+    assert [each.name for each in entry_points("circumstances")] == ["ros", "broken", "lost", "weather"]
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_as_much_is_found_as_python_finds(group):
+    found = sorted((point.name, point.value) for point in entry_points(group))
+    assert found == sorted({(point.name, point.value) for point in found_by_python(group=f"robot_runner.{group}")})
+    assert found
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_the_installation_here_announces_what_the_project_says(group):
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    own = {point.name: point.value for point in entry_points(group) if point.is_own}
+    assert own == project["entry-points"][f"robot_runner.{group}"], "pip install -e . again"
+    for point in entry_points(group):
+        point.load()
+
+
+def test_of_a_package_that_is_there_twice_the_first_counts(clean, tmp_path):
+    for name, text in (("first", ""), ("second", ANNOUNCED)):
+        (tmp_path / name).mkdir()
+        ordinary(tmp_path / name)
+        (tmp_path / name / "some_stranger-2.1.dist-info" / "entry_points.txt").write_text(text)
+    clean.syspath_prepend(tmp_path / "second")
+    clean.syspath_prepend(tmp_path / "first")
+    assert named_entry_point("circumstances", "weather") is None
+
+
+def test_no_package_can_take_a_name_of_ours(clean, tmp_path):
+    ordinary(tmp_path)
+    announced = "[robot_runner.commands]\nrun = stranger\n[robot_runner.links]\nsimulated = stranger:circumstances\n"
+    (tmp_path / "some_stranger-2.1.dist-info" / "entry_points.txt").write_text(announced)
+    clean.syspath_prepend(tmp_path)
+    for group, name in (("commands", "run"), ("links", "simulated")):
+        assert [point.is_own for point in entry_points(group) if point.name == name] == [True, False]
+        assert named_entry_point(group, name).is_own
+
+
+def test_what_pip_could_not_remove_and_what_cannot_be_read_is_passed_over(clean, tmp_path):
+    ordinary(tmp_path)
+    (tmp_path / "some_stranger-2.1.dist-info").rename(tmp_path / "~ome_stranger-2.1.dist-info")
+    (tmp_path / "other-1.dist-info").write_text("no folder")
+    (tmp_path / "odd-1.dist-info").mkdir()
+    (tmp_path / "odd-1.dist-info" / "entry_points.txt").write_bytes(
+        b"[robot_runner.commands]\n\xff\xfe\nno equals sign\n"
+    )
+    clean.syspath_prepend(tmp_path)
+    clean.syspath_prepend(tmp_path / "not there")
+    assert [point.name for point in entry_points("circumstances")] == ["ros"]
+    assert all(point.is_own for point in entry_points("commands"))
+
+
+@pytest.mark.parametrize(
+    ("value", "problem"),
+    [
+        ("nowhere_at_all:it", "the link cannot be imported: ModuleNotFoundError: No module named 'nowhere_at_all'"),
+        ("math:nothing", "the link cannot be imported: AttributeError"),
+    ],
+)
+def test_what_cannot_be_imported_names_its_package(value, problem):
+    with pytest.raises(PluginError) as refused:
+        EntryPoint("odd", "robot_runner.links", value, lambda: ("some-package", "1.0")).load()
+    assert refused.value.problem.startswith(problem)
+    assert refused.value.where == f"link odd ({value}, of some-package 1.0)"
+    assert refused.value.fix == "Install or repair the package some-package."
+
+
+def test_circumstances_that_cannot_be_described_are_logged_and_take_no_experiment_down(clean, tmp_path, caplog):
+    for path in ordinary(tmp_path):
+        clean.syspath_prepend(path)
+    described = described_circumstances()
+    assert described["weather"] == {"room_temperature": 295.0}
+    assert described.keys() == {"ros", "weather"}
+    assert "the sensor is gone" in caplog.text
+    assert "nowhere_at_all" in caplog.text
