@@ -7,7 +7,7 @@ class Shuttle(System):
     """Drives a robot straight ahead and back again."""
 
     measures = (Measure("Reach", "m", "How far the robot was away from where it began, by odometry."),)
-    needs = "A robot that hears velocity commands and publishes its odometry."
+    needs = "A robot that subscribes velocity commands and publishes its odometry."
     link = None
 
     def __init__(
@@ -22,15 +22,15 @@ class Shuttle(System):
 
     def start_run(self, context: RobotRunnerContext) -> None:
         self.link = connect_robot(context, namespace=self.namespace)
-        self.x, self.is_heard = 0.0, False
-        self.link.subscribe("odom", ODOMETRY, self.hear)
+        self.x, self.is_located = 0.0, False
+        self.link.subscribe("odom", ODOMETRY, self.locate)
 
-    def hear(self, message: dict) -> None:
-        self.x, self.is_heard = message["pose"]["pose"]["position"]["x"], True
+    def locate(self, message: dict) -> None:
+        self.x, self.is_located = message["pose"]["pose"]["position"]["x"], True
 
     def launch_mission(self, context: RobotRunnerContext) -> None:
         context.clock.sleep(1.0)
-        if not self.is_heard:
+        if not self.is_located:
             raise LinkError("no odometry came within 1 s", where=self.name, fix="Start the robot's drivers.")
         begin = self.x
         self.drive(context, self.speed, begin + self.distance)

@@ -11,10 +11,10 @@ from tests.replication.small_index import tiny_wheel
 
 from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.manifest import describe_host, describe_software
-from robot_runner.replication.differences import differing_environment, differing_packages
+from robot_runner.replication import environment as environment_module
+from robot_runner.replication.differences import differing_environment, differing_packages, remaining_differences
 from robot_runner.replication.distributions import closure, installed_distributions, wheel_name, wheel_of, write_wheel
-from robot_runner.replication.environment import record_environment
-from robot_runner.replication.virtual_environment import make_environment, remaining_differences
+from robot_runner.replication.environment import make_environment, record_environment
 from robot_runner.ros.ros_environment import describe_ros
 
 
@@ -124,6 +124,17 @@ def test_an_environment_is_made_of_the_packages_own_wheels(tmp_path):
     assert remaining_differences(folder, environment) == []
     environment["packages"]["tiny"]["version"] = "2.0"
     assert [each.here for each in remaining_differences(folder, environment)] == ["1.0"]
+
+
+def test_an_environment_gets_its_own_pip_where_there_is_none_beside_us(tmp_path, monkeypatch):
+    called = []
+    folder = tmp_path / "made"
+    folder.mkdir()
+    monkeypatch.setattr(environment_module, "find_spec", lambda _: None)
+    monkeypatch.setattr(environment_module, "_call", lambda words, _: called.append(words))
+    make_environment(tmp_path, folder, {})
+    assert "--without-pip" not in called[0]
+    assert called[1][:4] == [str(folder / "bin" / "python"), "-m", "pip", "install"]
 
 
 def test_what_pip_said_is_shown_where_an_environment_cannot_be_made(tmp_path):

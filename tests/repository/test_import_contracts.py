@@ -41,7 +41,7 @@ BREACHES = [
     ("core/errors.py", "robot_runner.meters.polled", "Rooms stand beside the core"),
     ("core/links/connect.py", "robot_runner.simulator.embedded_robot", "Rooms stand beside the core"),
     ("cli/planning.py", "robot_runner.legacy.recognition", "Rooms stand beside the core"),
-    ("legacy/recognition.py", "robot_runner.replication.source", "Rooms stand beside the core"),
+    ("legacy/recognition.py", "robot_runner.replication.replicating", "Rooms stand beside the core"),
     ("new_room.py", "", "Rooms stand beside the core"),
     ("analysis/results.py", "robot_runner.cli.console", "Only commands use the command line"),
     ("replication/packing.py", "robot_runner.analysis.results", "Of the analysis, the verdict on a replication uses"),

@@ -1,4 +1,4 @@
-"""What the journal tells of an experiment, as data frames: attempts, events, published measures, doubts."""
+"""The run table and the journal of an experiment as typed data frames."""
 
 from __future__ import annotations
 
@@ -37,10 +37,9 @@ __all__ = [
 ]
 
 
-# The run table as a typed data frame: what the file says, and what the journal knows better.
-
 _ENDS = {"done": RunStatus.DONE, "failed": RunStatus.FAILED}
 _TYPED_TREATMENTS = frozenset({"integer", "number", "boolean"})
+_DTYPES = {"integer": "Int64", "boolean": "boolean", "string": "str"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,9 +87,8 @@ def read_run_frame(
     # The journal comes first: a table written meanwhile is newer than what the journal adds to it, never older.
     newer = _ended_since_table(read_journal(folder.journal, kinds={"attempt_finished", "table_written"}))
     if not folder.run_table.exists():
-        raise StorageError(
-            "there is no run table in it", where=str(folder.root), fix="Restore run_table.csv from a backup."
-        )
+        fix = "Restore run_table.csv from a backup."
+        raise StorageError("there is no run table in the folder", where=str(folder.root), fix=fix)
     rows = read_run_table(folder.run_table, TableLayout.of_schema(columns))
     for record in newer.values():
         if rows.place_of(record["run"]) is not None:
@@ -148,14 +146,12 @@ def _factor(values: Sequence[Any], kind: str, declared: Sequence[str]) -> pd.Cat
     texts = list(map(_text, values))
     found = dict(zip(texts, values, strict=True))
     order = list(dict.fromkeys([*declared, *(found if declared else _in_order(found.values()))]))
-    place_of = {text: place for place, text in enumerate(order)}
-    codes = np.array([place_of[text] for text in texts], dtype=np.int64)
     categories: list[Any] = order
     if kind in _TYPED_TREATMENTS:
         typed = [typed_value(text, kind) for text in order]
         if len(set(map(str, typed))) == len(order) and type_of_values(typed) == kind:
             categories = typed
-    return pd.Categorical.from_codes(codes, categories, ordered=True)
+    return pd.Categorical(texts, order, ordered=True).rename_categories(categories)
 
 
 def _text(value: Any) -> str:
@@ -172,18 +168,13 @@ def _in_order(values: Iterable[Any]) -> list[str]:
 
 def _values(values: Sequence[Any], kind: str) -> Any:
     """Return a measure's values as an array of the type that they all have; None becomes a missing value."""
+    is_missing = all(value is None for value in values)
     found = type_of_values(values)
-    if found == "any" and all(value is None for value in values):
+    if found == "any" and is_missing:
         found = kind
-    if found == "integer":
-        return pd.array(list(values), dtype="Int64")
-    if found == "boolean":
-        return pd.array(list(values), dtype="boolean")
-    if found == "string":
-        return pd.array(list(values), dtype="str")
-    if found == "number" or all(value is None for value in values):
-        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
-    return np.array(list(values), dtype=object)
+    if found in _DTYPES:
+        return pd.array(values, dtype=_DTYPES[found])
+    return np.array(values, dtype=np.float64 if found == "number" or is_missing else object)
 
 
 #: The events of a run, in their order (paper, Fig. 2).

@@ -10,7 +10,7 @@ from robot_runner.core import words
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from robot_runner.analysis.statistics.outcome import Interval
+    from robot_runner.analysis.statistics.tested import Interval
 
 __all__ = [
     "ALPHA",

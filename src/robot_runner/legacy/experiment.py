@@ -6,6 +6,7 @@ import inspect
 import io
 import sys
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TextIO
 
 from robot_runner.core.errors import ConfigError
@@ -94,7 +95,16 @@ def _wants_row(callback: Callable[..., Any], event: RobotRunnerEvents) -> bool:
 
 def _fits(callback: Callable[..., Any], arguments: tuple[Any, ...]) -> bool:
     try:
-        inspect.signature(callback).bind(*arguments)
+        hash(callback)
+    except TypeError:
+        return _takes.__wrapped__(callback, len(arguments))
+    return _takes(callback, len(arguments))
+
+
+@lru_cache(maxsize=64)  # each run is a fresh process: it finds here what was looked up when the config was checked
+def _takes(callback: Callable[..., Any], count: int) -> bool:
+    try:
+        inspect.signature(callback).bind(*(object(),) * count)
     except TypeError:
         return False
     except ValueError:  # written in C, without a signature

@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.links.robot import Encoding
@@ -17,34 +17,13 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import RawMessage, RobotLink
     from robot_runner.ros.topic_statistics import TypedTopic
 
-__all__ = ["BagFile", "LinkRecorder", "McapBag", "Ros1Bag", "messages_in", "new_bag"]
+__all__ = ["LinkRecorder", "McapBag", "Ros1Bag", "messages_in", "new_bag"]
 
 
 _INSTALL = "Install it: pip install 'robot-runner[bag]'."
 
 
-class BagFile(Protocol):
-    """A bag that is being written."""
-
-    @property
-    def path(self) -> Path:
-        """Where it is."""
-        ...
-
-    def add_topic(self, topic: str, message_type: str, definition: str) -> int:
-        """Tell of a topic, by its full name, and return the number by which its messages are written."""
-        ...
-
-    def write(self, topic: int, received_ns: int, data: bytes) -> None:
-        """Write one message; `received_ns` is in ns since the epoch."""
-        ...
-
-    def close(self) -> None:
-        """Finish the file; closing twice does nothing."""
-        ...
-
-
-def new_bag(folder: Path, encoding: Encoding) -> BagFile:
+def new_bag(folder: Path, encoding: Encoding) -> McapBag | Ros1Bag:
     """Return a new bag in a folder, in the format of the generation of ROS whose messages it takes.
 
     Raises:
@@ -59,7 +38,7 @@ def new_bag(folder: Path, encoding: Encoding) -> BagFile:
 
 
 class McapBag:
-    """A bag of ROS 2, as one MCAP file (mcap.dev, profile `ros2`).
+    """A bag of ROS 2, as one MCAP file (mcap.dev, profile `ros2`), at `path`.
 
     Example:
         >>> from pathlib import Path
@@ -76,16 +55,11 @@ class McapBag:
     def __init__(self, path: Path) -> None:
         from mcap.writer import CompressionType, Writer  # noqa: PLC0415  # an extra
 
-        self._path = path
+        self.path = path
         self._file = path.open("wb")
         self._writer = Writer(self._file, compression=CompressionType.NONE)
         self._writer.start(profile="ros2", library="robot-runner")
         self._counts: list[int] = [0]
-
-    @property
-    def path(self) -> Path:
-        """Where it is."""
-        return self._path
 
     def add_topic(self, topic: str, message_type: str, definition: str) -> int:
         """Tell of a topic, by its full name, and return the number by which its messages are written."""
@@ -107,21 +81,16 @@ class McapBag:
 
 
 class Ros1Bag:
-    """A bag of ROS 1, in version 2.0 of its format."""
+    """A bag of ROS 1, in version 2.0 of its format, at `path`."""
 
     def __init__(self, path: Path) -> None:
         from rosbags.rosbag1 import Writer  # noqa: PLC0415  # an extra
 
-        self._path = path
+        self.path = path
         self._writer = Writer(path)
         self._writer.open()
         self._topics: list[Any] = []
         self._is_closed = False
-
-    @property
-    def path(self) -> Path:
-        """Where it is."""
-        return self._path
 
     def add_topic(self, topic: str, message_type: str, definition: str) -> int:
         """Tell of a topic, by its full name, and return the number by which its messages are written."""
@@ -182,10 +151,15 @@ class LinkRecorder:
     Raises:
         PluginError: the library that writes bags is not installed.
         LinkError: a topic cannot be subscribed.
+
+    Attributes:
+        path: where the bag is.
+        messages: how many were written.
     """
 
     def __init__(self, link: RobotLink, topics: Sequence[TypedTopic], folder: Path) -> None:
         self._bag = new_bag(folder, link.encoding)
+        self.path = self._bag.path
         self._received: queue.SimpleQueue[tuple[int, RawMessage] | None] = queue.SimpleQueue()
         self._is_recording = False
         self._fault: Exception | None = None
@@ -199,11 +173,6 @@ class LinkRecorder:
                 self._subscribe(link, topic)
             undoing.pop_all()
         self._writer.start()
-
-    @property
-    def path(self) -> Path:
-        """Where the bag is."""
-        return self._bag.path
 
     def begin(self) -> None:
         """Record from now on."""

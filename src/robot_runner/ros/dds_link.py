@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, LinkError, did_you_mean
-from robot_runner.core.events.context import SystemClock
 from robot_runner.ros.graph_link import GraphLink
 from robot_runner.ros.graph_links import missing_of, not_installed
 from robot_runner.ros.graph_transport import domain_id, receive_clock
@@ -108,4 +107,4 @@ def open_dds_link(options: Mapping[str, str], clock: Clock, namespace: str = "")
     from robot_runner.ros.dds_transport import DdsTransport  # noqa: PLC0415  # cyclonedds, an extra
 
     connect = partial(DdsTransport, settings, receive_clock(clock))
-    return GraphLink(connect, namespace, is_simulated=not isinstance(clock, SystemClock))
+    return GraphLink(connect, namespace)

@@ -144,7 +144,7 @@ class GraphLink:
 
     @property
     def is_simulated(self) -> bool:
-        """Whether there is a simulation behind it for certain; `connect.is_simulation` asks the graph for signs."""
+        """Whether there is a simulation behind it for certain; `connect.is_simulation` asks a graph for its signs."""
         return self._is_simulated
 
     @property

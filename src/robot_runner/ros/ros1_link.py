@@ -7,7 +7,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, LinkError, did_you_mean
-from robot_runner.core.events.context import SystemClock
 from robot_runner.ros.graph_link import GraphLink
 from robot_runner.ros.graph_transport import receive_clock
 from robot_runner.ros.ros1_master import Master
@@ -50,7 +49,7 @@ def open_ros1_link(options: Mapping[str, str], clock: Clock, namespace: str = ""
         LinkError: there is no such option, no master, or no rospy.
     """
     connect = partial(Ros1Transport, master_of(options), receive_clock(clock))
-    return GraphLink(connect, namespace, is_simulated=not isinstance(clock, SystemClock))
+    return GraphLink(connect, namespace)
 
 
 def follows_graph_clock(options: Mapping[str, str]) -> bool:

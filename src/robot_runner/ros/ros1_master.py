@@ -186,7 +186,7 @@ class Master:
 
     def _absent(self, error: OSError) -> LinkError:
         fix = "Start one (roscore), or correct ROS_MASTER_URI."
-        return LinkError(f"there is not a ROS master at {self.uri}: {_reason(error)}", where=_URI, fix=fix)
+        return LinkError(f"there is no ROS master at {self.uri}: {_reason(error)}", where=_URI, fix=fix)
 
     def _silent(self) -> LinkError:
         return LinkError(

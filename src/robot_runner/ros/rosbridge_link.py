@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl, urlsplit
 
 from robot_runner.core.errors import Finding, LinkError, did_you_mean
-from robot_runner.core.events.context import SystemClock
 from robot_runner.ros.graph_link import GraphLink
 from robot_runner.ros.graph_links import missing_of, not_installed
 from robot_runner.ros.graph_transport import receive_clock
@@ -151,4 +150,4 @@ def open_rosbridge_link(url: str, clock: Clock, namespace: str = "") -> RobotLin
     from robot_runner.ros.rosbridge_transport import RosbridgeTransport  # noqa: PLC0415  # cbor2 and rosbags, extras
 
     connect = partial(RosbridgeTransport, address, receive_clock(clock))
-    return GraphLink(connect, namespace, is_simulated=not isinstance(clock, SystemClock))
+    return GraphLink(connect, namespace)

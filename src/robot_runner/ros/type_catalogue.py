@@ -10,7 +10,7 @@ from robot_runner.core.errors import LinkError, nearest
 from robot_runner.core.links.robot import Encoding
 from robot_runner.ros.message_codec import FILLER, MessageCodec, NodeKind
 from robot_runner.ros.shapes import Field, Shape, UpTo, plain_type
-from robot_runner.ros.type_store import filled_store, full_name, service_part
+from robot_runner.ros.type_store import filled_store, service_part, stored_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -177,10 +177,10 @@ class TypeCatalogue:
         return self._shape(detail)
 
     def _known(self, name: str) -> str:
-        spelt = full_name(name)
+        spelt = stored_name(name)
         if spelt in self._store.fielddefs:
             return spelt
-        part = full_name(name, "srv")  # a request or response
+        part = stored_name(name, "srv")  # a request or response
         if part in self._store.fielddefs:
             return part
         raise _unknown(name, "message", [plain_type(known) for known in self._store.fielddefs if "/msg/" in known])

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from rosbags.typesys.store import Typestore
 
-__all__ = ["ROS1_DISTROS", "ROS2_DISTROS", "STANDARD_SERVICES", "filled_store", "full_name", "service_part"]
+__all__ = ["ROS1_DISTROS", "ROS2_DISTROS", "STANDARD_SERVICES", "filled_store", "service_part", "stored_name"]
 
 #: The distributions whose types are known. All of ROS 1's noetic series have the same messages.
 ROS1_DISTROS = ("kinetic", "lunar", "melodic", "noetic")
@@ -59,11 +59,11 @@ def filled_store(generation: int, distro: str | None, extra: Sequence[Path]) -> 
     return store
 
 
-def full_name(name: str, kind: str = "msg") -> str:
+def stored_name(name: str, kind: str = "msg") -> str:
     """Return a type's name as type stores spell it.
 
     Example:
-        >>> full_name("geometry_msgs/Twist"), full_name("std_srvs/Trigger", "srv")
+        >>> stored_name("geometry_msgs/Twist"), stored_name("std_srvs/Trigger", "srv")
         ('geometry_msgs/msg/Twist', 'std_srvs/srv/Trigger')
     """
     parts = name.split("/")
@@ -72,7 +72,7 @@ def full_name(name: str, kind: str = "msg") -> str:
 
 def service_part(service_type: str, part: str) -> str:
     """Return the name of the `Request` or `Response` of a service type."""
-    return f"{full_name(service_type, 'srv')}_{part}"
+    return f"{stored_name(service_type, 'srv')}_{part}"
 
 
 def _rosbags() -> Any:
@@ -138,7 +138,7 @@ def _files(path: Path) -> Iterator[Path]:
 def _parsed(rosbags: Any, name: str, text: str, where: str) -> dict[str, Any]:
     stem, _, suffix = name.rpartition(".")
     if suffix == "msg":
-        return _message(rosbags, full_name(stem), text, where)
+        return _message(rosbags, stored_name(stem), text, where)
     request, separator, response = _halves(text)
     if not separator:
         raise LinkError("a service has no line '---'", where=where, fix="Put '---' between request and response.")

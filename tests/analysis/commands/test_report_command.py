@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import sys
 
@@ -66,6 +67,8 @@ def test_an_experiment_that_is_not_there_is_named(robot_runner, experiment):
 
 
 def test_without_its_libraries_it_names_the_extra(robot_runner, experiment, monkeypatch):
+    # Importing the package anew also replaces the attribute of its parent, which is put back with the modules.
+    monkeypatch.setattr("robot_runner.analysis", importlib.import_module("robot_runner.analysis"))
     for name in [name for name in sys.modules if name.startswith("robot_runner.analysis")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "matplotlib", None)

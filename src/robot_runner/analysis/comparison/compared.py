@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.analysis.comparison.equivalence import Bound
-    from robot_runner.analysis.statistics.outcome import Interval, NotComputed
+    from robot_runner.analysis.statistics.tested import Interval, NotComputed
 
 __all__ = ["Agreement", "Comparison", "Difference", "MeasureComparison", "Side", "Verdict"]
 

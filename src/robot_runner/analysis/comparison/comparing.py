@@ -17,8 +17,8 @@ from robot_runner.analysis.comparison.equivalence import (
 )
 from robot_runner.analysis.comparison.matching import chosen_measures, differing_circumstances, match_runs, names_of
 from robot_runner.analysis.results import Results, load_results
-from robot_runner.analysis.statistics.outcome import NotComputed
 from robot_runner.analysis.statistics.post_hoc import adjusted
+from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.errors import AnalysisError
 

@@ -29,15 +29,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from robot_runner.analysis.report.material import Material
-    from robot_runner.analysis.statistics.outcome import (
+    from robot_runner.analysis.statistics.outcome import MeasureStatistics, Power
+    from robot_runner.analysis.statistics.tested import (
         Comparison,
         Effect,
         EffectSize,
-        MeasureStatistics,
         MeasureTest,
         NotComputed,
         PostHoc,
-        Power,
     )
 
 __all__ = ["tests_section"]

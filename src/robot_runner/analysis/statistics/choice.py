@@ -1,4 +1,4 @@
-"""Which test fits the design and the data, and why."""
+"""Which test fits the design and the data, and why; the checks of assumptions that the choice rests on."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from scipy import stats
 
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.linear_model import LinearFit, fit_linear, terms_of
-from robot_runner.analysis.statistics.outcome import NotComputed
-from robot_runner.analysis.statistics.tested import AssumptionCheck, QuantilePairs, TestMethod
+from robot_runner.analysis.statistics.tested import AssumptionCheck, NotComputed, QuantilePairs, TestMethod
 from robot_runner.analysis.wording import p_in_words
 from robot_runner.core.words import counted
 
@@ -33,8 +32,6 @@ __all__ = [
     "quantile_pairs",
 ]
 
-
-# Whether the assumptions of parametric tests hold: normal residuals (Shapiro-Wilk) and equal variances (Levene).
 
 SHAPIRO_WILK = "Shapiro-Wilk"
 LEVENE = "Levene"

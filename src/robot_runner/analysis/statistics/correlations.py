@@ -1,4 +1,4 @@
-"""Drift over the order of execution: is the battery, or the room, confounding?"""
+"""How measures go together, and whether they drift over the order of execution."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from scipy import stats
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.design import PLACE, VALUE
 from robot_runner.analysis.statistics.effect_sizes import correlation_magnitude
-from robot_runner.analysis.statistics.outcome import Interval, NotComputed
+from robot_runner.analysis.statistics.outcome import Correlation, Drift
 from robot_runner.analysis.statistics.post_hoc import adjusted
-from robot_runner.analysis.statistics.tested import Correlation, Drift
+from robot_runner.analysis.statistics.tested import Interval, NotComputed
 from robot_runner.analysis.wording import p_in_words, with_unit
 from robot_runner.core.design.columns import RUN_ID
 
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
 __all__ = ["correlations_of", "drift_of"]
 
-
-# How measures go together.
 
 _LEAST = 4
 _LEVEL = 0.95
@@ -90,6 +88,7 @@ def _within(first: MeasureData, second: MeasureData) -> float | None:
 
 
 def _is_flat(residuals: NDArray[np.float64], values: NDArray[np.float64]) -> bool:
+    """Return whether residuals are nothing but rounding, beside the values."""
     return float(np.ptp(residuals)) < 1e-12 * max(1e-300, float(np.max(np.abs(values))))
 
 
@@ -109,7 +108,7 @@ def drift_of(data: MeasureData, alpha: float, unit: str = "") -> Drift | NotComp
     order = np.argsort(data.frame[PLACE].to_numpy())
     places = data.frame[PLACE].to_numpy(dtype=np.float64)[order]
     residuals = data.residuals()[order]
-    if np.ptp(residuals) < 1e-12 * max(1e-300, float(np.max(np.abs(data.values)))):
+    if _is_flat(residuals, data.values):
         return NotComputed("drift over the order of execution", "within each combination all values are equal.")
     with quiet():
         rho, p_value = stats.spearmanr(places, residuals)
@@ -136,13 +135,9 @@ def drift_of(data: MeasureData, alpha: float, unit: str = "") -> Drift | NotComp
 
 def _are_treatments_uneven(data: MeasureData, alpha: float) -> bool:
     """Return whether some treatments were executed rather earlier than others (Kruskal-Wallis test of the places)."""
-    return any(_p_of_places(data, factor) < alpha for factor in data.factors)
-
-
-def _p_of_places(data: MeasureData, factor: str) -> float:
-    groups: list[NDArray[np.int64]] = [rows.to_numpy() for _, rows in data.frame.groupby(factor, observed=True)[PLACE]]
+    by_factor = (data.frame.groupby(factor, observed=True)[PLACE] for factor in data.factors)
     with quiet():
-        return float(stats.kruskal(*groups).pvalue)
+        return any(stats.kruskal(*(rows.to_numpy() for _, rows in places)).pvalue < alpha for places in by_factor)
 
 
 def _warning(measure: str, unit: str, slope: float, rho: float, p_value: float, *, is_confounded: bool) -> str:

@@ -1,4 +1,4 @@
-"""The statistics of a whole experiment."""
+"""The statistics of a whole experiment: of each measure, and of the hypotheses that were fixed beforehand."""
 
 from __future__ import annotations
 
@@ -10,14 +10,10 @@ from robot_runner.analysis.statistics.choice import choose_test, normality, quan
 from robot_runner.analysis.statistics.correlations import correlations_of, drift_of
 from robot_runner.analysis.statistics.descriptive import describe
 from robot_runner.analysis.statistics.design import design_of
-from robot_runner.analysis.statistics.outcome import (
-    ExperimentStatistics,
-    HypothesisOutcome,
-    MeasureStatistics,
-    NotComputed,
-)
+from robot_runner.analysis.statistics.outcome import ExperimentStatistics, HypothesisOutcome, MeasureStatistics
 from robot_runner.analysis.statistics.post_hoc import adjusted, compare_pairs
 from robot_runner.analysis.statistics.power import power_of
+from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.statistics.tests import carry_out
 from robot_runner.analysis.wording import p_in_words
 from robot_runner.core.design.analysis_plan import Correction
@@ -31,14 +27,12 @@ if TYPE_CHECKING:
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.choice import Choice
     from robot_runner.analysis.statistics.design import Design, MeasureData
-    from robot_runner.analysis.statistics.outcome import Description
-    from robot_runner.analysis.statistics.tested import AssumptionCheck, Effect, MeasureTest, PostHoc, Power
+    from robot_runner.analysis.statistics.outcome import Description, Power
+    from robot_runner.analysis.statistics.tested import AssumptionCheck, Effect, MeasureTest, PostHoc
     from robot_runner.core.design.analysis_plan import Hypothesis
 
 __all__ = ["analyse", "judge", "measure_statistics"]
 
-
-# Everything about one measure.
 
 _Found = TypeVar("_Found")
 
@@ -110,8 +104,8 @@ def _described(gathered: _Gathered, data: MeasureData, factors: tuple[str, ...])
 def _power(gathered: _Gathered, data: MeasureData, alpha: float) -> Power | None:
     if len(data.factors) > 1:
         why = f"it is for one factor, and {len(data.factors)} are varied: power depends on the effects of all of them."
-        gathered.take(NotComputed("power", why))
-    if len(data.factors) != 1:
+        return gathered.take(NotComputed("power", why))
+    if not data.factors:
         return None
     return gathered.take(power_of(data.groups(data.factors), alpha, is_blocked=data.is_blocked))
 
@@ -141,9 +135,6 @@ def _assumptions(
         groups = []
     of_groups = [gathered.take(normality(group.values, alpha, group.treatments)) for group in groups]
     return tuple(check for check in (*deciding, *of_groups) if check is not None)
-
-
-# What came of the hypotheses that were fixed before the experiment.
 
 
 def judge(

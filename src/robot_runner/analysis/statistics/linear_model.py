@@ -1,8 +1,8 @@
-"""The aligned rank transform: analysis of variance without the assumption of normal residuals, interactions included.
+"""Linear models of a measure: analysis of variance (type II), residuals, contrasts, and the aligned rank transform.
 
-Source: Wobbrock, Findlater, Gergle and Higgins, The Aligned Rank Transform for Nonparametric Factorial Analyses Using
-Only ANOVA Procedures, CHI 2011. For each effect the values are aligned (stripped of all other effects), ranked, and
-analysed; only that effect is read off.
+The transform (Wobbrock, Findlater, Gergle and Higgins, The Aligned Rank Transform for Nonparametric Factorial Analyses
+Using Only ANOVA Procedures, CHI 2011) does without normal residuals: for each effect the values are aligned (stripped
+of all other effects), ranked, and analysed; only that effect is read off.
 """
 
 from __future__ import annotations
@@ -38,8 +38,6 @@ __all__ = [
     "terms_of",
 ]
 
-
-# Linear models of a measure: analysis of variance (type II), residuals, and contrasts between treatments.
 
 #: Interactions of more factors can hardly be interpreted, and use up the degrees of freedom.
 _MOST_FACTORS_IN_TERM = 3

@@ -172,6 +172,7 @@ class _Reading:
     ) -> None:
         self._layout = layout
         self._planned = planned
+        self._places = factor_places(layout.factor_names)
         self._findings = findings
         self._run_ids = RunIdDecoder(findings)
         self._repetitions = RepetitionDecoder(findings)
@@ -238,7 +239,7 @@ class _Reading:
         planned = self._planned[first - 1 : first - 1 + count]
         runs: Iterable[PlannedRun] = planned
         if not _are_as_planned(planned, run_ids, treatments, repetitions):
-            combinations = map(Combination, repeat(factor_places(self._layout.factor_names)), treatments)
+            combinations = map(Combination, repeat(self._places), treatments)
             runs = map(PlannedRun, run_ids, numbers, combinations, repetitions)
         return map(
             RunRow,
