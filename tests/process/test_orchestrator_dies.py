@@ -7,6 +7,7 @@ import pty
 import signal
 import subprocess
 import sys
+import textwrap
 import time
 from collections.abc import Callable
 from typing import Any
@@ -179,57 +180,178 @@ def test_the_lock_of_a_dead_process_holds_nobody_up(start: Start) -> None:
     assert resumes(start, experiment)
 
 
-def test_a_killed_guardian_fails_its_run_which_is_closed_and_the_next_run_has_another(start: Start) -> None:
+def test_a_killed_keeper_fails_its_attempt_and_the_run_is_closed_and_the_experiment_goes_on(start: Start) -> None:
     experiment = start(
         """
         def launch_mission(self, context):
             import os, signal, time
             if context.run_id in {"r_1", "r_3"}:
+                context.share(noted="before the keeper was killed")
                 os.kill(os.getppid(), signal.SIGKILL)
                 time.sleep(60)
         def stop_run(self, context):
+            for number in range(20_000): context.share(number=number)  # more than the pipe takes unless it is read
             (Path(__file__).parent / f"closed {context.run_id}").touch()
         """
     )
     assert experiment.end() == 1, experiment.output
     assert experiment.statuses == ["Failed", "Done", "Failed", "Done"]
-    assert "r_1, r_3: launch_mission of config: its guardian was killed by SIGKILL" in experiment.output
+    assert "r_1, r_3: launch_mission of config: its keeper was killed by SIGKILL" in experiment.output
     assert experiment.wait_for("closed r_1")
     assert experiment.wait_for("closed r_3")
+    assert (experiment.folder / "journal.jsonl").read_text().count("before the keeper was killed") == 2
     assert experiment.nobody_is_left()
 
 
-def test_a_process_that_is_killed_while_it_waits_for_its_run_costs_no_run(start: Start) -> None:
+def test_a_killed_keeper_whose_run_hangs_in_c_costs_the_attempt_and_nobody_is_left(start: Start) -> None:
+    experiment = start(
+        """
+        grace_in_s = 0.5
+        def launch_mission(self, context):
+            import ctypes, os, signal
+            if context.run_id == "r_2":
+                os.kill(os.getppid(), signal.SIGKILL)
+                ctypes.PyDLL(None).sleep(60)
+        """
+    )
+    assert experiment.end() == 1, experiment.output
+    assert experiment.statuses == ["Done", "Failed", "Done", "Done"]
+    assert "its keeper was killed by SIGKILL" in experiment.output
+    assert experiment.nobody_is_left()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells a process that its parent died")
+def test_killed_together_with_the_keeper_the_run_is_closed_within_a_second_and_ends(start: Start) -> None:
+    experiment = start(
+        MOVING.replace('        self.flag("moving")', '        self.note_keeper()\n        self.flag("moving")')
+        + """
+def note_keeper(self):
+    import os
+    self.flag("keeper").write_text(str(os.getppid()))
+"""
+    )
+    experiment.wait_for("moving")
+    keeper = int((experiment.config.parent / "keeper").read_text())
+    os.kill(experiment.process.pid, signal.SIGSTOP)  # so that neither has the time to do anything about the other
+    os.kill(keeper, signal.SIGSTOP)
+    sent = experiment.send(signal.SIGKILL)
+    os.kill(keeper, signal.SIGKILL)
+    assert float(experiment.wait_for("stopped").read_text()) - sent < 1
+    experiment.end()
+    assert experiment.nobody_is_left()
+    assert resumes(start, experiment)
+
+
+def test_a_keeper_that_does_not_answer_is_given_up_and_its_run_is_ended(start: Start) -> None:
+    experiment = start(
+        """
+        event_deadline_in_s = 1
+        grace_in_s = 0.5
+        def before_experiment(self, context):
+            from robot_runner.core.execution import executor
+            executor._KEEPER_MARGIN = 0.5
+        def launch_mission(self, context):
+            import os, signal, time
+            if context.run_id == "r_2":
+                os.kill(os.getppid(), signal.SIGSTOP)
+                time.sleep(60)
+        """
+    )
+    assert experiment.end() == 1, experiment.output
+    assert experiment.statuses == ["Done", "Failed", "Done", "Done"]
+    assert "took longer than event_deadline_in_s = 1 s" in experiment.output
+    assert experiment.nobody_is_left()
+
+
+def test_there_is_one_keeper_and_one_run_and_between_two_runs_there_is_neither(start: Start) -> None:
+    experiment = start(
+        """
+        time_between_runs_in_ms = 200
+        def before_run(self, context): self.note(f"before {context.run_id}")
+        def launch_mission(self, context): self.note(f"in {context.run_id}")
+        def note(self, when):
+            import os
+            mark = os.environb[b"ROBOT_RUNNER_TEST_MARK"]
+            count = 0
+            for path in Path("/proc").glob("[0-9]*/environ"):
+                try: count += mark in path.read_bytes()
+                except OSError: pass
+            with (Path(__file__).parent / "counts").open("a") as file: print(when, count, file=file)
+        """
+    )
+    assert experiment.end() == 0, experiment.output
+    lines = experiment.wait_for("counts").read_text().splitlines()
+    assert lines == [line for run in range(1, 5) for line in (f"before r_{run} 1", f"in r_{run} 3")]
+
+
+def test_a_stop_signal_that_was_sent_to_the_keeper_ends_nothing(start: Start) -> None:
     experiment = start(
         """
         def launch_mission(self, context):
             import os, signal, time
-            for path in Path("/proc").glob("[0-9]*/stat"):
-                pid, _, rest = path.read_text().partition(" (")
-                if int(rest.rpartition(")")[2].split()[1]) == os.getppid() and int(pid) != os.getpid():
-                    os.kill(int(pid), signal.SIGKILL)
-                    while path.exists():  # until the guardian has buried it
-                        time.sleep(0.01)
-                    (Path(__file__).parent / f"killed in {context.run_id}").touch()
+            for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP): os.kill(os.getppid(), number)
+            time.sleep(0.2)
         """
     )
     assert experiment.end() == 0, experiment.output
-    assert experiment.wait_for("killed in r_1")
-    assert experiment.wait_for("killed in r_3")
     assert experiment.statuses == ["Done"] * 4
-    assert experiment.nobody_is_left()
 
 
-def test_a_guardian_that_is_killed_between_two_runs_costs_no_run(start: Start) -> None:
+#: An orphan as a daemon makes it: forked twice, with a session of its own, so that no process group reaches it.
+ORPHAN = """
+def orphan(self):
+    import os, subprocess
+    if (pid := os.fork()) == 0:
+        os.setsid()
+        program = subprocess.Popen(["sleep", "600"], start_new_session=True)
+        with (Path(__file__).parent / "orphans").open("a") as file: print(program.pid, file=file)
+        os._exit(0)
+    os.waitpid(pid, 0)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux hands orphans to a process that asks for them")
+def test_an_orphan_with_a_session_of_its_own_is_ended_with_its_run(start: Start) -> None:
     experiment = start(
         """
-        time_between_runs_in_ms = 1500
-        def stop_run(self, context):
-            import os, subprocess
-            if context.run_id == "r_1":
-                subprocess.Popen(["sh", "-c", f"sleep 0.5; kill -9 {os.getppid()}"], start_new_session=True)
+        def launch_mission(self, context): self.orphan()
+        def before_run(self, context):
+            import os
+            orphans = Path(__file__).parent / "orphans"
+            for pid in orphans.read_text().split() if orphans.exists() else []:
+                assert not Path(f"/proc/{pid}").exists(), f"{pid} outlives its run"
         """
+        + textwrap.indent(ORPHAN, "        ")
     )
     assert experiment.end() == 0, experiment.output
-    assert experiment.statuses == ["Done"] * 4
+    assert len(experiment.wait_for("orphans").read_text().split()) == 4
     assert experiment.nobody_is_left()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux hands orphans to a process that asks for them")
+def test_killed_the_orphans_of_the_run_are_ended_as_well(start: Start) -> None:
+    moving = MOVING.replace('        self.flag("moving")', '        self.orphan()\n        self.flag("moving")')
+    experiment = start(moving + ORPHAN)
+    experiment.wait_for("moving")
+    experiment.send(signal.SIGKILL)
+    experiment.end()
+    assert experiment.wait_for("orphans").read_text()
+    assert experiment.nobody_is_left()
+
+
+def test_what_happened_before_the_run_died_is_in_the_journal(start: Start) -> None:
+    experiment = start(
+        """
+        def launch_mission(self, context):
+            import os, signal
+            for number in range(5000): context.share(number=number)
+            context.warn("the last word", fix="")
+            os.kill(os.getpid(), signal.SIGKILL)
+        """,
+        "--only",
+        "r_1",
+    )
+    assert experiment.end() == 1, experiment.output
+    journal = (experiment.folder / "journal.jsonl").read_text()
+    assert journal.count('"kind":"shared"') == 5000
+    assert "the last word" in journal

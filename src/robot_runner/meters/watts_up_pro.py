@@ -109,6 +109,7 @@ class Recording:
             self.take()
 
     def series(self, quantity: str) -> Series:
+        """Return one quantity of the samples over time."""
         return Series([each.time for each in self.samples], [getattr(each, quantity) for each in self.samples])
 
 

@@ -1,36 +1,64 @@
-"""What carries runs: each in a process of its own, forked or spawned, or in the orchestrator itself."""
+"""Carries out one run: in a process of its own, supervised, or in the orchestrator itself."""
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, redirect_stderr, redirect_stdout
-from typing import TYPE_CHECKING, Protocol, Self
+import select
+import time
+from contextlib import redirect_stderr, redirect_stdout, suppress
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Protocol
 
 from robot_runner.core.config.parameters import RunProcess
-from robot_runner.core.execution.guardian import Guardian
 from robot_runner.core.execution.interruption import InterruptGate
+from robot_runner.core.execution.keeper import Keeper
 from robot_runner.core.execution.run import execute_run
-from robot_runner.core.execution.starters import ForkStarter, SpawnStarter
-from robot_runner.core.execution.supervision import Limits, Watch, supervise
-from robot_runner.core.execution.task import FINISHED, hand_over
+from robot_runner.core.execution.task import FINISHED, RecordReader
+from robot_runner.core.execution.worker import be_run, become_interpreter
 from robot_runner.core.storage.layout import LazyLog
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.guarding import Starter
-    from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
+    from robot_runner.core.execution.interruption import Interruption
+    from robot_runner.core.execution.task import OutcomeBuilder, RecordWriter, Report, RunOutcome, RunTask
 
-__all__ = ["Executor", "executor_for"]
+__all__ = ["Executor", "Watch", "executor_for"]
+
+_READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
+#: How long after the grace a keeper that should have ended its run is waited for, s.
+_KEEPER_MARGIN = 10.0
 
 
-class Executor(AbstractContextManager["Executor"], Protocol):
-    """Executes one run and returns how it went, whatever becomes of the run. Entered once an experiment."""
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """What the orchestrator wants to know and do while a run is executed.
+
+    Attributes:
+        report: takes each record as it arrives.
+        refresh: called every `refresh_interval` seconds; never where that is None.
+        noticed_interruption: called once the run has been asked to stop because the user interrupted.
+    """
+
+    interruption: Interruption
+    report: Report
+    refresh: Callable[[], None]
+    refresh_interval: float | None
+    noticed_interruption: Callable[[], None]
+
+
+class Executor(Protocol):
+    """Executes runs, one at a time."""
 
     def execute(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunOutcome:
-        """Execute one attempt; `builder` holds what was known of it before."""
-        ...
+        """Execute one attempt and return how it went, whatever becomes of the run.
 
-    def let_go(self) -> None:
-        """Keep nothing of this process as it is now: callbacks are about to change it, which runs are to see."""
+        Args:
+            task: what is executed.
+            builder: holds what was known of the attempt before.
+            watch: what else goes on meanwhile.
+        """
         ...
 
 
@@ -38,60 +66,28 @@ def executor_for(experiment: Experiment) -> Executor:
     """Return the executor that the config's `run_process` asks for."""
     match experiment.parameters.run_process:
         case RunProcess.FORK:
-            return _ProcessExecutor(experiment, ForkStarter(experiment))
+            return _ProcessExecutor(experiment, be_run)
         case RunProcess.SPAWN:
-            return _ProcessExecutor(experiment, SpawnStarter(experiment))
+            return _ProcessExecutor(experiment, become_interpreter)
         case RunProcess.IN_PROCESS:
             return _InProcessExecutor(experiment)
 
 
 class _ProcessExecutor:
-    """A fresh process a run; how it is started is all that differs between forking and spawning."""
-
-    def __init__(self, experiment: Experiment, starter: Starter) -> None:
+    def __init__(self, experiment: Experiment, start: Callable[[Experiment, RunTask, RecordWriter], None]) -> None:
         self._experiment = experiment
-        self._starter = starter
-        parameters = experiment.parameters
-        self._limits = Limits(parameters.run_deadline_in_s, parameters.event_deadline_in_s, parameters.grace_in_s)
-        self._guardian: Guardian | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        self.let_go()
-
-    def let_go(self) -> None:
-        if self._guardian is not None:
-            self._guardian.__exit__()
-            self._guardian = None
+        self._start = start
 
     def execute(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunOutcome:
-        if self._guardian is not None and self._guardian.has_died():  # between two runs: it costs none
-            self.let_go()
-        if self._guardian is None:
-            self._guardian = Guardian(self._starter, self._limits.grace).__enter__()
-        run = self._guardian.start(hand_over(self._experiment, task))
-        try:
-            return supervise(run, builder, limits=self._limits, watch=watch)
-        finally:
-            run.end(self._limits.grace)  # still alive only if we cannot go on ourselves: the disk is full, say
-            if run.guardian_was_killed:
-                self.let_go()
+        parameters = self._experiment.parameters
+        limits = _Limits(parameters.run_deadline_in_s, parameters.event_deadline_in_s, parameters.grace_in_s)
+        with Keeper(partial(self._start, self._experiment, task), limits.grace) as keeper:
+            return _Supervision(keeper, builder, limits, watch).follow()
 
 
 class _InProcessExecutor:
     def __init__(self, experiment: Experiment) -> None:
         self._experiment = experiment
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        return None
-
-    def let_go(self) -> None:
-        return None
 
     def execute(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunOutcome:
         def report(kind: str, fields: dict[str, object]) -> None:
@@ -106,3 +102,111 @@ class _InProcessExecutor:
                 execute_run(self._experiment, task, report, gate)
         report(FINISHED, {})
         return builder.outcome(interrupted=watch.interruption.is_requested)
+
+
+@dataclass(frozen=True, slots=True)
+class _Limits:
+    """How long things may take, in seconds of real time; None for no limit."""
+
+    run: float | None
+    event: float | None
+    grace: float
+
+
+class _Supervision:
+    """Watches over the process of a run: its records, its deadlines, its end, and the user's stop requests.
+
+    A deadline that passes and an interruption have the same consequence: the keeper asks the run to stop, and kills
+    it with everything that it started when it has not ended after the grace period.
+    """
+
+    def __init__(self, keeper: Keeper, builder: OutcomeBuilder, limits: _Limits, watch: Watch) -> None:
+        self._keeper = keeper
+        self._builder = builder
+        self._limits = limits
+        self._watch = watch
+        self._interruption = watch.interruption
+        self._reader = RecordReader(keeper.records)
+        self._started = self._event_started = time.monotonic()
+        self._give_up_at: float | None = None
+        self._is_interrupted = False
+        self._is_killed = False
+        self._because = ""
+        self._poll = select.poll()
+        for descriptor in (keeper.records, keeper.told, watch.interruption.descriptor):
+            self._poll.register(descriptor, _READABLE)
+
+    def follow(self) -> RunOutcome:
+        """Return how the run went, once its process is dead."""
+        while not self._keeper.look():
+            for descriptor, _ in self._poll.poll(self._milliseconds()):
+                if descriptor == self._keeper.records:
+                    self._take_records()
+                elif descriptor == self._interruption.descriptor:
+                    self._interruption.forget_wakeups()
+            self._enforce()
+            if self._watch.refresh_interval is not None:
+                self._watch.refresh()
+        if self._keeper.was_killed:
+            self._keeper.end_abandoned_run(self._limits.grace, meanwhile=self._take_records)
+        self._take_records()  # the last ones before it ended
+        return self._builder.outcome(ended_because=self._reason(), interrupted=self._is_interrupted)
+
+    def _take_records(self) -> None:
+        records, is_open = self._reader.read()
+        for kind, fields in records:
+            if kind == "event":
+                self._event_started = time.monotonic()
+            self._builder.take(kind, fields)
+            self._watch.report(kind, fields)
+        if not is_open:
+            with suppress(KeyError):
+                self._poll.unregister(self._keeper.records)
+
+    def _milliseconds(self) -> float | None:
+        now = time.monotonic()
+        waits = [deadline - now for deadline in (self._give_up_at, *self._deadlines()) if deadline is not None]
+        if self._watch.refresh_interval is not None:
+            waits.append(self._watch.refresh_interval)
+        return max(0.0, min(waits)) * 1000 + 1 if waits else None
+
+    def _deadlines(self) -> tuple[float | None, float | None]:
+        """Return the moments at which the run, and its present event, have taken too long."""
+        if self._because:  # it was asked to stop
+            return None, None
+        run, event = self._limits.run, self._limits.event
+        return (
+            None if run is None else self._started + run,
+            None if event is None else self._event_started + event,
+        )
+
+    def _enforce(self) -> None:
+        now = time.monotonic()
+        run_deadline, event_deadline = self._deadlines()
+        if self._interruption.is_requested and not self._because:
+            self._is_interrupted = True
+            self._watch.noticed_interruption()
+            self._stop("the user interrupted the experiment")
+        elif run_deadline is not None and now >= run_deadline:
+            self._stop(f"the run took longer than run_deadline_in_s = {self._limits.run:g} s")
+        elif event_deadline is not None and now >= event_deadline:
+            self._stop(f"the event took longer than event_deadline_in_s = {self._limits.event:g} s")
+        if self._interruption.is_urgent and not self._is_killed:
+            self._is_killed = self._is_interrupted = True
+            self._keeper.kill()
+        if self._give_up_at is not None and now >= self._give_up_at:
+            self._give_up_at = None
+            self._keeper.give_up()
+
+    def _stop(self, because: str) -> None:
+        self._because = because
+        self._give_up_at = time.monotonic() + self._limits.grace + _KEEPER_MARGIN
+        self._keeper.stop()
+
+    def _reason(self) -> str:
+        """Return why the run ended where it did not end by itself."""
+        if self._because:
+            return self._because
+        if self._keeper.was_killed or not self._builder.is_finished:
+            return self._keeper.death() or "its process exited with code 0 before the run had ended"
+        return ""

@@ -1,4 +1,4 @@
-"""How a run and an orchestrator are told to end: by signals, at moments when nothing is lost by it."""
+"""How a run and an orchestrator take a stop request: from signals, at moments at which nothing is lost by it."""
 
 from __future__ import annotations
 
@@ -12,47 +12,55 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from types import FrameType
 
-__all__ = ["InterruptGate", "Interruption", "RunInterrupted"]
+__all__ = ["STOP_SIGNALS", "InterruptGate", "Interruption", "RunInterrupted"]
+
+#: The signals that ask the orchestrator, or a run, to stop.
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+#: A terminal that closes sends SIGHUP twice in a row, and some shells repeat SIGTERM: within this many seconds, that
+#: is one request and not two.
+_SAME_REQUEST = 1.0
 
 
 class RunInterrupted(BaseException):
-    """Raised in a run's callback when the run is told to end. A BaseException, so that callbacks do not swallow it."""
+    """Raised in a run's callback when the run is to stop. A BaseException, so that callbacks do not swallow it."""
 
     def __init__(self) -> None:
         super().__init__("the run was told to end")
 
 
 class InterruptGate:
-    """Lets a signal end a callback, and never the closing of what callbacks opened."""
+    """Lets a stop request end a callback, and never the closing of what callbacks opened."""
 
     def __init__(self) -> None:
         self._armed = False
         self._requested = False
 
     def listen(self) -> None:
-        """Take SIGTERM as the word to end. Call it in the main thread of the run's process."""
-        inherited = _present
-        if inherited is None:
-            signal.signal(signal.SIGTERM, self._heard)
-        else:  # forked: the orchestrator's handler came along; setting another would cost more than all else here
-            inherited.become_run(self)
+        """Take the stop signals of this process, also those that came while they were blocked.
+
+        Call it in the main thread of the run's process.
+        """
+        for number in STOP_SIGNALS:
+            signal.signal(number, self._take_signal)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
 
     def arm(self) -> None:
-        """Have the word to end raised from now on, until `disarm`; before and after, it waits.
+        """Have a stop request raised from now on, until `disarm`; before and after, it waits.
 
         Raises:
-            RunInterrupted: the word was said, now or before.
+            RunInterrupted: a request comes, or came before.
         """
         self._armed = True
         if self._requested:
             self._raise()
 
     def disarm(self) -> None:
-        """Have the word to end wait again."""
+        """Have stop requests wait again."""
         self._armed = False
 
     def request(self, *, at_once: bool = False) -> None:
-        """Say the word to end; `at_once` does not even wait for the closing.
+        """Ask to stop; `at_once` does not even wait for the closing.
 
         Raises:
             RunInterrupted: a callback is being executed (or anything is, with `at_once`).
@@ -61,7 +69,7 @@ class InterruptGate:
         if self._armed or at_once:
             self._raise()
 
-    def _heard(self, number: int, frame: FrameType | None) -> None:
+    def _take_signal(self, number: int, frame: FrameType | None) -> None:
         del number, frame
         self.request()
 
@@ -70,24 +78,17 @@ class InterruptGate:
         raise RunInterrupted
 
 
-#: The orchestrator's, while it executes an experiment.
-_present: Interruption | None = None
-
-
 class Interruption:
-    """What the orchestrator was told by signals: Ctrl-C once ends cleanly, twice at once.
+    """The stop requests that the orchestrator got by signals: Ctrl-C once ends cleanly, twice at once.
 
-    A context manager: while it lasts, SIGINT, SIGTERM and SIGHUP are counted instead of raised, and wake whoever
-    polls `descriptor`.
+    A context manager: while it lasts, the stop signals are counted instead of raised, and wake whoever polls
+    `descriptor`.
     """
-
-    SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
     def __init__(self) -> None:
         self._count = 0
         self._last = 0.0
         self._gate: InterruptGate | None = None
-        self._is_run = False
         self.first_signal: int | None = None
 
     @property
@@ -105,24 +106,15 @@ class Interruption:
         """Readable once a signal came."""
         return self._reader
 
-    def become_run(self, gate: InterruptGate) -> None:
-        """Be the handler of a run's own process instead: the word to end goes to its gate."""
-        self._is_run = True
-        self._gate = gate
-
     def __enter__(self) -> Self:
-        global _present  # noqa: PLW0603 - a process has one handler of each signal, and so one of these
         self._reader, self._writer = os.pipe()
         os.set_blocking(self._writer, False)
         os.set_blocking(self._reader, False)
         self._earlier_wakeup = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
-        self._earlier = {number: signal.signal(number, self._count_signal) for number in self.SIGNALS}
-        _present = self
+        self._earlier = {number: signal.signal(number, self._count_signal) for number in STOP_SIGNALS}
         return self
 
     def __exit__(self, *raised: object) -> None:
-        global _present  # noqa: PLW0603 - as above
-        _present = None
         for number, handler in self._earlier.items():
             signal.signal(number, handler)
         signal.set_wakeup_fd(self._earlier_wakeup)
@@ -131,7 +123,7 @@ class Interruption:
 
     @contextmanager
     def passed_on(self, gate: InterruptGate) -> Iterator[None]:
-        """While this lasts, the word to end is passed on to callbacks that this process executes itself."""
+        """While this lasts, stop requests are passed on to callbacks that this process executes itself."""
         self._gate = gate
         try:
             yield
@@ -147,13 +139,8 @@ class Interruption:
 
     def _count_signal(self, number: int, frame: FrameType | None) -> None:
         del frame
-        if self._is_run:
-            if self._gate is not None:
-                self._gate.request()
-            return
-        # A terminal that closes sends SIGHUP twice in a row, and some shells repeat SIGTERM: that is one word, not two.
         now = time.monotonic()
-        if self._count and number != signal.SIGINT and now - self._last < 1.0:
+        if self._count and number != signal.SIGINT and now - self._last < _SAME_REQUEST:
             return
         self._last = now
         self._count += 1

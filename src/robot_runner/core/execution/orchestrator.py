@@ -15,7 +15,7 @@ from robot_runner.core.config.parameters import FailurePolicy, OperationType
 from robot_runner.core.errors import ExecutionError, StorageError
 from robot_runner.core.events.context import ExperimentContext, Resources, SystemClock
 from robot_runner.core.events.manager import CallbackFailure, Emission, RobotRunnerEvents
-from robot_runner.core.execution.executor import Executor, executor_for
+from robot_runner.core.execution.executor import Watch, executor_for
 from robot_runner.core.execution.interruption import InterruptGate, Interruption, RunInterrupted
 from robot_runner.core.execution.notices import (
     AttemptFinished,
@@ -31,7 +31,6 @@ from robot_runner.core.execution.notices import (
 from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.execution.run import failure_fields, run_contexts
-from robot_runner.core.execution.supervision import Watch
 from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.lock import Command, forget_command, take_command
@@ -121,9 +120,8 @@ def execute_experiment(
     with (
         Interruption() as interruption,
         ProgressManager(experiment, resumption or Resumption()) as progress,
-        executor_for(experiment) as executor,
     ):
-        return _Orchestrator(experiment, progress, executor, interruption, observer).execute(findings)
+        return _Orchestrator(experiment, progress, interruption, observer).execute(findings)
 
 
 class _Orchestrator:
@@ -131,7 +129,6 @@ class _Orchestrator:
         self,
         experiment: Experiment,
         progress: ProgressManager,
-        executor: Executor,
         interruption: Interruption,
         observer: Observer,
     ) -> None:
@@ -140,7 +137,7 @@ class _Orchestrator:
         self._progress = progress
         self._interruption = interruption
         self._observer = observer
-        self._executor = executor
+        self._executor = executor_for(experiment)
         self._started = time.monotonic()
         self._stopped_by_policy = False
 
@@ -255,8 +252,6 @@ class _Orchestrator:
 
     def _emit(self, event: RobotRunnerEvents, context_for: Callable[[str], object]) -> Emission:
         """Emit an event in this process; Ctrl-C ends the callback that is being executed."""
-        if self._experiment.events.subscribers(event):
-            self._executor.let_go()
         gate = InterruptGate()
         try:
             with self._interruption.passed_on(gate):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 import traceback
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import MeasureError, RobotRunnerError
@@ -66,11 +67,7 @@ def run_contexts(
 
 
 class _Run:
-    """The life of one run in its own process.
-
-    What is written here as `try` and `except` might be context managers; but a forked process has to copy whatever
-    memory a call touches first, and they would cost an empty run more than all else does.
-    """
+    """The life of one run in its own process: what one line opens, the end of its block closes."""
 
     def __init__(self, experiment: Experiment, task: RunTask, report: Report, gate: InterruptGate) -> None:
         self._experiment = experiment
@@ -81,21 +78,12 @@ class _Run:
         self._failed = False
 
     def execute(self) -> None:
-        try:
-            self._enter()
+        closed_last = RobotRunnerEvents.STOP_RUN.value  # the event during which a link fails to close
+        with self._recorded(closed_last, "link"), closing(self._resources), self._recorded("", "link"):
+            self._open()
             self._emit_events()
-        except BaseException as error:  # noqa: BLE001 - whatever it is, the run is closed and says why it failed
-            self._record("", "link", error)
-        finally:
-            self._close_resources()
 
-    def _close_resources(self) -> None:
-        try:
-            self._resources.close()
-        except BaseException as error:  # noqa: BLE001 - a link that fails while it is closed fails the run
-            self._record(RobotRunnerEvents.STOP_RUN.value, "link", error)
-
-    def _enter(self) -> None:
+    def _open(self) -> None:
         task, resources = self._task, self._resources
         self._clock = open_clock(self._experiment.parameters.robot, resources, seed=task.run_seed)
         self._context_for = run_contexts(
@@ -103,45 +91,44 @@ class _Run:
         )
 
     def _emit_events(self) -> None:
-        """Emit the six events; what an opening event reached is closed again, and then made safe if anything failed."""
-        started = self._emit(RobotRunnerEvents.START_RUN)
-        try:
+        with self._between(RobotRunnerEvents.START_RUN):
             if not self._failed:
-                self._measure()
-        finally:
-            self._close(RobotRunnerEvents.START_RUN, started)
+                with self._between(RobotRunnerEvents.START_MEASUREMENT):
+                    if not self._failed:
+                        self._emit(RobotRunnerEvents.LAUNCH_MISSION)
         if self._failed:
             self._make_safe()
         else:
             self._populate()
 
-    def _measure(self) -> None:
-        started = self._emit(RobotRunnerEvents.START_MEASUREMENT)
+    @contextmanager
+    def _between(self, opening: RobotRunnerEvents) -> Iterator[None]:
+        """Emit an opening event, and the event that closes it, whatever happens in between."""
+        emission = self._emit(opening)
         try:
-            if not self._failed:
-                self._emit(RobotRunnerEvents.LAUNCH_MISSION)
+            yield
         finally:
-            self._close(RobotRunnerEvents.START_MEASUREMENT, started)
+            # A subscriber without a callback for the opening event may have opened something elsewhere: it is not
+            # left out. Those that a failure kept from opening anything are.
+            subscribers = {subscriber.owner for subscriber in self._experiment.events.subscribers(opening)}
+            self._emit(CLOSED_BY[opening], but_not=subscribers.difference(emission.reached))
+
+    def _make_safe(self) -> None:
+        for system in reversed(self._experiment.systems):
+            with self._recorded("make_safe", system.name):
+                system.make_safe(self._context_for(system.name))
 
     def _populate(self) -> None:
         event = RobotRunnerEvents.POPULATE_RUN_DATA
         for owner, returned in self._emit(event).returned:
-            try:
+            with self._recorded(event.value, owner):
                 publish_returned(self._context_for(owner), returned)
-            except BaseException as error:  # noqa: BLE001 - whatever it is, the run failed
-                self._record(event.value, owner, error)
-
-    def _close(self, opening: RobotRunnerEvents, emission: Emission) -> None:
-        closing, events = CLOSED_BY[opening], self._experiment.events
-        # Who has no callback for the opening event may have opened something elsewhere, and hears the closing too.
-        unreached = {subscriber.owner for subscriber in events.subscribers(opening)}.difference(emission.reached)
-        self._emit(closing, but_not=unreached)
 
     def _emit(self, event: RobotRunnerEvents, but_not: Collection[str] = ()) -> Emission:
         self._report("event", {"event": event.value, "at": utc_now(), "clock": self._clock.now()})
         try:
             emission = self._call(event, but_not)
-        except RunInterrupted as error:  # between two callbacks: nobody knows who was reached, so all are closed
+        except RunInterrupted as error:  # between two callbacks: whom the event reached is not known, so all are closed
             emission = Emission((), self._owners(), (CallbackFailure(event, "", error),))
         for failure in emission.failures:
             self._record(event.value, failure.owner, failure.error)
@@ -160,12 +147,13 @@ class _Run:
     def _owners(self) -> tuple[str, ...]:
         return (*(plugin.name for plugin in self._experiment.plugins), CONFIG_OWNER)
 
-    def _make_safe(self) -> None:
-        for system in reversed(self._experiment.systems):
-            try:
-                system.make_safe(self._context_for(system.name))
-            except BaseException as error:  # noqa: BLE001 - the other systems are made safe all the same
-                self._record("make_safe", system.name, error)
+    @contextmanager
+    def _recorded(self, event: str, owner: str) -> Iterator[None]:
+        """Record what is raised as a failure of the run, whatever it is: what comes after is executed all the same."""
+        try:
+            yield
+        except BaseException as error:  # noqa: BLE001 - also sys.exit, and a request to stop
+            self._record(event, owner, error)
 
     def _record(self, event: str, owner: str, error: BaseException) -> None:
         self._failed = True

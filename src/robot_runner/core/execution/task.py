@@ -1,15 +1,14 @@
-"""From what a run reported to how it went."""
+"""A run's task, the records that it sends while it is executed, and the outcome that they add up to: plain data."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import marshal
 import os
 import threading
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +18,6 @@ from robot_runner.core.events.measure import Origin, PublishedMeasure
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.events.measure import MeasureColumns
 
 __all__ = [
@@ -32,13 +30,9 @@ __all__ = [
     "RunFailure",
     "RunOutcome",
     "RunTask",
-    "hand_over",
     "seed_of_run",
-    "take_over",
 ]
 
-
-# What goes to an executor and what comes back: plain data, so that it can cross to another process.
 
 #: Takes what happens in a run as it happens: the kind of the record and its plain fields.
 Report = Callable[[str, dict[str, Any]], None]
@@ -130,10 +124,14 @@ _encode = json.JSONEncoder(ensure_ascii=True, separators=(",", ":"), default=str
 
 
 class RecordWriter:
-    """The run's end of the pipe. Plugins may report from threads of their own."""
+    """The run's end of the pipe. Plugins may report from threads of their own.
+
+    Attributes:
+        descriptor: of the pipe.
+    """
 
     def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
+        self.descriptor = descriptor
         self._lock = threading.Lock()
 
     def __call__(self, kind: str, fields: dict[str, Any]) -> None:
@@ -142,9 +140,14 @@ class RecordWriter:
         with self._lock:
             try:
                 while data:
-                    data = data[os.write(self._descriptor, data) :]
+                    data = data[os.write(self.descriptor, data) :]
             except BrokenPipeError:
                 return
+
+    def close(self) -> None:
+        """Close this end: who does not report must not keep the pipe open."""
+        os.close(self.descriptor)
+        self.descriptor = -1
 
 
 class RecordReader:
@@ -179,45 +182,6 @@ def _decoded(line: bytes) -> tuple[str, dict[str, Any]] | None:
     except (ValueError, TypeError):  # somebody else wrote into the pipe
         return None
     return (kind, fields) if isinstance(kind, str) and isinstance(fields, dict) else None
-
-
-# A task on its way to the process of its run, as text.
-
-_PLAIN = tuple(each.name for each in fields(RunTask) if each.name != "combination")
-
-
-def hand_over(experiment: Experiment, task: RunTask) -> bytes:
-    """Return everything of a task that a process of the same interpreter that knows the experiment does not know."""
-    plain = {name: getattr(task, name) for name in _PLAIN}
-    # marshal rather than JSON: it is C from end to end, and the run is waiting.
-    return marshal.dumps((plain, _described(experiment, task.combination)))
-
-
-def take_over(experiment: Experiment, handed_over: bytes) -> RunTask | None:
-    """Return the task that was handed over; None where there was none."""
-    if not handed_over:
-        return None
-    plain, described = marshal.loads(handed_over)  # noqa: S302 - from our own process, through a pipe of our own
-    return RunTask(combination=_combination(experiment, described), **plain)
-
-
-def _described(experiment: Experiment, combination: Mapping[str, Any]) -> dict[str, Any]:
-    # A treatment goes by its place in its factor, as it may be an object; a value of a hand-written table is plain.
-    factors = {factor.name: factor for factor in experiment.model.factors}
-    described: dict[str, Any] = {}
-    for name, value in combination.items():
-        place = factors[name].position_of(value) if name in factors else None
-        described[name] = (place, value if place is None else None)
-    return described
-
-
-def _combination(experiment: Experiment, described: Mapping[str, Any]) -> dict[str, Any]:
-    combination = {name: value for name, (_, value) in described.items()}
-    for factor in experiment.model.factors:
-        place, _ = described.get(factor.name, (None, None))
-        if place is not None:
-            combination[factor.name] = factor.treatments[place]
-    return combination
 
 
 class OutcomeBuilder:

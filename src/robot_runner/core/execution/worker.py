@@ -1,10 +1,99 @@
-"""The program of a spawned run: `python -m robot_runner.core.execution.worker <description>`."""
+"""A run in a process of its own: forked from its keeper, or a fresh interpreter that the forked process becomes.
+
+The fresh interpreter executes `python -m robot_runner.core.execution.worker <description>`: it loads the config again.
+"""
 
 from __future__ import annotations
 
+import json
+import os
+import signal
 import sys
+from dataclasses import fields
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
 
-from robot_runner.core.execution.starters import execute_spawned
+from robot_runner.core.config.dialects import prepare_or_refuse
+from robot_runner.core.execution.interruption import STOP_SIGNALS, InterruptGate
+from robot_runner.core.execution.processes import leave_after, settle_streams
+from robot_runner.core.execution.run import execute_run
+from robot_runner.core.execution.task import FINISHED, RecordWriter, RunTask
+from robot_runner.core.storage.layout import open_log
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from robot_runner.core.config.experiment import Experiment
+
+__all__ = ["be_run", "become_interpreter"]
+
+_MODULE = "robot_runner.core.execution.worker"
+
+
+def be_run(experiment: Experiment, task: RunTask, report: RecordWriter) -> None:
+    """Execute the run in this process, which was forked for it and sees what was set up in memory before."""
+    _print_to_log(experiment)
+    settle_streams()
+    _execute(experiment, task, report)
+
+
+def become_interpreter(experiment: Experiment, task: RunTask, report: RecordWriter) -> NoReturn:
+    """Replace this process, which was forked for the run, by a fresh interpreter that executes it."""
+    _print_to_log(experiment)
+    for number in STOP_SIGNALS:  # until the interpreter listens there is nothing to close: it may simply end
+        signal.signal(number, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
+    os.set_inheritable(report.descriptor, True)  # noqa: FBT003 - the system's own signature
+    description = {
+        "config": str(experiment.config_path),
+        "set": dict(experiment.overrides),
+        "task": _described(experiment, task),
+        "records": report.descriptor,
+    }
+    os.execv(sys.executable, [sys.executable, "-m", _MODULE, json.dumps(description)])  # noqa: S606 - our own program
+
+
+def _execute(experiment: Experiment, task: RunTask, report: RecordWriter) -> None:
+    gate = InterruptGate()
+    gate.listen()
+    execute_run(experiment, task, report, gate)
+    report(FINISHED, {})
+
+
+def _print_to_log(experiment: Experiment) -> None:
+    log = open_log(experiment.folder)
+    os.dup2(log, 1)
+    os.dup2(log, 2)
+    os.close(log)
+
+
+def _execute_described(description: Mapping[str, Any], report: RecordWriter) -> None:
+    experiment = prepare_or_refuse(Path(description["config"]), description["set"])
+    _execute(experiment, _task_of(experiment, description["task"]), report)
+
+
+def _described(experiment: Experiment, task: RunTask) -> dict[str, Any]:
+    # A treatment goes by its place in its factor, as it may be any object; a value of a hand-written table is plain.
+    factors = {factor.name: factor for factor in experiment.model.factors}
+    combination: dict[str, Any] = {}
+    for name, value in task.combination.items():
+        place = factors[name].position_of(value) if name in factors else None
+        combination[name] = (place, value if place is None else None)
+    return {each.name: getattr(task, each.name) for each in fields(task)} | {"combination": combination}
+
+
+def _task_of(experiment: Experiment, described: Mapping[str, Any]) -> RunTask:
+    factors = {factor.name: factor for factor in experiment.model.factors}
+    combination = {
+        name: value if place is None else factors[name].treatments[place]
+        for name, (place, value) in described["combination"].items()
+    }
+    return RunTask(**{**described, "combination": combination})
+
 
 if __name__ == "__main__":
-    execute_spawned(sys.argv[1])
+    settle_streams()
+    _description = json.loads(sys.argv[1])
+    _report = RecordWriter(_description["records"])
+    leave_after(partial(_execute_described, _description, _report), _report)

@@ -1,0 +1,266 @@
+"""One keeper per run: the process that starts the run, outlives a dead orchestrator, and ends what the run started.
+
+    orchestrator ── forks ──> keeper ── forks ──> run ── starts ──> programs of callbacks, and their orphans
+
+Whatever kills an orchestrator (SIGKILL, out of memory) must not leave a robot driving. The run cannot watch for that
+in every state: a callback that hangs in C runs no Python, so neither a signal handler nor a thread of ours would come
+to its turn. The keeper can: it does nothing else. Three pipes connect the processes:
+
+    requests   orchestrator -> keeper          STOP or KILL; the end of the pipe (the orchestrator is gone) means STOP
+    told       run, then keeper -> orchestrator    two numbers: the run's process id, and how the run ended
+    records    run -> orchestrator             what happens in the run, one JSON record a line
+
+Asked to stop, the keeper sends SIGTERM to the run, and kills it when it has not ended after the grace. Once the run
+has ended in whatever way, the keeper kills the rest of its process group and its orphans. If the keeper itself dies,
+the system sends SIGTERM to the run (Linux), and the orchestrator, if there is one, does the keeper's work.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+import time
+from contextlib import suppress
+from typing import TYPE_CHECKING, Self
+
+from robot_runner.core.execution.interruption import STOP_SIGNALS
+from robot_runner.core.execution.processes import (
+    adopt_orphans,
+    children,
+    end_group,
+    forked,
+    has_children,
+    kill_group,
+    leave_after,
+    stop_with_parent,
+    use_no_streams,
+)
+from robot_runner.core.execution.task import RecordWriter
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+__all__ = ["Keeper"]
+
+_STOP, _KILL = b"s", b"k"
+_NUMBER_BYTES = 8
+#: How long the keeper waits for processes that it has killed, s: one that waits for a broken disk cannot be reaped.
+_REAPING = 5.0
+#: How long it waits until it looks again, s.
+_LOOK = 0.01
+
+
+class Keeper:
+    """The orchestrator's side of a keeper. A context manager: entering starts the run, leaving ends it.
+
+    Attributes:
+        records: a descriptor from which the run's records can be read.
+        told: a descriptor that is readable when the keeper has something to tell, or was killed; then call `look`.
+        was_killed: whether the keeper died before it told how the run ended.
+    """
+
+    def __init__(self, start: Callable[[RecordWriter], None], grace: float) -> None:
+        """Prepare a keeper.
+
+        Args:
+            start: executes the run; called in the run's own process.
+            grace: how long a run that is asked to stop may take to close what it opened, s.
+        """
+        self._start = start
+        self._grace = grace
+        self._numbers = b""
+        self._status: int | None = None
+        self.was_killed = False
+
+    def __enter__(self) -> Self:
+        sys.stdout.flush()  # or the run would print it once more
+        sys.stderr.flush()
+        requests, self._requests = os.pipe()
+        self.told, tell = os.pipe()
+        self.records, records = os.pipe()
+        self._pid = forked()
+        if self._pid == 0:
+            for descriptor in (self._requests, self.told, self.records):
+                os.close(descriptor)
+            report = RecordWriter(records)
+            process = _KeeperProcess(requests, tell, report, self._start, self._grace)
+            leave_after(process.keep, report)
+        for descriptor in (requests, tell, records):
+            os.close(descriptor)
+        os.set_blocking(self.told, False)
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        # A run that is still alive (the disk is full, say, and we cannot go on) must not wait for a reader.
+        os.close(self.records)
+        os.close(self._requests)  # and is ended by this
+        self._wait()
+        os.close(self.told)
+
+    def look(self) -> bool:
+        """Look, without waiting, whether the run has ended; all that it started has ended then, too."""
+        with suppress(BlockingIOError):
+            numbers = os.read(self.told, 2 * _NUMBER_BYTES)
+            self._numbers += numbers
+            self.was_killed = not numbers and len(self._numbers) < 2 * _NUMBER_BYTES
+        return self.was_killed or len(self._numbers) == 2 * _NUMBER_BYTES
+
+    def stop(self) -> None:
+        """Ask the run to close what it opened and to end; it is killed when the grace is over."""
+        self._request(_STOP)
+
+    def kill(self) -> None:
+        """Kill the run and everything that it started."""
+        self._request(_KILL)
+
+    def give_up(self) -> None:
+        """Kill the keeper itself: it does not answer."""
+        with suppress(ProcessLookupError):
+            os.kill(self._pid, signal.SIGKILL)
+
+    def end_abandoned_run(self, grace: float, meanwhile: Callable[[], object]) -> None:
+        """Do the work of a keeper that was killed: end the run and its process group.
+
+        Args:
+            grace: how long the run may take to close what it opened, s.
+            meanwhile: called again and again while we wait: reads the run's records, or the run would wait for that.
+        """
+        if self._numbers:  # else the run had not begun, and does not begin without a keeper
+            end_group(_number(self._numbers[:_NUMBER_BYTES]), grace, meanwhile)
+
+    def death(self) -> str:
+        """Return how the run's process died, or its keeper's if that was killed; empty if it exited with 0."""
+        whose, status = ("its keeper", self._wait()) if self.was_killed else ("its process", self._run_status())
+        code = os.waitstatus_to_exitcode(status)
+        if code < 0:
+            return f"{whose} was killed by {signal.Signals(-code).name}"
+        return f"{whose} exited with code {code}" if code else ""
+
+    def _run_status(self) -> int:
+        return _number(self._numbers[_NUMBER_BYTES:])
+
+    def _wait(self) -> int:
+        if self._status is None:
+            self._status = os.waitpid(self._pid, 0)[1]
+        return self._status
+
+    def _request(self, request: bytes) -> None:
+        with suppress(BrokenPipeError):  # the keeper was killed: `look` tells
+            os.write(self._requests, request)
+
+
+class _KeeperProcess:
+    """The keeper's own process."""
+
+    def __init__(
+        self, requests: int, tell: int, report: RecordWriter, start: Callable[[RecordWriter], None], grace: float
+    ) -> None:
+        self._requests = requests
+        self._tell = tell
+        self._report = report
+        self._start = start
+        self._grace = grace
+        self._kill_at: float | None = None
+
+    def keep(self) -> None:
+        """Start the run, watch over it until it has ended, end what it left behind, and tell how it ended."""
+        os.setsid()  # what happens to the orchestrator's terminal does not reach us
+        use_no_streams()
+        adopt_orphans()
+        self._fork_run()
+        self._report.close()  # the run's alone from here on
+        status = self._watch()
+        kill_group(self._run)
+        self._end_orphans()
+        with suppress(BrokenPipeError):  # the orchestrator is gone
+            os.write(self._tell, _bytes(status))
+
+    def _fork_run(self) -> None:
+        keeper = os.getpid()
+        # The run takes them once it can: a forked process forgets signals that come while it begins. The keeper itself
+        # keeps them blocked: to stop is the run's business.
+        signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
+        self._run = forked()
+        if self._run == 0:
+            leave_after(lambda: self._become_run(keeper), self._report)
+        with suppress(PermissionError, ProcessLookupError):  # whichever of the two comes first
+            os.setpgid(self._run, self._run)
+
+    def _become_run(self, keeper: int) -> None:
+        os.setpgid(0, 0)
+        signal.set_wakeup_fd(-1)  # inherited: it would wake the orchestrator
+        stop_with_parent()
+        os.write(self._tell, _bytes(os.getpid()))
+        # Not before: as long as we hold it, the orchestrator does not take the keeper for dead.
+        os.close(self._tell)
+        os.close(self._requests)
+        if os.getppid() == keeper:  # else it died before the system would have told us
+            self._start(self._report)
+
+    def _watch(self) -> int:
+        """Return how the run ended, as `os.waitpid` does; obey requests, and kill it when the grace is over."""
+        poll = select.poll()
+        poll.register(self._requests, select.POLLIN)
+        if hasattr(os, "pidfd_open"):
+            poll.register(os.pidfd_open(self._run), select.POLLIN)  # macOS has none: there we look now and then
+        while (status := self._reap()) is None:
+            for descriptor, _ in poll.poll(self._milliseconds()):
+                if descriptor == self._requests and not self._obey():
+                    poll.unregister(self._requests)
+            if self._kill_at is not None and time.monotonic() >= self._kill_at:
+                kill_group(self._run)
+                self._kill_at = time.monotonic() + self._grace
+        return status
+
+    def _milliseconds(self) -> float | None:
+        """Return how long to wait at most."""
+        if not hasattr(os, "pidfd_open"):
+            return _LOOK * 1000
+        return None if self._kill_at is None else max(0.0, self._kill_at - time.monotonic()) * 1000
+
+    def _reap(self) -> int | None:
+        """Reap every child that has ended; return how the run ended if it is among them."""
+        while True:
+            pid, status = os.waitpid(-1, os.WNOHANG)  # there is a child for as long as the run was not reaped
+            if pid == self._run:
+                return status
+            if pid == 0:
+                return None
+
+    def _obey(self) -> bool:
+        """Take a request; return whether the orchestrator is still there."""
+        request = os.read(self._requests, 1)
+        if request == _KILL:
+            self._kill_at = time.monotonic()
+        elif self._kill_at is None:
+            self._kill_at = time.monotonic() + self._grace
+            os.kill(self._run, signal.SIGTERM)
+        return bool(request)
+
+    def _end_orphans(self) -> None:
+        """Kill what the run left behind, also what has a session or a process group of its own, and reap it."""
+        deadline = time.monotonic() + _REAPING
+        while has_children() and time.monotonic() < deadline:
+            orphans = [orphan for orphan in children() if _is_killed(orphan)]
+            if not orphans:
+                return
+            time.sleep(_LOOK)
+
+
+def _is_killed(pid: int) -> bool:
+    """Kill a process and return whether that is allowed: one that became another user by `sudo` stays."""
+    try:
+        os.kill(pid, signal.SIGKILL)
+    except (PermissionError, ProcessLookupError):
+        return False
+    return True
+
+
+def _bytes(number: int) -> bytes:
+    return number.to_bytes(_NUMBER_BYTES, "big")
+
+
+def _number(data: bytes) -> int:
+    return int.from_bytes(data, "big")

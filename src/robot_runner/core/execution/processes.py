@@ -1,0 +1,147 @@
+"""What the processes of a run need of the operating system: forking, leaving, parents, orphans, groups."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+import threading
+import time
+import warnings
+from contextlib import suppress
+from io import TextIOWrapper
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+from robot_runner.core.execution.run import failure_fields
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from robot_runner.core.execution.task import Report
+
+__all__ = [
+    "adopt_orphans",
+    "children",
+    "end_group",
+    "forked",
+    "has_children",
+    "kill_group",
+    "leave_after",
+    "settle_streams",
+    "stop_with_parent",
+    "use_no_streams",
+]
+
+#: Where nothing wakes us, we look this often, in seconds.
+_LOOK = 0.02
+
+# From <linux/prctl.h>; Python's library has no prctl.
+_PR_SET_PDEATHSIG = 1
+_PR_SET_CHILD_SUBREAPER = 36
+_prctl = None
+if sys.platform == "linux":
+    _prctl = ctypes.CDLL(None).prctl
+    _prctl.argtypes = [ctypes.c_int, *[ctypes.c_ulong] * 4]
+
+
+def adopt_orphans() -> None:
+    """Become the parent of whatever a descendant leaves behind when it ends, whatever its session (Linux only)."""
+    if _prctl is not None:
+        _prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def stop_with_parent() -> None:
+    """Have SIGTERM sent to this process when its parent dies (Linux only)."""
+    if _prctl is not None:
+        _prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+
+
+def forked() -> int:
+    """Fork, as `os.fork`, without the warning of libraries that have threads of their own in C."""
+    if sys.version_info < (3, 12) or threading.active_count() > 1:
+        return os.fork()
+    # Python counts the threads of C libraries (OpenBLAS) as well and warns; these know how to be forked.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return os.fork()
+
+
+def leave_after(work: Callable[[], None], report: Report) -> NoReturn:
+    """Do the work of a forked process and leave it: nothing of the orchestrator's may be executed or cleaned up here.
+
+    Args:
+        work: what the process is for; an exception is reported as a failure.
+        report: takes that failure.
+    """
+    code = 1
+    try:
+        work()
+        code = 0
+    except BaseException as error:  # noqa: BLE001 - the last resort: it must be known before the process ends
+        report("failure", {"event": "", "owner": "", **failure_fields(error)})
+    finally:
+        with suppress(OSError, ValueError):  # a full disk, or a stream that a callback closed
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(code)
+
+
+def settle_streams() -> None:
+    """Print line by line, in UTF-8, and not on the orchestrator's screen, which may stand in for the streams."""
+    sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(encoding="utf-8", errors="backslashreplace", line_buffering=True)
+
+
+def use_no_streams() -> None:
+    """Let go of the inherited streams: a program that reads the orchestrator's output must not wait for our end."""
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for descriptor in (0, 1, 2):
+        os.dup2(nothing, descriptor)
+    os.close(nothing)
+
+
+def has_children() -> bool:
+    """Reap the children that have ended, and return whether any is left."""
+    try:
+        while os.waitpid(-1, os.WNOHANG)[0]:
+            pass
+    except ChildProcessError:
+        return False
+    return True
+
+
+def children() -> Iterator[int]:
+    """Yield the ids of this process's children, of adopted ones too; of none where there is no /proc (macOS)."""
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):  # it ended meanwhile
+            # The second field is the program's name in brackets, and may hold anything; the fourth is the parent.
+            if int(stat.read_text(errors="replace").rpartition(")")[2].split()[1]) == os.getpid():
+                yield int(stat.parent.name)
+
+
+def end_group(leader: int, grace: float, meanwhile: Callable[[], object]) -> None:
+    """Ask a process that is not our child to stop; kill it, and its group, when it has not after `grace` seconds.
+
+    Args:
+        leader: the id of the process, and of its group.
+        grace: how long it may take.
+        meanwhile: called again and again while we wait.
+    """
+    deadline = time.monotonic() + grace
+    with suppress(ProcessLookupError):
+        os.kill(leader, signal.SIGTERM)
+        while time.monotonic() < deadline:
+            meanwhile()
+            time.sleep(_LOOK)
+            os.kill(leader, 0)  # raises once the process is gone
+    kill_group(leader)
+
+
+def kill_group(leader: int) -> None:
+    """Kill what is left of a process group."""
+    with suppress(ProcessLookupError, PermissionError):  # macOS: no permission where all of them are zombies
+        os.killpg(leader, signal.SIGKILL)
