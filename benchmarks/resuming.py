@@ -76,7 +76,9 @@ def finish_half(root: Path) -> None:
     first = rows.row(0)
     stamps: dict[str, Any] = {name: first[name] for name in rows.layout.stamps}
     measures: dict[str, Any] = {name: first[name] for name in rows.layout.measures}
-    lines = [line for line in folder.journal.read_text(encoding="utf-8").splitlines(True) if '"run":"r_1"' in line]
+    lines = [
+        line for line in folder.journal.read_text(encoding="utf-8").splitlines(keepends=True) if '"run":"r_1"' in line
+    ]
     with folder.journal.open("a", encoding="utf-8") as journal:
         for number in range(2, len(rows) // 2 + 1):
             rows.record(f"r_{number}", status=RunStatus.DONE, stamps=stamps, measures=measures)

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 _SIDE = 1000  # treatments of each of the two factors
 _TIMES = 3
+_RECORDED = 20_000
 
 
 def plan(*, shuffle: bool) -> tuple[RunTable, TableLayout]:
@@ -76,13 +77,21 @@ def bytes_per_row(make_table: Callable[[], object]) -> float:
     return held / _SIDE**2
 
 
-def written_and_read() -> tuple[float, float]:
-    """Return how long it takes to write a table with all its measures, and to read it back with types, in seconds."""
+def written_and_read(*, has_stamps: bool = False) -> tuple[float, float]:
+    """Return how long it takes to write a table with all its measures, and to read it back with types, in seconds.
+
+    Args:
+        has_stamps: whether all eight time stamps are filled as well.
+    """
     table, layout = plan(shuffle=False)
     rows = RunTableRows.of_plan(table, layout)
     draw = random.Random(1).random
     for number in range(1, len(rows) + 1):
-        rows.record(f"r_{number}", status=RunStatus.DONE, measures={"CPU": draw() * 100, "Energy": draw() * 900})
+        hour, minute, second = number // 3600 % 24, number // 60 % 60, number % 60
+        stamp = f"2026-01-31T{hour:02}:{minute:02}:{second:02}.250Z"
+        stamps = dict.fromkeys(layout.stamps, stamp) if has_stamps else None
+        measures = {"CPU": draw() * 100, "Energy": draw() * 900}
+        rows.record(f"r_{number}", status=RunStatus.DONE, stamps=stamps, measures=measures)
     with _scratch() as folder:
         path = Path(folder) / "run_table.csv"
         begun = time.perf_counter()
@@ -117,6 +126,21 @@ def written_and_read_bare() -> tuple[float, float]:
     return written - begun, read - written
 
 
+def written_and_read_with_stamps() -> tuple[float, float]:
+    """Return the same with all eight time stamps filled."""
+    return written_and_read(has_stamps=True)
+
+
+def recorded(size: int) -> float:
+    """Return how long it takes to record a run in a table of this many rows, in seconds."""
+    model = RunTableModel([Factor("N", range(size))])
+    rows = RunTableRows.of_plan(model.plan(), TableLayout.of_model(model, ["Energy"]))
+    begun = time.perf_counter()
+    for number in range(_RECORDED):
+        rows.record(f"r_{number * 7919 % size + 1}", status=RunStatus.DONE, measures={"Energy": 877.5})
+    return (time.perf_counter() - begun) / _RECORDED
+
+
 def main() -> None:
     """Print the figures; each is taken in a fresh process, ours and the bare list's in turn."""
     pairs = [(_fresh(made, make), _fresh(made, make_bare), _fresh(made_randomised)) for _ in range(_TIMES)]
@@ -124,6 +148,8 @@ def main() -> None:
     held, held_bare = _fresh(bytes_per_row, make), _fresh(bytes_per_row, make_bare)
     files = [(_fresh(written_and_read), _fresh(written_and_read_bare)) for _ in range(_TIMES)]
     written, read = (min(times) for times in zip(*(own for own, _ in files), strict=True))
+    written_full, read_full = _fresh(written_and_read_with_stamps)
+    few, many = (min(_fresh(recorded, size) for _ in range(_TIMES)) for size in (100, _SIDE**2))
     written_bare, read_bare = (min(times) for times in zip(*(other for _, other in files), strict=True))
     print_table(
         f"Run table of {_SIDE**2:,} rows, 2 factors, 2 measures, beside a bare list of dicts (best of {_TIMES})",
@@ -133,6 +159,9 @@ def main() -> None:
             Row("memory", f"{held:.0f} bytes a row", f"{held_bare:.0f} bytes a row", f"{held / held_bare:.2f}", "410"),
             _row("written, flushed to disk", written, written_bare, "4 s"),
             _row("read back, with types", read, read_bare, "4 s"),
+            _row("written, all time stamps filled", written_full, written_bare, ""),
+            _row("read back, all time stamps filled", read_full, read_bare, ""),
+            Row("a run recorded", f"{many * 1e6:.1f} us", f"{few * 1e6:.1f} us (100 rows)", f"{many / few:.2f}"),
         ],
     )
 

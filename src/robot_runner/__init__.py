@@ -5,66 +5,26 @@ This is the door for who writes an experiment; its names are imported when they 
 
 from __future__ import annotations
 
-from importlib import import_module
+from robot_runner.core.doors import open_door
 
-TYPE_CHECKING = False  # `typing` takes long to import, and `robot-runner --help` is to be quick
+TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Author
-    from robot_runner.core.config.parameters import ExperimentConfig, FailurePolicy, OperationType, RunProcess
-    from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Hypothesis
-    from robot_runner.core.design.factor import Factor
-    from robot_runner.core.design.run_table_model import RunTableModel
-    from robot_runner.core.errors import RobotRunnerError
-    from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
-    from robot_runner.core.events.manager import EventSubscriptionController, RobotRunnerEvents
-    from robot_runner.core.events.measure import Measure, Origin
-
-__all__ = [
-    "AnalysisPlan",
-    "Author",
-    "Correction",
-    "EventSubscriptionController",
-    "ExperimentConfig",
-    "ExperimentContext",
-    "Factor",
-    "FailurePolicy",
-    "Hypothesis",
-    "Measure",
-    "OperationType",
-    "Origin",
-    "RobotRunnerContext",
-    "RobotRunnerError",
-    "RobotRunnerEvents",
-    "RunProcess",
-    "RunTableModel",
-]
-
-_HOMES = {
-    "AnalysisPlan": "robot_runner.core.design.analysis_plan",
-    "Author": "robot_runner.core.config.experiment",
-    "Correction": "robot_runner.core.design.analysis_plan",
-    "Hypothesis": "robot_runner.core.design.analysis_plan",
-    "EventSubscriptionController": "robot_runner.core.events.manager",
-    "ExperimentConfig": "robot_runner.core.config.parameters",
-    "ExperimentContext": "robot_runner.core.events.context",
-    "Factor": "robot_runner.core.design.factor",
-    "FailurePolicy": "robot_runner.core.config.parameters",
-    "Measure": "robot_runner.core.events.measure",
-    "OperationType": "robot_runner.core.config.parameters",
-    "Origin": "robot_runner.core.events.measure",
-    "RobotRunnerContext": "robot_runner.core.events.context",
-    "RobotRunnerError": "robot_runner.core.errors",
-    "RobotRunnerEvents": "robot_runner.core.events.manager",
-    "RunProcess": "robot_runner.core.config.parameters",
-    "RunTableModel": "robot_runner.core.design.run_table_model",
-}
-
-
-def __getattr__(name: str) -> object:
-    if name in _HOMES:
-        return getattr(import_module(_HOMES[name]), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return __all__
+    from robot_runner.core.config.experiment import Author as Author
+    from robot_runner.core.config.parameters import ExperimentConfig as ExperimentConfig
+    from robot_runner.core.config.parameters import FailurePolicy as FailurePolicy
+    from robot_runner.core.config.parameters import OperationType as OperationType
+    from robot_runner.core.config.parameters import RunProcess as RunProcess
+    from robot_runner.core.design.analysis_plan import AnalysisPlan as AnalysisPlan
+    from robot_runner.core.design.analysis_plan import Correction as Correction
+    from robot_runner.core.design.analysis_plan import Hypothesis as Hypothesis
+    from robot_runner.core.design.factor import Factor as Factor
+    from robot_runner.core.design.run_table_model import RunTableModel as RunTableModel
+    from robot_runner.core.errors import RobotRunnerError as RobotRunnerError
+    from robot_runner.core.events.context import ExperimentContext as ExperimentContext
+    from robot_runner.core.events.context import RobotRunnerContext as RobotRunnerContext
+    from robot_runner.core.events.manager import EventSubscriptionController as EventSubscriptionController
+    from robot_runner.core.events.manager import RobotRunnerEvents as RobotRunnerEvents
+    from robot_runner.core.events.measure import Measure as Measure
+    from robot_runner.core.events.measure import Origin as Origin
+else:
+    __getattr__, __dir__ = open_door(__name__)

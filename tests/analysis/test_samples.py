@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pytest
 from hypothesis import given
@@ -124,18 +125,34 @@ def test_an_experiment_without_samples_says_so(tmp_path):
         load_results(make_experiment(tmp_path / "e").root).samples()
 
 
-@given(st.lists(st.lists(st.floats(allow_nan=False, width=64) | st.none(), max_size=5), min_size=1, max_size=6))
-def test_a_growing_column_holds_what_was_added(pieces):
+def grown(pieces, kind=None):
     column = GrowingColumn(expected=3)
     for piece in pieces:
-        column.append(pa.chunked_array([pa.array(piece)]))
+        column.append(pa.chunked_array([pa.array(piece, kind)]))
+    return column.values()
+
+
+@given(st.lists(st.lists(st.floats(allow_nan=False, width=64) | st.none(), max_size=5), min_size=1, max_size=6))
+def test_a_growing_column_holds_what_was_added(pieces):
     expected = [np.nan if value is None else value for piece in pieces for value in piece]
-    np.testing.assert_array_equal(column.values(), np.array(expected, dtype=float))
+    np.testing.assert_array_equal(grown(pieces), np.array(expected, dtype=float))
 
 
 @given(st.lists(st.lists(st.integers(-(2**60), 2**60), max_size=4), min_size=1, max_size=6))
 def test_a_growing_column_of_whole_numbers_loses_none(pieces):
-    column = GrowingColumn(expected=1)
-    for piece in pieces:
-        column.append(pa.chunked_array([pa.array(piece, pa.int64())]))
-    assert column.values().tolist() == [value for piece in pieces for value in piece]
+    assert grown(pieces, pa.int64()).tolist() == [value for piece in pieces for value in piece]
+
+
+@pytest.mark.parametrize(
+    ("pieces", "expected"),
+    [
+        ([[1, None], [2]], [1.0, None, 2.0]),
+        ([[True], [2]], [1.0, 2.0]),
+        ([[None], ["a", "b"], ["b"]], [None, "a", "b", "b"]),
+        ([[1], ["a"]], ["1", "a"]),
+        ([[None, None], [None]], [None] * 3),
+    ],
+)
+def test_a_growing_column_has_one_type(pieces, expected):
+    column = pd.Series(grown(pieces))
+    assert column.astype(object).where(column.notna(), None).tolist() == expected

@@ -29,18 +29,21 @@ BAD = {
     "a reserved name": ({"table": table('[Factor("Status", [1, 2])]')}, "has a column of that name already"),
     "a misspelt attribute": ({"body": "time_betwen_runs_in_ms = 5"}, "Did you mean 'time_between_runs_in_ms'?"),
     "a misspelt callback": ({"body": "def lunch_mission(self, context): ..."}, "Did you mean 'launch_mission'?"),
-    "a wrong type": ({"body": "time_between_runs_in_ms = True"}, "it is True, of type bool"),
-    "a wrong choice": ({"body": "operation_type = 'semi'"}, "it is 'semi', of type str"),
+    "a wrong type": ({"body": "time_between_runs_in_ms = True"}, "the value is True, of type bool"),
+    "a wrong choice": ({"body": "operation_type = 'semi'"}, "the value is 'semi', of type str"),
     "a callback that takes too much": ({"body": "def stop_run(self, a, b): ..."}, "cannot be called with a context"),
     "a results path below a file": ({"body": "results_output_path = Path(__file__)"}, "is no folder"),
     "an unknown robot": ({"body": "robot = 'simulatd'"}, "Did you mean 'simulated'?"),
-    "an error while loading": ({"body": "half = 1 / 0"}, "it raised ZeroDivisionError while it was loaded"),
-    "an exit while loading": ({"head": f"raise SystemExit(0)\n{CLASS}"}, "it raised SystemExit"),
+    "an error while loading": ({"body": "half = 1 / 0"}, "the config raised ZeroDivisionError while it was loaded"),
+    "an exit while loading": ({"head": f"raise SystemExit(0)\n{CLASS}"}, "the config raised SystemExit"),
     "a module that is not there": ({"head": f"import nowhere_at_all\n{CLASS}"}, "Install the package"),
-    "no Python": ({"head": "class RobotRunnerConfig(:", "table": ""}, "it is not Python"),
+    "no Python": ({"head": "class RobotRunnerConfig(:", "table": ""}, "the file is not Python"),
     "no config class": ({"head": "class RobotRunerConfig:", "body": "x = 1", "table": ""}, "Rename the class"),
     "no run table": ({"table": ""}, "create_run_table"),
-    "a run table that is none": ({"table": "    def create_run_table(self):\n        return 5\n"}, "it returned 5"),
+    "a run table that is none": (
+        {"table": "    def create_run_table(self):\n        return 5\n"},
+        "create_run_table returned 5",
+    ),
 }
 
 
@@ -118,4 +121,4 @@ def test_modules_beside_a_config_leave_no_byte_code(
 ) -> None:
     (tmp_path / "neighbour_of_config.py").write_text("FACTOR = 1\n", encoding="utf-8")
     write_config("from neighbour_of_config import FACTOR\nattempts = 'three'")
-    assert_refused(robot_runner, tmp_path, ["run", "config.py"], "it is 'three', of type str")
+    assert_refused(robot_runner, tmp_path, ["run", "config.py"], "the value is 'three', of type str")

@@ -101,7 +101,7 @@ def test_an_experiment_that_does_not_wait_is_not_told_to_go_on(
     shown.wait_for("waiting for Godot")
     answer = call(program, tmp_path, "continue", "config.py")
     assert answer.returncode == 2
-    assert f"it does not wait: process {shown.child.pid} on " in answer.stderr
+    assert f"the experiment does not wait: process {shown.child.pid} on " in answer.stderr
     assert "executes r_1" in answer.stderr
     assert "fix: Wait until it asks" in answer.stderr
     second = call(program, tmp_path, "run", "config.py")

@@ -9,6 +9,7 @@ import pytest
 from tests.legacy.earlier_configs import RUNNER, planned
 
 from robot_runner.core.config.dialects import prepare
+from robot_runner.legacy.stand_ins import modules as stand_in_modules
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -295,6 +296,21 @@ def test_a_module_of_the_users_own_with_such_a_name_comes_back(
     monkeypatch.setitem(sys.modules, "EventManager", own)
     assert prepare(config()).experiment is not None
     assert sys.modules["EventManager"] is own
+
+
+def test_an_event_of_a_run_looks_only_at_modules_of_the_earlier_tools(
+    config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment = prepare(config("def start_run(self, context): ...")).experiment
+    assert experiment is not None
+
+    def looked_at(module: str) -> bool:
+        raise AssertionError(f"{module} was looked at: with a thousand modules, that is milliseconds for each event")
+
+    monkeypatch.setattr(stand_in_modules, "is_earlier_import", looked_at)
+    with experiment.config.executing_nothing():
+        assert "EventManager.Models.RunnerEvents" in sys.modules
+    assert "EventManager.Models.RunnerEvents" not in sys.modules
 
 
 def test_objects_are_treatments_with_their_text(config: Callable[..., Path], execute: Callable[..., Executed]) -> None:

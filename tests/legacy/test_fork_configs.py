@@ -88,7 +88,8 @@ def test_several_callbacks_of_one_event_are_all_called(
     subscribe = "(RunnerEvents.POPULATE_RUN_DATA, self.first), (RunnerEvents.POPULATE_RUN_DATA, self.second),"
     executed = execute(config(table=table, subscribe=subscribe))
     assert executed.text.splitlines()[1] == "run_0_repetition_0,DONE,1,1,2"
-    assert any("two callbacks hear POPULATE_RUN_DATA: first and second" in warning for warning in executed.warnings)
+    problem = "two callbacks subscribe to POPULATE_RUN_DATA: first and second"
+    assert any(problem in warning for warning in executed.warnings)
 
 
 def test_a_fork_subscribes_lists_of_callbacks(config: Callable[..., Path], execute: Callable[..., Executed]) -> None:

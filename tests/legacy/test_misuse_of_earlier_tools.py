@@ -111,11 +111,11 @@ def test_a_parameter_may_be_given_in_init(config: Callable[..., Path]) -> None:
         ("RunTableModel([FactorModel('a', [1])], data_columns=['a'])", "two columns are called 'a'"),
         ("RunTableModel([FactorModel('a', [1])], exclude_combinations=[{'b': [1]}])", "there is no factor 'b'"),
         ("RunTableModel([FactorModel('a', [1])], exclude_combinations=[{'a': [1]}])", "every combination is excluded"),
-        ("RunTableModel([FactorModel('a', [1])], exclude_combinations=[3])", "it is 3, of type int"),
-        ("[]", "it has no runs"),
-        ("'table'", "it returned 'table'"),
+        ("RunTableModel([FactorModel('a', [1])], exclude_combinations=[3])", "an exclusion is 3, of type int"),
+        ("[]", "the run table has no runs"),
+        ("'table'", "the config returned 'table'"),
         ("[{'__run_id': 'a/b', 'x': 1}]", "cannot have the id 'a/b'"),
-        ("1 / 0", "it raised ZeroDivisionError in the making of the run table"),
+        ("1 / 0", "the config raised ZeroDivisionError in the making of the run table"),
     ],
 )
 def test_a_run_table_that_cannot_be_is_refused(config: Callable[..., Path], expression: str, problem: str) -> None:
@@ -137,7 +137,7 @@ def test_the_line_of_a_misused_call_is_named(config: Callable[..., Path]) -> Non
         ("(RunnerEvents.START_RUN, 'go')", "the callback of START_RUN is 'go', which cannot be called"),
         ("(RunnerEvents.START_RUN, self.two)", "two(context, other) cannot be called at START_RUN"),
         ("(RunnerEvents.START_RUN, self.go, 1)", "is no pair of an event and a callback"),
-        ("(RunnerEvents.START_RUN, self.go)(RunnerEvents.STOP_RUN, self.go)", "it raised TypeError"),
+        ("(RunnerEvents.START_RUN, self.go)(RunnerEvents.STOP_RUN, self.go)", "the config raised TypeError"),
     ],
 )
 @pytest.mark.filterwarnings("ignore:'tuple' object is not callable")
@@ -156,10 +156,10 @@ def test_a_config_without_a_run_table_is_told_which_method_was_meant(config: Cal
 @pytest.mark.parametrize(
     ("old", "new", "problem"),
     [
-        ('Path = ROOT_DIR / "experiments"', "Path = 5", "results_output_path: it is 5, of type int"),
-        ("int = 0", 'int = "soon"', "time_between_runs_in_ms: it is 'soon'"),
-        ("OperationType = OperationType.AUTO", "OperationType = 'AUTO'", "operation_type: it is 'AUTO'"),
-        ('str = "sorting"', "str = None", "experiment_name: it is None"),
+        ('Path = ROOT_DIR / "experiments"', "Path = 5", "results_output_path: the value is 5, of type int"),
+        ("int = 0", 'int = "soon"', "time_between_runs_in_ms: the value is 'soon'"),
+        ("OperationType = OperationType.AUTO", "OperationType = 'AUTO'", "operation_type: the value is 'AUTO'"),
+        ('str = "sorting"', "str = None", "experiment_name: the value is None"),
     ],
 )
 def test_a_static_parameter_of_a_wrong_type_is_refused(
@@ -171,7 +171,8 @@ def test_a_static_parameter_of_a_wrong_type_is_refused(
 def test_a_missing_package_is_named_with_its_line(config: Callable[..., Path]) -> None:
     path = config(head=ROBOT.replace("from pathlib", "import rospy_that_is_not_there\nfrom pathlib"))
     assert only_problem(path) == (
-        f"{path}:7: it raised ModuleNotFoundError while it was loaded: No module named 'rospy_that_is_not_there' → "
+        f"{path}:7: the config raised ModuleNotFoundError while it was loaded: "
+        "No module named 'rospy_that_is_not_there' → "
         "Install the package that brings 'rospy_that_is_not_there', or mend the name."
     )
 
@@ -190,7 +191,7 @@ except ImportError: ...
     methods = "def start_measurement(self, context): self.meter = EnergiBridge()"
     path = config(methods, head=RUNNER.replace("from pathlib", f"{imports}from pathlib", 1))
     assert [problem.partition(" → ")[0] for problem in problems(prepare(path))] == [
-        f"{path}:7: it raised ModuleNotFoundError while it was loaded: No module named 'gone_for_good'",
+        f"{path}:7: the config raised ModuleNotFoundError while it was loaded: No module named 'gone_for_good'",
         f"{path}:8: there is no module 'gone_too'",
         f"{path}:9: EnergiBridge needs the program energibridge, which is not here",
     ]
@@ -199,7 +200,7 @@ except ImportError: ...
 def test_a_config_that_ends_its_program_ends_only_itself(config: Callable[..., Path]) -> None:
     end = "import os\nif not os.environ.get('A_VARIABLE_THAT_NOBODY_HAS'): os._exit(3)\n"
     path = config(head=RUNNER.replace("from pathlib", f"{end}from pathlib", 1))
-    assert only_problem(path) == f"{path}:8: it raised SystemExit while it was loaded: 3 → Mend this line."
+    assert only_problem(path) == f"{path}:8: the config raised SystemExit while it was loaded: 3 → Mend this line."
 
 
 def test_a_process_that_a_config_forks_while_it_is_loaded_ends_by_itself(config: Callable[..., Path]) -> None:

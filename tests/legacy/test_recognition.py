@@ -92,7 +92,8 @@ def test_a_file_that_mixes_our_spelling_with_an_earlier_one_is_refused_with_both
     write: Callable[..., Path],
 ) -> None:
     path = write("from robot_runner import Factor\nfrom EventManager.Models.RunnerEvents import RunnerEvents\n")
-    with pytest.raises(ConfigError, match=r"config.py:2: it mixes two dialects.*line 1 imports robot_runner.Factor"):
+    problem = r"config.py:2: the file mixes two dialects.*line 1 imports robot_runner.Factor"
+    with pytest.raises(ConfigError, match=problem):
         recognise(path)
 
 

@@ -196,7 +196,7 @@ def test_a_continue_callback_is_the_wait(config: Callable[..., Path], execute: C
 
 def test_semi_without_a_callback_waits_now_and_says_so(config: Callable[..., Path]) -> None:
     preparation = prepare(config(head=ROBOT.replace("OperationType.AUTO", "OperationType.SEMI")))
-    assert any("nothing hears CONTINUE" in str(finding) for finding in preparation.findings)
+    assert any("nothing subscribes to CONTINUE" in str(finding) for finding in preparation.findings)
 
 
 def test_what_before_run_prints_is_in_the_log_and_a_question_is_seen(

@@ -11,10 +11,9 @@ from tests.replication.small_index import tiny_wheel
 
 from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.manifest import describe_host, describe_software
-from robot_runner.replication.differences import differing_environment, differing_packages
+from robot_runner.replication.differences import differing_environment, differing_packages, remaining_differences
 from robot_runner.replication.distributions import closure, installed_distributions, wheel_name, wheel_of, write_wheel
-from robot_runner.replication.environment import record_environment
-from robot_runner.replication.virtual_environment import make_environment, remaining_differences
+from robot_runner.replication.environment import make_environment, record_environment
 from robot_runner.ros.ros_environment import describe_ros
 
 

@@ -12,10 +12,9 @@ from tests.replication.small_experiment import home
 from tests.replication.small_index import SmallIndex, pip_settings, tiny_wheel
 
 from robot_runner.core.errors import PackageError
-from robot_runner.replication.environment import record_environment
+from robot_runner.replication.environment import make_environment, record_environment
 from robot_runner.replication.index_hashes import ask_index, findings_of_hashes
 from robot_runner.replication.packing import Packing, pack
-from robot_runner.replication.virtual_environment import make_environment
 
 PYTHON = "3.11.7"
 
@@ -82,7 +81,7 @@ def test_files_of_a_folder_of_ones_own_do_not_count(index, tmp_path, monkeypatch
     monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path / "own"))
     answer = ask_index(["tiny==1.0", "mine==1.0"], PYTHON)
     assert answer.hashes == {"tiny": (digest,)}
-    assert answer.lacking == {"mine": "pip takes it from a folder of this machine, which others have not"}
+    assert answer.lacking == {"mine": "pip takes it from a folder of this machine, which others do not have"}
 
 
 def test_one_finding_for_each_reason_names_the_packages(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,7 @@ from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
-from robot_runner.replication.preparing import identical_values, prepare_replication
+from robot_runner.replication.replicating import identical_values, prepare_replication
 
 
 @pytest.fixture(autouse=True)
@@ -33,6 +34,35 @@ def _replicate(root, target, **deviations):
     return replication
 
 
+@pytest.fixture(scope="module")
+def replicated(packed, tmp_path_factory):
+    """Return the original, its replication, and when each of the original's files was written before and afterwards."""
+    original, target = tmp_path_factory.mktemp("original"), tmp_path_factory.mktemp("again")
+    with zipfile.ZipFile(packed.path) as archive:
+        archive.extractall(original)
+    before = _written_at(original)
+    with own_modules():
+        _replicate(original, target)
+    return original, target / "small", before, _written_at(original)
+
+
+@pytest.fixture(scope="module")
+def of_a_table_by_hand(tmp_path_factory):
+    """Return an experiment with a run table written by hand and a parameter set by hand, and its replication."""
+    config = write_config(tmp_path_factory.mktemp("study"))
+    folder = config.parent / "results" / "small"
+    folder.mkdir(parents=True)
+    table = "run_id,Task,Repetition\nfirst,Network,1\nsecond,Network,2\nlast,Video,1\n"
+    (folder / "run_table.csv").write_text(table, encoding="utf-8")
+    original = execute(config, robot="simulated:task_power_factor=1.5")
+    with own_modules():
+        return original, _replicate(original, tmp_path_factory.mktemp("again"))
+
+
+def _written_at(folder):
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+
+
 def _runs(folder):
     files = ExperimentFolder.found_at(folder)
     rows = read_run_table(files.run_table, TableLayout.of_schema(read_schema(files.schema)))
@@ -45,13 +75,11 @@ def _change(path, change):
     path.write_text(json.dumps(facts), encoding="utf-8")
 
 
-def test_the_same_runs_from_a_seed_that_was_drawn_yield_the_same_values(unpacked, tmp_path):
-    replication = _replicate(unpacked, tmp_path / "again")
-    folder = tmp_path / "again" / "small"
-    assert replication.experiment.folder.root == folder
-    assert _runs(folder) == _runs(unpacked)
-    assert read_manifest(folder / "manifest.json")["seed"] == read_manifest(unpacked / "manifest.json")["seed"]
-    same = identical_values(unpacked, folder)
+def test_the_same_runs_from_a_seed_that_was_drawn_yield_the_same_values(replicated):
+    original, folder, _, _ = replicated
+    assert _runs(folder) == _runs(original)
+    assert read_manifest(folder / "manifest.json")["seed"] == read_manifest(original / "manifest.json")["seed"]
+    same = identical_values(original, folder)
     assert set(same) == {"CPU", "Memory", "Energy", "Phases"}
     assert all(each.is_complete for each in same.values())
 
@@ -65,46 +93,39 @@ def test_a_deviation_is_recorded_as_deliberate(unpacked, tmp_path):
     assert not identical_values(unpacked, tmp_path / "small")["Energy"].is_complete
 
 
-def test_what_was_set_originally_is_set_again(tmp_path):
-    original = execute(write_config(tmp_path / "study"), robot="simulated:task_power_factor=1.5")
-    replication = _replicate(original, tmp_path / "again")
+def test_what_was_set_originally_is_set_again(of_a_table_by_hand):
+    original, replication = of_a_table_by_hand
     assert replication.experiment.parameters.robot == "simulated:task_power_factor=1.5"
     assert replication.deviations == {}
-    assert identical_values(original, tmp_path / "again" / "small")["Energy"].is_complete
+    assert identical_values(original, replication.experiment.folder.root)["Energy"].is_complete
 
 
-def test_it_is_resumed_as_any_experiment(unpacked, tmp_path):
-    _replicate(unpacked, tmp_path)
-    folder = ExperimentFolder(tmp_path / "small")
+def test_it_is_resumed_as_any_experiment(unpacked, replicated, tmp_path):
+    folder = ExperimentFolder(Path(shutil.copytree(replicated[1], tmp_path / "small")))
     before = folder.run_table.read_text("utf-8")
     folder.run_table.write_text(before.replace("Done", "Failed", 1), encoding="utf-8")
-    _replicate(unpacked, tmp_path)
+    assert _replicate(unpacked, tmp_path).experiment.folder.root == folder.root
     attempts = [line for line in folder.journal.read_text("utf-8").splitlines() if '"attempt_started"' in line]
     assert len(attempts) == 5
 
 
-def test_it_goes_on_only_as_it_was_begun(unpacked, tmp_path):
-    _replicate(unpacked, tmp_path)
+def test_it_goes_on_only_as_it_was_begun(unpacked, replicated, tmp_path):
+    shutil.copytree(replicated[1], tmp_path / "small")
     with pytest.raises(PackageError, match="begun with no --set"):
         prepare_replication(unpacked, tmp_path, {"robot": "simulated:task_power_factor=2"})
 
 
-def test_another_experiment_in_the_folder_is_left_alone(unpacked, tmp_path):
-    execute(write_config(tmp_path / "study"), results_output_path=str(tmp_path))
+def test_another_experiment_in_the_folder_is_left_alone(unpacked, experiment, tmp_path):
+    shutil.copytree(experiment, tmp_path / "small")
     with pytest.raises(PackageError, match="another experiment"):
         prepare_replication(unpacked, tmp_path, {})
 
 
-def test_a_table_that_was_written_by_hand_is_executed_again_as_it_is(tmp_path):
-    config = write_config(tmp_path / "study")
-    folder = tmp_path / "study" / "results" / "small"
-    folder.mkdir(parents=True)
-    table = "run_id,Task,Repetition\nfirst,Network,1\nsecond,Network,2\nlast,Video,1\n"
-    (folder / "run_table.csv").write_text(table, encoding="utf-8")
-    original = execute(config)
-    _replicate(original, tmp_path / "again")
-    assert [run for run, _, _ in _runs(tmp_path / "again" / "small")] == ["first", "second", "last"]
-    assert identical_values(original, tmp_path / "again" / "small")["Energy"].is_complete
+def test_a_table_that_was_written_by_hand_is_executed_again_as_it_is(of_a_table_by_hand):
+    original, replication = of_a_table_by_hand
+    folder = replication.experiment.folder.root
+    assert [run for run, _, _ in _runs(folder)] == ["first", "second", "last"]
+    assert identical_values(original, folder)["Energy"].is_complete
 
 
 def test_runs_that_the_config_plans_otherwise_here_are_those_of_the_package(unpacked, tmp_path):
@@ -159,7 +180,6 @@ def test_what_cannot_be_set_is_refused(unpacked, tmp_path):
         prepare_replication(unpacked, tmp_path, {"robott": "simulated"})
 
 
-def test_nothing_is_written_into_the_original(unpacked, tmp_path):
-    before = {path: path.stat().st_mtime_ns for path in Path(unpacked).rglob("*")}
-    _replicate(unpacked, tmp_path / "again")
-    assert {path: path.stat().st_mtime_ns for path in Path(unpacked).rglob("*")} == before
+def test_nothing_is_written_into_the_original(replicated):
+    _, _, before, after = replicated
+    assert after == before

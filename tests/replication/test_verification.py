@@ -14,7 +14,7 @@ import pytest
 
 from robot_runner.core.errors import PackageError
 from robot_runner.replication.opening import open_package
-from robot_runner.replication.source import find_source
+from robot_runner.replication.replicating import find_source
 from robot_runner.replication.verification import refuse_faults, verify_package
 
 
@@ -33,7 +33,7 @@ def _refusal(path):
 
 def _rezipped(packed, target, change):
     """Write the package anew; `change` gets each name and content and returns both, or None to leave it out."""
-    with zipfile.ZipFile(packed.path) as old, zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as new:
+    with zipfile.ZipFile(packed.path) as old, zipfile.ZipFile(target, "w") as new:
         for entry in old.infolist():
             changed = change(entry.filename, old.read(entry))
             if changed is not None:
@@ -83,14 +83,14 @@ def test_an_altered_file_is_found_though_the_zip_is_whole(packed, tmp_path):
         tmp_path / "altered.zip",
         lambda name, data: (name, data.replace(b"Done", b"done") if name == "run_table.csv" else data),
     )
-    assert "it was altered" in _refusal(path).problem
+    assert "the file was altered" in _refusal(path).problem
 
 
 def test_a_missing_file_and_an_added_one_are_found(packed, tmp_path):
     lacking = _rezipped(
         packed, tmp_path / "a.zip", lambda name, data: None if name == "journal.jsonl" else (name, data)
     )
-    assert "it is missing" in _refusal(lacking).problem
+    assert "the file is missing" in _refusal(lacking).problem
     more = _rezipped(packed, tmp_path / "b.zip", lambda name, data: (name, data))
     with zipfile.ZipFile(more, "a") as archive:
         archive.writestr("config/sitecustomize.py", "print('mine')")
@@ -102,7 +102,7 @@ def test_names_that_leave_the_folder_are_refused(packed, tmp_path, name):
     path = _rezipped(packed, tmp_path / "evil.zip", lambda each, data: (each, data))
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr(name, "mine")
-    assert _refusal(path).problem in {"it leaves the folder", "it is absolute"}
+    assert _refusal(path).problem in {"its name leaves the folder", "its name is absolute"}
     assert not (tmp_path.parent / "outside.txt").exists()
     assert not Path("/outside.txt").exists()
 
@@ -213,7 +213,7 @@ def test_descriptions_of_a_stranger_are_looked_at_before_they_are_used(unpacked,
     path = unpacked / name
     path.write_text(json.dumps({**json.loads(path.read_text("utf-8")), **change}), encoding="utf-8")
     _with_sums(unpacked)
-    assert f"{next(iter(change))} is no " in _refusal(unpacked).problem
+    assert f"{next(iter(change))} is not a " in _refusal(unpacked).problem
 
 
 def test_what_is_no_package_is_refused(tmp_path):

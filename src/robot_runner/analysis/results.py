@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.analysis.export import export_results
 from robot_runner.analysis.run_frame import History, RunFrame, column_descriptions, read_history, read_run_frame
 from robot_runner.analysis.sample_files import (
+    PhaseSpans,
     SampleFile,
     choose_file,
     find_sample_files,
@@ -19,7 +20,7 @@ from robot_runner.analysis.sample_files import (
     read_phases,
     run_files,
 )
-from robot_runner.analysis.samples import PhaseSpans, SampleRequest, read_samples
+from robot_runner.analysis.samples import SampleRequest, read_samples
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
 from robot_runner.core.errors import AnalysisError, StorageError, did_you_mean

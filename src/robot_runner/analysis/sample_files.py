@@ -1,4 +1,4 @@
-"""The phases of missions, as systems wrote them: `runs/<run id>/<plugin>/phases.csv`."""
+"""The CSV files below the runs' folders: which hold raw samples, and the phases of missions."""
 
 from __future__ import annotations
 
@@ -10,17 +10,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from robot_runner.analysis.samples import PhaseSpans
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.storage.safe_write import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
+    from numpy.typing import NDArray
+
     from robot_runner.core.storage.layout import ExperimentFolder
 
 __all__ = [
     "PHASES",
+    "PhaseSpans",
     "SampleFile",
     "choose_file",
     "find_sample_files",
@@ -86,9 +88,8 @@ def run_files(folder: ExperimentFolder, run_ids: Iterable[str]) -> dict[tuple[st
     for run_id in run_ids:
         try:
             run = folder.run(run_id)
-            for path in sorted(
-                filter(Path.is_file, run.glob("*.csv"))
-            ):  # written by a config, as those of the earlier tools do
+            # A config writes into the run's own folder, as those of the earlier tools do.
+            for path in sorted(filter(Path.is_file, run.glob("*.csv"))):
                 found.setdefault((_CONFIG, path.name), {})[run_id] = path
             for path in sorted(run.glob("*/*.csv")):
                 found.setdefault((path.parent.name, path.name), {})[run_id] = path
@@ -157,8 +158,26 @@ def _time_of(headings: Sequence[str]) -> str | None:
     return next((folded[name] for name in _TIME_HEADINGS if name in folded), None)
 
 
+# The phases of missions, as systems wrote them: `runs/<run id>/<plugin>/phases.csv`.
+
 _NEEDED = ("phase", "start_s", "end_s")
 _NUMBERS = frozenset({"number", "start_s", "end_s"})
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseSpans:
+    """The phases of one run, in order.
+
+    Attributes:
+        starts, ends: s on the run's clock.
+        numbers: the number of each phase.
+        names: its name.
+    """
+
+    starts: NDArray[np.float64]
+    ends: NDArray[np.float64]
+    numbers: NDArray[np.int16]
+    names: tuple[str, ...]
 
 
 def phase_files(files: Mapping[tuple[str, str], Mapping[str, Path]]) -> dict[str, Mapping[str, Path]]:

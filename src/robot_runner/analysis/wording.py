@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from robot_runner.core.words import counted
-from robot_runner.core.words import listed as _shortened
+from robot_runner.core import words
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
-    from robot_runner.analysis.statistics.outcome import Interval
+    from robot_runner.analysis.statistics.tested import Interval
 
 __all__ = [
     "ALPHA",
@@ -19,8 +18,6 @@ __all__ = [
     "MISSING",
     "RHO",
     "TIMES",
-    "counted",
-    "enumerated",
     "listed",
     "p_in_words",
     "sentence",
@@ -115,14 +112,4 @@ def listed(names: Iterable[object], shown: int = 6) -> str:
         >>> listed("abc"), listed(range(9), shown=3)
         ('a, b, c', '0, 1, 2 and 6 more')
     """
-    return _shortened(map(str, names), shown)
-
-
-def enumerated(words: Sequence[str]) -> str:
-    """Return all words as an enumeration.
-
-    Example:
-        >>> enumerated(["a", "b", "c"])
-        'a, b and c'
-    """
-    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1] if words else ""]))
+    return words.listed(map(str, names), shown)

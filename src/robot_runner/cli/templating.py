@@ -34,4 +34,4 @@ def write_new_file(path: Path, text: str, *, instead: str) -> None:
         raise StorageError("there is a file of this name already", where=str(path), fix=instead) from error
     except OSError as error:
         fix = "Name a file in a folder that exists and can be written."
-        raise StorageError(f"it cannot be written: {error.strerror}", where=str(path), fix=fix) from error
+        raise StorageError(f"the file cannot be written: {error.strerror}", where=str(path), fix=fix) from error

@@ -1,4 +1,4 @@
-"""The plugins of the earlier tools that a config file uses: what each needs, and whether it is there."""
+"""What is wrong with a config of an earlier tool: names in its text, callbacks, missing packages and plugins."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from robot_runner.legacy.recognition import Dialect, Recognised, is_earlier_impo
 from robot_runner.legacy.run_ids import Clone, clone_around
 from robot_runner.legacy.stand_ins.events import CONTEXT_ATTRIBUTES, RobotRunnerEvents, RunnerEvents, own_event
 from robot_runner.legacy.stand_ins.modules import MODULES, PACKAGES, names_in
-from robot_runner.legacy.syntax import ImportedName, bound_names, classes_of, imports_of, used_names
+from robot_runner.legacy.syntax import ImportedName, attributes_of, bound_names, classes_of, imports_of, used_names
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
@@ -28,34 +28,17 @@ if TYPE_CHECKING:
 __all__ = ["check_file", "check_packages", "check_plugins", "check_subscriptions", "is_robot_operated"]
 
 
-# The text of a config file: names that no version of the tools had, each with its line and the nearest there is.
-
 #: How alike two names are before one is taken for a slip of the other (1.0: equal).
 _ALIKE = 0.85
 
-_EVENTS = {"RobotRunnerEvents": RobotRunnerEvents, "RunnerEvents": RunnerEvents}
+_EVENTS: dict[str, Any] = {"RobotRunnerEvents": RobotRunnerEvents, "RunnerEvents": RunnerEvents}
+_SELF_MEASURE = ("self_measure", "self_measure_bin", "self_measure_logfile")
+_OF_BOTH = ("name", "operation_type", "time_between_runs_in_ms", "results_output_path", "experiment_path")
 _PARAMETERS = {
-    Dialect.ROBOT_RUNNER: (
-        "name",
-        "required_ros_version",
-        "required_ros_distro",
-        "operation_type",
-        "time_between_runs_in_ms",
-        "results_output_path",
-        "experiment_path",
-    ),
-    Dialect.EXPERIMENT_RUNNER: (
-        "name",
-        "operation_type",
-        "time_between_runs_in_ms",
-        "results_output_path",
-        "experiment_path",
-        "self_measure",
-        "self_measure_bin",
-        "self_measure_logfile",
-    ),
+    Dialect.ROBOT_RUNNER: (*_OF_BOTH, "required_ros_version", "required_ros_distro"),
+    Dialect.EXPERIMENT_RUNNER: (*_OF_BOTH, *_SELF_MEASURE),
 }
-_OPTIONAL = frozenset({"experiment_path", "self_measure", "self_measure_bin", "self_measure_logfile"})
+_OPTIONAL = frozenset({"experiment_path", *_SELF_MEASURE})
 #: What to do with an event that a fork added to the tool in whose clone the config stands.
 _CALL_IT = "The fork whose clone this is raised it itself: call the method from another one, such as before_experiment."
 _TABLES = ("create_run_table", "create_run_table_model")
@@ -116,16 +99,12 @@ def _nearest_module(module: str) -> str:
 
 def _unknown_events(recognised: Recognised) -> Iterator[Finding]:
     clone = clone_around(recognised.path)
-    for node in ast.walk(recognised.tree):
-        match node:
-            case ast.Attribute(value=ast.Name(id=("RobotRunnerEvents" | "RunnerEvents") as name), attr=event):
-                known = _EVENTS[name].__members__
-                if event not in known and not event.startswith("_"):
-                    is_of_fork = event in clone.text_of(f"EventManager.Models.{name}")
-                    fix = _CALL_IT if is_of_fork else _counterpart(event, known)
-                    yield Finding.error(f"{recognised.path}:{node.lineno}", f"{name} has no event {event!r}", fix)
-            case _:
-                pass
+    for owner, node in attributes_of(recognised.tree, _EVENTS):
+        name, event, known = owner.id, node.attr, _EVENTS[owner.id].__members__
+        if event not in known and not event.startswith("_"):
+            is_of_fork = event in clone.text_of(f"EventManager.Models.{name}")
+            fix = _CALL_IT if is_of_fork else _counterpart(event, known)
+            yield Finding.error(f"{recognised.path}:{node.lineno}", f"{name} has no event {event!r}", fix)
 
 
 def _counterpart(event: str, names: Collection[str]) -> str:
@@ -140,16 +119,12 @@ def _unknown_context_attributes(recognised: Recognised) -> Iterator[Finding]:
     functions = [node for node in config.body if isinstance(node, ast.FunctionDef)] if config else []
     for function in functions:
         names = {argument.arg for argument in function.args.args if argument.arg == "context"}
-        for node in ast.walk(function):
-            match node:
-                case ast.Attribute(value=ast.Name(id=name), attr=attribute) if name in names:
-                    if attribute not in CONTEXT_ATTRIBUTES and isinstance(node.ctx, ast.Load):
-                        near = _alike(attribute, CONTEXT_ATTRIBUTES)
-                        if near is not None:
-                            where = f"{recognised.path}:{node.lineno}"
-                            yield Finding.error(where, f"the context has no {attribute!r}", f"Did you mean {near!r}?")
-                case _:
-                    pass
+        for _, node in attributes_of(function, names):
+            if node.attr not in CONTEXT_ATTRIBUTES and isinstance(node.ctx, ast.Load):
+                near = _alike(node.attr, CONTEXT_ATTRIBUTES)
+                if near is not None:
+                    where = f"{recognised.path}:{node.lineno}"
+                    yield Finding.error(where, f"the context has no {node.attr!r}", f"Did you mean {near!r}?")
 
 
 def _misspelt_members(recognised: Recognised) -> Iterator[Finding]:
@@ -159,7 +134,8 @@ def _misspelt_members(recognised: Recognised) -> Iterator[Finding]:
     parameters = _PARAMETERS[recognised.dialect]
     methods = {node.name for node in config.body if isinstance(node, ast.FunctionDef)}
     bound = bound_names(config.body)
-    there = {*bound, *_assigned_later(config)}
+    assigned = {node.attr for _, node in attributes_of(config, {"self"}) if isinstance(node.ctx, ast.Store)}
+    there = {*bound, *assigned}
     there |= set(_TABLES) if there & set(_TABLES) else set()  # one of them is enough
     for name, line in bound.items():
         known = _TABLES if name in methods else parameters
@@ -175,21 +151,9 @@ def _misspelt_members(recognised: Recognised) -> Iterator[Finding]:
             )
 
 
-def _assigned_later(config: ast.ClassDef) -> Iterator[str]:
-    for node in ast.walk(config):
-        match node:
-            case ast.Attribute(value=ast.Name(id="self"), attr=name, ctx=ast.Store()):
-                yield name
-            case _:
-                pass
-
-
 def _alike(name: str, known: tuple[str, ...]) -> str | None:
     match = difflib.get_close_matches(name.casefold(), known, n=1, cutoff=_ALIKE)
     return match[0] if match else None
-
-
-# The callbacks that a config subscribed, and those that it defines and forgot to subscribe.
 
 
 def check_subscriptions(session: Session, config: Any) -> list[Finding]:
@@ -216,9 +180,6 @@ def _forgotten(session: Session, config: Any) -> Iterator[Finding]:
                 f"nothing subscribes it to {name}, so it is never called, as in the earlier tool",
                 "Subscribe it in __init__, or remove it.",
             )
-
-
-# The packages that a config file imports, where one of them is not there: the others are named at once.
 
 
 def check_packages(recognised: Recognised) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""Which combinations a config of an earlier tool leaves out: what its author meant, with a word where the tool erred.
+"""Which combinations a config of an earlier tool leaves out: what was meant, with a warning where the tool erred.
 
 Robot Runner's exclusions are sets of values that forget their factors: `{"on", 3}` left out every combination that has
 both values anywhere. Experiment Runner's are mappings from factors to lists of treatments; where two of them matched
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from robot_runner.core.design.factor import treatments_are_equal
 from robot_runner.core.errors import ConfigError, did_you_mean
+from robot_runner.legacy.syntax import nodes
 
 if TYPE_CHECKING:
     from robot_runner.legacy.session import Session
@@ -96,7 +97,7 @@ def _named(session: Session, factors: Sequence[EarlierFactor], exclusion: Any) -
     if isinstance(exclusion, set | frozenset | list | tuple):
         return _SetOfValues(session, factors, exclusion).named()
     raise ConfigError(
-        f"it is {exclusion!r}, of type {type(exclusion).__name__}",
+        f"an exclusion is {exclusion!r}, of type {type(exclusion).__name__}",
         where=_WHERE,
         fix="Give a mapping from factors to lists of treatments, or a set of treatments.",
     )
@@ -153,15 +154,14 @@ class _SetOfValues:
 
     def _as_written(self, values: frozenset[Any]) -> tuple[Any, ...]:
         """Return the values in the order in which the file lists them, where it does so in one place."""
-        for node in ast.walk(self._session.recognised.tree):
-            if isinstance(node, ast.Set):
-                try:
-                    written = tuple(ast.literal_eval(element) for element in node.elts)
-                except ValueError:
-                    continue
-                if len(written) == len(values) and set(written) == values and len(set(written)) == len(written):
-                    self._is_ordered = True
-                    return written
+        for node in nodes(self._session.recognised.tree, ast.Set):
+            try:
+                written = tuple(ast.literal_eval(element) for element in node.elts)
+            except ValueError:
+                continue
+            if len(written) == len(values) and set(written) == values and len(set(written)) == len(written):
+                self._is_ordered = True
+                return written
         return tuple(sorted(values, key=repr))
 
     def _places_of(self, value: Any) -> list[int]:

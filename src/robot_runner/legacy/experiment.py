@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import io
-import os
 import sys
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import lru_cache
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from robot_runner.core.errors import ConfigError
 from robot_runner.core.events.manager import RobotRunnerEvents, place_of
-from robot_runner.core.storage.layout import ExperimentFolder, open_log
+from robot_runner.core.storage.layout import ExperimentFolder, LazyLog
 from robot_runner.legacy.recognition import Dialect
 from robot_runner.legacy.run_data import as_mapping, publish_row
 from robot_runner.legacy.run_tables import value_of
@@ -32,8 +31,6 @@ if TYPE_CHECKING:
 
 __all__ = ["EarlierExperiment", "call", "check_callback", "printed_to_log"]
 
-
-# Calling a callback of an earlier tool: with the context or without, as it was written.
 
 #: Events whose callbacks the earlier tools called without a context.
 _WITHOUT_CONTEXT = frozenset(
@@ -125,15 +122,11 @@ def _unfit(callback: Callable[..., Any], event: RobotRunnerEvents) -> ConfigErro
     )
 
 
-# What `before_run` prints belongs to the run's log, though it is called before the run has its process.
-
-
 @contextmanager
 def printed_to_log(folder: ExperimentFolder) -> Iterator[None]:
-    """Have what is printed go to the log of the run that begins; the user sees it where the user is asked something."""
+    """Have what `before_run` prints go to the log of its run, which has no process yet; a user who is asked sees it."""
     terminal, keyboard = sys.stdout, sys.stdin
-    with os.fdopen(open_log(folder), "a", encoding="utf-8", errors="backslashreplace") as log:
-        said = _Said(log)
+    with _Said(folder) as said:
         sys.stdin = _Asking(keyboard, said, terminal)
         try:
             with redirect_stdout(said), redirect_stderr(said):
@@ -142,27 +135,20 @@ def printed_to_log(folder: ExperimentFolder) -> Iterator[None]:
             sys.stdin = keyboard
 
 
-class _Said(io.TextIOBase):
-    """Writes to the log, and remembers what the user has not seen."""
+class _Said(LazyLog):
+    """The run's log, which remembers what the user has not seen."""
 
-    def __init__(self, log: TextIO) -> None:
-        self._log = log
+    def __init__(self, folder: ExperimentFolder) -> None:
+        super().__init__(folder)
         self.unseen: list[str] = []
-
-    def writable(self) -> bool:
-        return True
 
     def write(self, text: str) -> int:
         self.unseen.append(text)
-        return self._log.write(text)
-
-    def flush(self) -> None:
-        if not self._log.closed:
-            self._log.flush()
+        return super().write(text)
 
 
 class _Asking(io.TextIOBase):
-    """A keyboard: whoever reads from it first shows what was said, as a question may be part of it."""
+    """A keyboard: before it is read, the user is shown what was printed, as a question may be part of it."""
 
     def __init__(self, keyboard: Any, said: _Said, terminal: TextIO) -> None:
         self._keyboard = keyboard
@@ -282,7 +268,7 @@ class EarlierExperiment:
 
     @contextmanager
     def executing_nothing(self) -> Iterator[Session]:
-        """Have the modules of the earlier tools there for whoever looks at the config; yields what is known of it."""
+        """Have the modules of the earlier tools there while the config is looked at; yields its session."""
         with self._executing(None):
             yield self._session
 
@@ -293,11 +279,12 @@ class EarlierExperiment:
         return self._design
 
     def _emit(self, event: RobotRunnerEvents, context: RobotRunnerContext | None = None) -> list[Any]:
-        """Call whoever subscribed an event; returns what each returned."""
+        """Call the callbacks of an event; returns what each returned."""
         heard = [each.callback for each in self._session.subscriptions if each.event is event]
-        is_needed = bool(heard) or event is RobotRunnerEvents.START_RUN  # a run has its folder, whoever hears it
+        if not heard and event is not RobotRunnerEvents.START_RUN:  # which makes the run's folder
+            return []
         with self._executing(context):
-            given = self._earlier_context(context) if context is not None and is_needed else None
+            given = None if context is None else self._earlier_context(context)
             return [call(callback, event, given) for callback in heard]
 
     @contextmanager

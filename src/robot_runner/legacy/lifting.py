@@ -1,4 +1,4 @@
-"""From a config file of an earlier tool to a config object of ours, with everything that is to be said about it."""
+"""From a config file of an earlier tool to a config object of ours, with all findings about it."""
 
 from __future__ import annotations
 
@@ -48,9 +48,6 @@ if TYPE_CHECKING:
     from robot_runner.legacy.recognition import Recognised
 
 __all__ = ["exits_raised", "lift"]
-
-
-# Config files that end their program while they are loaded.
 
 
 @contextmanager
@@ -140,7 +137,7 @@ class _Lifting:
         config_class = getattr(module, class_name, None)
         if not isinstance(config_class, type):
             raise ConfigError(
-                f"it has no class named {class_name}",
+                f"the file has no class named {class_name}",
                 fix=f"Describe the experiment in a class {class_name}.",
             )
         self._apply(config_class)
@@ -153,7 +150,7 @@ class _Lifting:
         self._threads = threads_since(threads_before)
 
     def lacking(self, error: ConfigError) -> list[Finding]:
-        """Return what else is not here that a file needs which could not be loaded, so that all is said at once."""
+        """Return what else is missing for a file that could not be loaded, so that one report names everything."""
         said = {finding.where for finding in error.findings}
         found = [*check_packages(self._recognised), *check_plugins((self._recognised.path,))]
         return [finding for finding in found if finding.is_error and finding.where not in said]
@@ -255,13 +252,13 @@ class _Lifting:
         )
 
     def _say_what_changes(self) -> None:
-        hears = {each.event.value for each in self.session.subscriptions}
-        if getattr(self._config, "operation_type", None) is OperationType.SEMI and "continue" not in hears:
+        subscribed = {each.event.value for each in self.session.subscriptions}
+        if getattr(self._config, "operation_type", None) is OperationType.SEMI and "continue" not in subscribed:
             self.session.warn(
                 "operation_type",
-                "it is SEMI and nothing hears CONTINUE: the earlier tool went on by itself, and now each run waits "
-                "until the user says to go on",
-                "Write OperationType.AUTO if nobody is to be waited for.",
+                "operation_type is SEMI and nothing subscribes to CONTINUE: the earlier tool went on by itself, and "
+                "now each run waits until the user says to go on",
+                "Write OperationType.AUTO if the runs are to follow each other.",
             )
 
 
@@ -269,5 +266,5 @@ def _recorded_seed(folder: ExperimentFolder) -> int:
     """Return the seed with which an experiment began, so that it goes on in its order; a new one where it did not."""
     try:
         return int(read_manifest(folder.manifest)["seed"]) if folder.manifest.exists() else randbits(32)
-    except (StorageError, KeyError, TypeError, ValueError):  # whoever executes it says what is wrong with it
+    except (StorageError, KeyError, TypeError, ValueError):  # reading the folder again to execute it says what is wrong
         return randbits(32)

@@ -162,13 +162,13 @@ class _Reading:
                 try:
                     _, tree = read_tree(neighbour)
                     yield _Reading(neighbour, tree, self._depth + 1).dialect() is not None
-                except ConfigError:  # it is said when the neighbour is imported
+                except ConfigError:  # importing the neighbour will raise it
                     continue
 
     def _mixed_with_own(self) -> ConfigError:
         own, earlier = self._own[0], self._earlier[0]
         return ConfigError(
-            f"it mixes two dialects: this line imports {_shown(earlier)} of an earlier tool, "
+            f"the file mixes two dialects: this line imports {_shown(earlier)} of an earlier tool, "
             f"and line {own.line} imports {_shown(own)}",
             where=f"{self._path}:{earlier.line}",
             fix=f"Keep to one: remove line {own.line}, or write everything with robot_runner "
@@ -186,8 +186,8 @@ class _Reading:
         findings = [
             Finding.error(
                 f"{self._path}:{line}",
-                f"it mixes two tools: this line {what}, which is {other.value}'s, and line {spoken[0]} {spoken[1]}, "
-                f"which is {wanted.value}'s",
+                f"the file mixes two tools: this line {what}, which is {other.value}'s, "
+                f"and line {spoken[0]} {spoken[1]}, which is {wanted.value}'s",
                 _counterpart(what, wanted),
             )
             for line, what in tools[other]
@@ -199,7 +199,8 @@ class _Reading:
         near = nearest(dialect.class_name, classes)
         line = f":{classes[near].lineno}" if near else ""
         return ConfigError(
-            f"it imports {_shown(self._earlier[0])} of {dialect.value}, and has no class named {dialect.class_name}",
+            f"the file imports {_shown(self._earlier[0])} of {dialect.value}, and has no class named "
+            f"{dialect.class_name}",
             where=f"{self._path}{line}",
             fix=f"Rename the class {near} to {dialect.class_name}."
             if near

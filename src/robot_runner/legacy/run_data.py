@@ -38,7 +38,7 @@ def as_mapping(returned: Any) -> Mapping[Any, Any]:
 
 
 def publish_row(context: RobotRunnerContext, design: EarlierDesign, row: Mapping[Any, Any]) -> None:
-    """Publish the measures of a row; what is no data column is kept aside, with a word to the user."""
+    """Publish the measures of a row; what is no data column is kept aside, with a warning."""
     for column, value in row.items():
         if column in PROGRESS:
             continue

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 __all__ = ["Clone", "Numbering", "clone_around", "numbering_of"]
 
 
-# The clone of an earlier tool that a config file stands in: a fork has modules of its own there, or changed some.
-
 #: Where public forks keep modules of their own: beside the config, in the tool's folder of the same clone, or in a
 #: clone inside the user's own repository.
 _TOOL_FOLDERS = (

@@ -35,8 +35,6 @@ __all__ = [
 ]
 
 
-# The columns of an earlier tool's run table, and the names that they have in ours.
-
 #: What headed the progress of a run.
 PROGRESS = ("__run_id", "__done")
 
@@ -77,14 +75,12 @@ def named_columns(columns: Iterable[Any]) -> ColumnNames:
     return ColumnNames(MappingProxyType(names))
 
 
-# Treatments that a run table could not recognise again: they get a text of their own, and callbacks the value.
-
 _ADDRESS = re.compile(r" at 0x[0-9A-Fa-f]+")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShownTreatment:
-    """A value with another text than its own.
+    """A treatment whose own text could not be recognised when resuming: the table shows another text.
 
     Example:
         >>> str(ShownTreatment(print, "print"))
@@ -174,7 +170,7 @@ def design_of(session: Session, returned: Any, config: Any, more_columns: Sequen
     """Return the design of what `create_run_table` or `create_run_table_model` returned.
 
     Args:
-        session: takes what is to be said about it.
+        session: takes the warnings.
         returned: a `RunTableModel`, or a list of rows.
         config: the config; Experiment Runner's kept its model in an attribute.
         more_columns: measures that the tool itself adds.
@@ -204,13 +200,13 @@ def design_of(session: Session, returned: Any, config: Any, more_columns: Sequen
 def _checked_rows(returned: Any) -> list[Mapping[Any, Any]]:
     if not isinstance(returned, list | tuple):
         raise ConfigError(
-            f"it returned {returned!r}, of type {type(returned).__name__}",
+            f"the config returned {returned!r}, of type {type(returned).__name__}",
             where=_WHERE,
             fix="Return the RunTableModel, or the rows of its get_experiment_run_table().",
         )
     if not returned:
         raise ConfigError(
-            "it has no runs",
+            "the run table has no runs",
             where=_WHERE,
             fix="Call create_experiment_run_table() before get_experiment_run_table().",
         )

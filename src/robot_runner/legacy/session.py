@@ -1,4 +1,4 @@
-"""A word about the run that is being executed, from a stand-in that has no context of its own."""
+"""What is known while a config file of an earlier tool is loaded and executed; its stand-in modules look here."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import ConfigError, Finding
+from robot_runner.core.errors import ConfigError, Finding, LinkError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -18,10 +18,15 @@ if TYPE_CHECKING:
     from robot_runner.core.events.manager import RobotRunnerEvents
     from robot_runner.legacy.recognition import Recognised
 
-__all__ = ["EarlierSubscription", "Session", "active_context", "active_session", "current_session", "warn_of_run"]
-
-
-# What is known while a config file of an earlier tool is loaded and executed; its stand-in modules look here.
+__all__ = [
+    "EarlierSubscription",
+    "Session",
+    "active_context",
+    "active_session",
+    "current_run",
+    "current_session",
+    "warn_of_run",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,11 +107,27 @@ def active_context() -> RobotRunnerContext | None:
     return _active[-1].context if _active else None
 
 
+def current_run(where: str) -> RobotRunnerContext:
+    """Return the context of the run that is being executed.
+
+    Raises:
+        LinkError: there is none; `where` names the plugin that needs it.
+    """
+    context = active_context()
+    if context is None:
+        raise LinkError(
+            f"{where} can be used only while a run is executed",
+            where=where,
+            fix="Use it in start_run and in the events after it.",
+        )
+    return context
+
+
 _log = logging.getLogger(__name__)
 
 
 def warn_of_run(problem: str, *, fix: str = "") -> None:
-    """Have something doubtful said at the end of the experiment; outside a run it is logged."""
+    """Warn of something doubtful at the end of the experiment; outside a run it is logged."""
     context = active_context()
     if context is None:
         _log.warning("%s %s", problem, fix)

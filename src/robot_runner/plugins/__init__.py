@@ -15,116 +15,41 @@ Example:
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING
+from robot_runner.core.doors import open_door
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from robot_runner.core.errors import Finding, LinkError, PluginError
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.events.measure import Measure, Origin
-    from robot_runner.core.links.connect import connect_host, connect_robot, open_serial_line
-    from robot_runner.core.plugin import Circumstances, Plugin, Profiler, System
-    from robot_runner.core.sampling.device_clock import ClockMap, fit_clock
-    from robot_runner.core.sampling.periodic import PeriodicSampler, Sampling
-    from robot_runner.core.sampling.quality import (
-        Column,
-        Jitter,
-        SampleQuality,
-        quality_of,
-        report_quality,
-        write_quality,
-        write_samples,
-    )
-    from robot_runner.core.sampling.series import (
-        Series,
-        Window,
-        cut,
-        energy,
-        energy_from_mean_power,
-        integrate,
-        mean,
-        mean_of_intervals,
-    )
-
-__all__ = [
-    "Circumstances",
-    "ClockMap",
-    "Column",
-    "Finding",
-    "Jitter",
-    "LinkError",
-    "Measure",
-    "Origin",
-    "PeriodicSampler",
-    "Plugin",
-    "PluginError",
-    "Profiler",
-    "RobotRunnerContext",
-    "SampleQuality",
-    "Sampling",
-    "Series",
-    "System",
-    "Window",
-    "connect_host",
-    "connect_robot",
-    "cut",
-    "energy",
-    "energy_from_mean_power",
-    "fit_clock",
-    "integrate",
-    "mean",
-    "mean_of_intervals",
-    "open_serial_line",
-    "quality_of",
-    "report_quality",
-    "write_quality",
-    "write_samples",
-]
-
-_HOMES = {
-    "Circumstances": "robot_runner.core.plugin",
-    "ClockMap": "robot_runner.core.sampling.device_clock",
-    "Column": "robot_runner.core.sampling.quality",
-    "Finding": "robot_runner.core.errors",
-    "Jitter": "robot_runner.core.sampling.quality",
-    "LinkError": "robot_runner.core.errors",
-    "Measure": "robot_runner.core.events.measure",
-    "Origin": "robot_runner.core.events.measure",
-    "PeriodicSampler": "robot_runner.core.sampling.periodic",
-    "Plugin": "robot_runner.core.plugin",
-    "PluginError": "robot_runner.core.errors",
-    "Profiler": "robot_runner.core.plugin",
-    "RobotRunnerContext": "robot_runner.core.events.context",
-    "SampleQuality": "robot_runner.core.sampling.quality",
-    "Sampling": "robot_runner.core.sampling.periodic",
-    "Series": "robot_runner.core.sampling.series",
-    "System": "robot_runner.core.plugin",
-    "Window": "robot_runner.core.sampling.series",
-    "connect_host": "robot_runner.core.links.connect",
-    "connect_robot": "robot_runner.core.links.connect",
-    "cut": "robot_runner.core.sampling.series",
-    "energy": "robot_runner.core.sampling.series",
-    "energy_from_mean_power": "robot_runner.core.sampling.series",
-    "fit_clock": "robot_runner.core.sampling.device_clock",
-    "integrate": "robot_runner.core.sampling.series",
-    "mean": "robot_runner.core.sampling.series",
-    "mean_of_intervals": "robot_runner.core.sampling.series",
-    "open_serial_line": "robot_runner.core.links.connect",
-    "quality_of": "robot_runner.core.sampling.quality",
-    "report_quality": "robot_runner.core.sampling.quality",
-    "write_quality": "robot_runner.core.sampling.quality",
-    "write_samples": "robot_runner.core.sampling.quality",
-}
-
-
-def __getattr__(name: str) -> object:
-    """Import a name when it is first asked for, so that importing one of the submodules stays cheap."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(import_module(_HOMES[name]), name)
-    globals()[name] = found
-    return found
-
-
-def __dir__() -> list[str]:
-    return __all__
+    from robot_runner.core.errors import Finding as Finding
+    from robot_runner.core.errors import LinkError as LinkError
+    from robot_runner.core.errors import PluginError as PluginError
+    from robot_runner.core.events.context import RobotRunnerContext as RobotRunnerContext
+    from robot_runner.core.events.measure import Measure as Measure
+    from robot_runner.core.events.measure import Origin as Origin
+    from robot_runner.core.links.connect import connect_host as connect_host
+    from robot_runner.core.links.connect import connect_robot as connect_robot
+    from robot_runner.core.links.connect import open_serial_line as open_serial_line
+    from robot_runner.core.plugin import Circumstances as Circumstances
+    from robot_runner.core.plugin import Plugin as Plugin
+    from robot_runner.core.plugin import Profiler as Profiler
+    from robot_runner.core.plugin import System as System
+    from robot_runner.core.sampling.device_clock import ClockMap as ClockMap
+    from robot_runner.core.sampling.device_clock import fit_clock as fit_clock
+    from robot_runner.core.sampling.periodic import PeriodicSampler as PeriodicSampler
+    from robot_runner.core.sampling.periodic import Sampling as Sampling
+    from robot_runner.core.sampling.quality import Column as Column
+    from robot_runner.core.sampling.quality import Jitter as Jitter
+    from robot_runner.core.sampling.quality import SampleQuality as SampleQuality
+    from robot_runner.core.sampling.quality import quality_of as quality_of
+    from robot_runner.core.sampling.quality import report_quality as report_quality
+    from robot_runner.core.sampling.quality import write_quality as write_quality
+    from robot_runner.core.sampling.quality import write_samples as write_samples
+    from robot_runner.core.sampling.series import Series as Series
+    from robot_runner.core.sampling.series import Window as Window
+    from robot_runner.core.sampling.series import cut as cut
+    from robot_runner.core.sampling.series import energy as energy
+    from robot_runner.core.sampling.series import energy_from_mean_power as energy_from_mean_power
+    from robot_runner.core.sampling.series import integrate as integrate
+    from robot_runner.core.sampling.series import mean as mean
+    from robot_runner.core.sampling.series import mean_of_intervals as mean_of_intervals
+else:
+    __getattr__, __dir__ = open_door(__name__)

@@ -1,52 +1,25 @@
-"""Which files of an experiment's folder go into its package, and which stay behind."""
+"""The files of a package: their names, kinds and descriptions, and which of an experiment's folder go into it."""
 
 from __future__ import annotations
 
 import os
 import re
 import stat
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from robot_runner.core.errors import PackageError, did_you_mean
 from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.replication.redaction import forbidden_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from robot_runner.core.storage.layout import ExperimentFolder
 
-__all__ = [
-    "ALL",
-    "CONFIG_OWNER",
-    "CONTAINERFILE",
-    "CRATE",
-    "DATA_PACKAGE",
-    "DESCRIPTION",
-    "ENVIRONMENT",
-    "FORMAT",
-    "GENERATED",
-    "NONE",
-    "README",
-    "REQUIREMENTS",
-    "SUMS",
-    "WHEELS",
-    "Contents",
-    "LeftOut",
-    "MediaType",
-    "PackedFile",
-    "choose_contents",
-    "fault_of_name",
-    "media_type_of",
-    "run_owner",
-]
-
-
-# The names of a package's files: the only place that knows them, as `storage.layout` does for an experiment's.
-
-#: Version of the package's format; a newer one is refused by readers.
+#: Version of the package's format; readers refuse a newer one.
 FORMAT = 1
 
 CRATE = "ro-crate-metadata.json"
@@ -58,9 +31,29 @@ DATA_PACKAGE = "datapackage.json"
 ENVIRONMENT = "environment/environment.json"
 REQUIREMENTS = "environment/requirements.txt"
 WHEELS = "environment/wheels"
+MANIFEST, TABLE, SCHEMA = "manifest.json", "run_table.csv", "run_table.schema.json"
 
 #: What packing makes anew; files of these names in an experiment's folder are not taken.
 GENERATED = frozenset({CRATE, DESCRIPTION, SUMS, README, CONTAINERFILE, DATA_PACKAGE, ENVIRONMENT, REQUIREMENTS})
+
+#: What the files of a package hold, in the order in which a reader meets them.
+DESCRIBED = {
+    TABLE: "all runs in their order: status, time stamps of the events, treatments, measures",
+    SCHEMA: "type, unit, meaning and owner of each column of the run table (Table Schema)",
+    "runs/": "the raw data and the log of each run",
+    "config/": "the config and the local modules that it imports, as executed",
+    "report/": "the report, with its tables and figures",
+    MANIFEST: "the circumstances: host, versions, seed, what was set by hand",
+    "journal.jsonl": "the history of the experiment, one record a line",
+    REQUIREMENTS: "the Python packages that the experiment needs",
+    ENVIRONMENT: "the environment: all Python packages with versions and fingerprints, host, ROS",
+    CONTAINERFILE: "the recipe of a container image",
+    DATA_PACKAGE: "a description of the run table (Frictionless Data Package)",
+    README: "how to replicate the experiment, and what is in the package",
+    DESCRIPTION: "how the package was made, and what is not in it",
+    CRATE: "a description of everything (RO-Crate)",
+    SUMS: "the SHA-256 of each file; `sha256sum -c SHA256SUMS` checks them without Robot Runner",
+}
 
 _DRIVE = re.compile(r"[A-Za-z]:")
 
@@ -71,53 +64,43 @@ def fault_of_name(name: str) -> str | None:
     Example:
         >>> fault_of_name("runs/r_1/log.txt")
         >>> fault_of_name("../.bashrc"), fault_of_name("/etc/passwd")
-        ('it leaves the folder', 'it is absolute')
+        ('its name leaves the folder', 'its name is absolute')
     """
     if not name or not name.isprintable() or "\\" in name:
-        return "it has characters that no name in a package may have"
+        return "its name has characters that no name in a package may have"
     if name.startswith("/") or _DRIVE.match(name):
-        return "it is absolute"
+        return "its name is absolute"
     parts = name.split("/")
     if ".." in parts:
-        return "it leaves the folder"
+        return "its name leaves the folder"
     if "" in parts or "." in parts:
-        return "it is not in its shortest form"
+        return "its name is not in its shortest form"
     return None
 
 
-# What kind of file each is: its media type, and where the format is described (PRONOM where it has an entry).
-
+#: PRONOM, the registry of file formats of the UK's National Archives.
 _PRONOM = "https://www.nationalarchives.gov.uk/PRONOM/"
 
 
-@dataclass(frozen=True, slots=True)
-class MediaType:
-    """One kind of file.
-
-    Attributes:
-        name: the media type (RFC 6838).
-        title: in words.
-        page: where the format is described.
-
-    Example:
-        >>> media_type_of("runs/r_1/PsUtil/samples.csv").name
-        'text/csv'
-    """
+class MediaType(NamedTuple):
+    """One kind of file: its media type (RFC 6838), its title in words, and the page that describes the format."""
 
     name: str
     title: str
     page: str
 
 
-_ANY = MediaType("application/octet-stream", "Binary data", "https://www.rfc-editor.org/rfc/rfc2046#section-4.5.1")
+_BINARY = "application/octet-stream"
+_ANY = MediaType(_BINARY, "Binary data", "https://www.rfc-editor.org/rfc/rfc2046#section-4.5.1")
 _TEXT = MediaType("text/plain", "Plain text", f"{_PRONOM}x-fmt/111")
+_YAML = MediaType("application/yaml", "YAML", f"{_PRONOM}fmt/818")
 _BY_SUFFIX = {
     ".csv": MediaType("text/csv", "Comma separated values", f"{_PRONOM}x-fmt/18"),
     ".html": MediaType("text/html", "HTML 5", f"{_PRONOM}fmt/471"),
     ".json": MediaType("application/json", "JSON", f"{_PRONOM}fmt/817"),
     ".jsonl": MediaType("application/jsonl", "JSON lines", "https://jsonlines.org"),
     ".log": _TEXT,
-    ".mcap": MediaType("application/octet-stream", "MCAP", "https://mcap.dev/spec"),
+    ".mcap": MediaType(_BINARY, "MCAP", "https://mcap.dev/spec"),
     ".md": MediaType("text/markdown", "Markdown", f"{_PRONOM}fmt/1149"),
     ".parquet": MediaType("application/vnd.apache.parquet", "Apache Parquet", f"{_PRONOM}fmt/1843"),
     ".pdf": MediaType("application/pdf", "PDF", f"{_PRONOM}fmt/276"),
@@ -126,16 +109,19 @@ _BY_SUFFIX = {
     ".svg": MediaType("image/svg+xml", "SVG", f"{_PRONOM}fmt/92"),
     ".txt": _TEXT,
     ".whl": MediaType("application/zip", "Python wheel", "https://peps.python.org/pep-0427/"),
-    ".yaml": MediaType("application/yaml", "YAML", f"{_PRONOM}fmt/818"),
-    ".yml": MediaType("application/yaml", "YAML", f"{_PRONOM}fmt/818"),
+    ".yaml": _YAML,
+    ".yml": _YAML,
 }
-_BY_NAME = {"Containerfile": _TEXT, "SHA256SUMS": _TEXT}
 
 
 def media_type_of(name: str) -> MediaType:
-    """Return the kind of a file, by its name."""
-    path = PurePosixPath(name)
-    return _BY_NAME.get(path.name) or _BY_SUFFIX.get(path.suffix.casefold(), _ANY)
+    """Return the kind of a file, by its name.
+
+    Example:
+        >>> media_type_of("runs/r_1/PsUtil/samples.csv").name
+        'text/csv'
+    """
+    return _TEXT if name in {CONTAINERFILE, SUMS} else _BY_SUFFIX.get(PurePosixPath(name).suffix.casefold(), _ANY)
 
 
 ALL, NONE = "all", "none"
@@ -144,8 +130,8 @@ ALL, NONE = "all", "none"
 CONFIG_OWNER = "config"
 
 _RUN_FILES = frozenset({"log.txt", "refused.jsonl"})
-_PASSING = re.compile(r"\.lock|\.control|current_log\.txt|.*\.tmp|.*\.pyc|\.DS_Store|Thumbs\.db|.*~")
-_PASSING_FOLDERS = frozenset({"__pycache__", ".git", ".ipynb_checkpoints", ".venv"})
+_TRANSIENT = re.compile(r"\.lock|\.control|current_log\.txt|.*\.tmp|.*\.pyc|\.DS_Store|Thumbs\.db|.*~")
+_TRANSIENT_FOLDERS = frozenset({"__pycache__", ".git", ".ipynb_checkpoints", ".venv"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,15 +158,10 @@ class LeftOut:
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What goes into a package and what does not, each sorted by name.
-
-    Attributes:
-        owners: the plugins that left raw data, `config` among them.
-    """
+    """What goes into a package, sorted by name, and what does not."""
 
     files: tuple[PackedFile, ...]
     left_out: tuple[LeftOut, ...]
-    owners: tuple[str, ...]
 
 
 def choose_contents(folder: ExperimentFolder, run_ids: Sequence[str], raw: Sequence[str] = (ALL,)) -> Contents:
@@ -197,26 +178,26 @@ def choose_contents(folder: ExperimentFolder, run_ids: Sequence[str], raw: Seque
     """
     files: list[PackedFile] = []
     left_out: list[LeftOut] = []
-    owners: dict[str, None] = {}
-    runs = set(run_ids)
-    untaken: dict[str, int] = {}
-    for name, path, status in _walk(folder.root, left_out):
-        owner = run_owner(folder, runs, name)
-        if owner is not None:
-            owners[owner] = None
-        why = _reason(name, status)
-        if why:
+    runs, counts, unwanted = set(run_ids), Counter[str](), Counter[str]()
+    for name, path, status in _walk(folder.root):
+        owner = _run_owner(folder, runs, name)
+        counts.update([owner] if owner else ())
+        if name in GENERATED or _TRANSIENT.fullmatch(path.name):
+            continue
+        if why := _fault(name, status):
             left_out.append(LeftOut(name, why))
-        elif why is None and owner is not None and not _is_wanted(owner, raw):
-            untaken[owner] = untaken.get(owner, 0) + 1
-        elif why is None:
+        elif owner and not {ALL, owner} & set(raw):
+            unwanted[owner] += 1
+        else:
             files.append(PackedFile(name, path, status.st_size))
-    _refuse_unknown(raw, owners)
-    left_out += [LeftOut(f"raw data of {owner}", f"not asked for ({count} files)") for owner, count in untaken.items()]
-    return Contents(tuple(sorted(files, key=lambda file: file.name)), tuple(left_out), tuple(sorted(owners)))
+    for name in raw:
+        if name not in (known := [ALL, NONE, *counts]):
+            raise PackageError(f"no run has raw data of {name!r}", where="--raw", fix=did_you_mean(name, known))
+    left_out += [LeftOut(f"raw data of {owner}", f"not asked for ({count} files)") for owner, count in unwanted.items()]
+    return Contents(tuple(sorted(files, key=lambda file: file.name)), tuple(left_out))
 
 
-def run_owner(folder: ExperimentFolder, runs: set[str], name: str) -> str | None:
+def _run_owner(folder: ExperimentFolder, runs: set[str], name: str) -> str | None:
     """Return whose raw data a file is, by its name below the experiment's folder; None where it is none."""
     parts = name.split("/")
     if parts[0] == folder.earlier_attempts.name and len(parts) > 3:  # noqa: PLR2004 - run, attempt, file
@@ -230,50 +211,26 @@ def run_owner(folder: ExperimentFolder, runs: set[str], name: str) -> str | None
     return parts[1]
 
 
-def _walk(root: Path, left_out: list[LeftOut]) -> Iterator[tuple[str, Path, os.stat_result]]:
+def _walk(root: Path) -> Iterator[tuple[str, Path, os.stat_result]]:
+    """Yield the name below `root`, the path and the status of each file and link."""
+
     def fail(error: OSError) -> None:
         raise storage_error(root, "read", error) from error
 
-    for folder, folders, names in _walked(root, fail):
-        relative = folder.relative_to(root).as_posix()
-        for name in list(folders):
-            inner = name if relative == "." else f"{relative}/{name}"
-            if name in _PASSING_FOLDERS or inner == WHEELS:
-                folders.remove(name)
-            elif (folder / name).is_symlink():
-                folders.remove(name)
-                left_out.append(LeftOut(inner, "it is a symbolic link"))
-        folders.sort()
-        for name in sorted(names):
-            path = folder / name
-            yield (name if relative == "." else f"{relative}/{name}"), path, path.lstat()
-
-
-def _walked(root: Path, fail: Callable[[OSError], None]) -> Iterator[tuple[Path, list[str], list[str]]]:
     for folder, folders, names in os.walk(root, onerror=fail):
-        yield Path(folder), folders, names
+        wanted = sorted(set(folders) - _TRANSIENT_FOLDERS)
+        links = [name for name in wanted if Path(folder, name).is_symlink()]
+        folders[:] = [name for name in wanted if name not in links and Path(folder, name) != root / WHEELS]
+        for path in sorted(Path(folder, name) for name in (*names, *links)):
+            yield path.relative_to(root).as_posix(), path, path.lstat()
 
 
-def _reason(name: str, status: os.stat_result) -> str | None:
-    """Return why a file is left out; an empty text where nobody wants to know, None where it goes in."""
-    last = name.rpartition("/")[2]
-    if name in GENERATED or _PASSING.fullmatch(last):
-        return ""
+def _fault(name: str, status: os.stat_result) -> str | None:
+    """Return why a file cannot go into a package."""
     if stat.S_ISLNK(status.st_mode):
-        return "it is a symbolic link"
+        return "a symbolic link"
     if not stat.S_ISREG(status.st_mode):
-        return "it is no regular file"
-    if forbidden_name(last):
+        return "not a regular file"
+    if forbidden_name(name.rpartition("/")[2]):
         return "files of this name hold keys or passwords"
     return fault_of_name(name)
-
-
-def _is_wanted(owner: str, raw: Sequence[str]) -> bool:
-    return ALL in raw or owner in raw
-
-
-def _refuse_unknown(raw: Sequence[str], owners: dict[str, None]) -> None:
-    for name in raw:
-        if name not in {ALL, NONE, *owners}:
-            fix = did_you_mean(name, [ALL, NONE, *owners])
-            raise PackageError(f"no run has raw data of {name!r}", where="--raw", fix=fix)

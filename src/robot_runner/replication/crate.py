@@ -13,17 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.table_columns import ColumnRole
-from robot_runner.replication.contents import (
-    CONTAINERFILE,
-    CRATE,
-    DATA_PACKAGE,
-    DESCRIPTION,
-    ENVIRONMENT,
-    README,
-    REQUIREMENTS,
-    SUMS,
-    media_type_of,
-)
+from robot_runner.replication.contents import CRATE, DESCRIBED, REQUIREMENTS, SUMS, media_type_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -32,27 +22,13 @@ if TYPE_CHECKING:
     from robot_runner.replication.about import About
     from robot_runner.replication.plain_zip import StoredFile
 
-__all__ = ["PROFILE", "crate_text", "require_rocrate"]
+__all__ = ["crate_text", "require_rocrate"]
 
-PROFILE = "https://w3id.org/ro/wfrun/process/0.5"
+_PROFILE = "https://w3id.org/ro/wfrun/process/0.5"
 
 _PAPER = "https://doi.org/10.1109/ICSE-Companion52605.2021.00029"
 _SHA256 = "https://w3id.org/ro/terms/workflow-run#sha256"
 _EXPERIMENT = "#experiment"
-
-_DESCRIPTIONS = {
-    "run_table.csv": "All runs in their order: status, time stamps of the events, factors, measures.",
-    "run_table.schema.json": "Type, unit, meaning and owner of each column of the run table (Table Schema).",
-    "journal.jsonl": "The history of the experiment, one record a line.",
-    "manifest.json": "The circumstances: host, versions, seed, what was set by hand.",
-    ENVIRONMENT: "The environment: Python packages with versions and fingerprints, host, ROS.",
-    REQUIREMENTS: "The Python packages that the experiment needs.",
-    CONTAINERFILE: "The recipe of a container image.",
-    DATA_PACKAGE: "Describes the run table (Frictionless Data Package).",
-    DESCRIPTION: "How the package was made, and what is not in it.",
-    README: "How to replicate the experiment.",
-    SUMS: "The SHA-256 of each file.",
-}
 
 
 def require_rocrate() -> Any:
@@ -101,7 +77,8 @@ class _Crate:
     def text(self, columns: Sequence[ColumnDescription], files: Sequence[StoredFile], *, failed: int) -> str:
         root = self._crate.root_dataset
         parts = {file.name: self._file(file) for file in files}
-        parts[SUMS] = self._entity(SUMS, "File", **self._format(SUMS), name=SUMS, description=_DESCRIPTIONS[SUMS])
+        # The checksums are written last, as they cover this text, too: their own size and checksum are not known yet.
+        parts[SUMS] = self._entity(SUMS, "File", **self._format(SUMS), name=SUMS, description=_described(SUMS))
         folders = self._folders(parts)
         # Set at once: appending one by one takes a time that grows with the square of their number.
         root["hasPart"] = [part for name, part in parts.items() if "/" not in name] + list(folders.values())
@@ -120,10 +97,8 @@ class _Crate:
         from rocrate.model import ContextEntity, Dataset, File  # noqa: PLC0415 - slow, and an extra
 
         known = {name: value for name, value in properties.items() if value not in (None, "", [])}
-        if kind == "File":
-            entity = File(self._crate, dest_path=identifier, properties=known)
-        elif kind == "Dataset":
-            entity = Dataset(self._crate, dest_path=identifier, properties=known)
+        if kind in {"File", "Dataset"}:
+            entity = (File if kind == "File" else Dataset)(self._crate, dest_path=identifier, properties=known)
         else:
             entity = ContextEntity(self._crate, identifier, properties={"@type": kind, **known})
         self._crate.add(entity)
@@ -134,7 +109,7 @@ class _Crate:
             file.name,
             "File",
             name=file.name,
-            description=_DESCRIPTIONS.get(file.name, ""),
+            description=_described(file.name),
             contentSize=str(file.size),
             sha256=file.sha256,
             **self._format(file.name),
@@ -149,12 +124,9 @@ class _Crate:
     def _folders(self, parts: Mapping[str, Any]) -> dict[str, Any]:
         below: dict[str, list[Any]] = {}
         for name, part in parts.items():
-            folder = name.partition("/")[0]
-            if folder != name:
-                below.setdefault(f"{folder}/", []).append(part)
-        return {
-            name: self._entity(name, "Dataset", name=name.rstrip("/"), hasPart=inner) for name, inner in below.items()
-        }
+            if "/" in name:
+                below.setdefault(f"{name.partition('/')[0]}/", []).append(part)
+        return {name: self._entity(name, "Dataset", name=name[:-1], hasPart=inner) for name, inner in below.items()}
 
     def _describe_root(self, columns: Sequence[ColumnDescription], authors: Sequence[Any]) -> None:
         root, about = self._crate.root_dataset, self._about
@@ -165,8 +137,7 @@ class _Crate:
             f"{software.get('robot_runner', '')}: config, run table, raw data, circumstances."
         )
         root["datePublished"] = _iso(about.date)
-        profile = self._entity(PROFILE, "CreativeWork", name="Process Run Crate", version="0.5")
-        root["conformsTo"] = [profile]
+        root["conformsTo"] = [self._entity(_PROFILE, "CreativeWork", name="Process Run Crate", version="0.5")]
         root["keywords"] = "robotics, experiment, replication"
         if about.licence_url:
             text = f"The licence of this package: {about.licence}"
@@ -175,9 +146,8 @@ class _Crate:
             root["citation"] = self._citation(about.citation)
         if authors:
             root["author"] = list(authors)
-            organisations = [each.get("affiliation") for each in authors if each.get("affiliation")]
-            if organisations:
-                root["publisher"] = organisations[0]
+        if organisations := [each["affiliation"] for each in authors if each.get("affiliation")]:
+            root["publisher"] = organisations[0]
         root["variableMeasured"] = [
             self._entity(
                 f"#measure-{_slug(column.name)}",
@@ -206,8 +176,8 @@ class _Crate:
             affiliation = self._crate.dereference(identifier) or self._entity(
                 identifier, "Organization", name=organisation, url=url
             )
-        identifier = f"https://orcid.org/{orcid}" if orcid else f"#author-{place + 1}"
-        return self._entity(identifier, "Person", name=author.get("name"), affiliation=affiliation)
+        person = f"https://orcid.org/{orcid}" if orcid else f"#author-{place + 1}"
+        return self._entity(person, "Person", name=author.get("name"), affiliation=affiliation)
 
     def _action(
         self, parts: Mapping[str, Any], folders: Mapping[str, Any], authors: Sequence[Any], *, failed: int
@@ -261,15 +231,18 @@ class _Crate:
             )
 
 
+def _described(name: str) -> str:
+    text = DESCRIBED.get(name, "")
+    return f"{text[0].upper()}{text[1:]}." if text else ""
+
+
 def _page_of(package: str | None) -> str:
     """Return the page that a plugin's package names as its own; the paper's where it names none."""
     try:
-        told = metadata(package) if package else None
+        pages = metadata(package).get_all("Project-URL") if package else None
     except PackageNotFoundError:
-        told = None
-    if told is None:
-        return _PAPER
-    urls = [each.partition(",")[2].strip() for each in told.get_all("Project-URL") or ()]
+        pages = None
+    urls = [each.partition(",")[2].strip() for each in pages or ()]
     return next((each for each in urls if each.startswith("https://")), _PAPER)
 
 

@@ -1,4 +1,4 @@
-"""What a package needs that is not installed here, found without executing anything of it."""
+"""What of an experiment's environment differs from this machine's or is missing here, found without executing it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from robot_runner.core.config.dialects import stand_in_modules
 from robot_runner.core.errors import Finding
 from robot_runner.core.plugin import described_circumstances
 from robot_runner.core.storage.manifest import describe_host
-from robot_runner.replication.distributions import installed_distributions
+from robot_runner.replication.distributions import distributions_in, installed_distributions
 from robot_runner.replication.environment import imported_names
 
 if TYPE_CHECKING:
@@ -21,10 +21,7 @@ if TYPE_CHECKING:
 
     from robot_runner.replication.distributions import InstalledDistribution
 
-__all__ = ["Difference", "differing_environment", "differing_packages", "lacking"]
-
-
-# What differs between the environment of a package and this machine.
+__all__ = ["Difference", "differing_environment", "differing_packages", "missing_modules", "remaining_differences"]
 
 _GIBIBYTE = 1 << 30
 _SAME_MEMORY = 0.02  # what the kernel keeps for itself differs from boot to boot
@@ -40,13 +37,13 @@ _HOST_FACTS = {
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """Something that the package was executed with otherwise than here.
+    """A fact or a package that differs here from what the experiment was executed with.
 
     Attributes:
-        what: a fact, or a package.
-        original: as it was; `-` where there was none.
-        here: as it is; `-` where there is none.
-        is_package: whether it is about a Python package.
+        what: the name of the fact or the package.
+        original: its value or version then; `-` where there was none.
+        here: its value or version now; `-` where there is none.
+        is_package: whether it is a Python package.
     """
 
     what: str
@@ -80,18 +77,21 @@ def differing_packages(
     Where the version is the same, the fingerprints of the installed files are compared, if both are known.
     """
     differing = []
-    for name, recorded in (environment.get("packages") or {}).items():
-        if not recorded.get("is_needed"):
-            continue
-        here = installed.get(name)
-        if here is None:
-            differing.append(Difference(name, str(recorded["version"]), "-", is_package=True))
-        elif here.version != recorded["version"]:
-            differing.append(Difference(name, str(recorded["version"]), here.version, is_package=True))
-        elif not here.is_editable and (known := recorded.get("fingerprint")) and here.fingerprint not in {known, None}:
-            version = str(recorded["version"])
-            differing.append(Difference(name, version, f"{version}, with other files", is_package=True))
+    needed = {name: each for name, each in (environment.get("packages") or {}).items() if each.get("is_needed")}
+    for name, recorded in needed.items():
+        here, version, known = installed.get(name), str(recorded["version"]), recorded.get("fingerprint")
+        shown = here.version if here else "-"
+        if here and shown == version and known and not here.is_editable and here.fingerprint not in {known, None}:
+            shown = f"{version}, with other files"
+        if shown != version:
+            differing.append(Difference(name, version, shown, is_package=True))
     return differing
+
+
+def remaining_differences(folder: Path, environment: Mapping[str, Any]) -> list[Difference]:
+    """Return how the packages in a virtual environment differ from those of the package that it was made for."""
+    places = [str(path) for path in folder.glob("lib/python*/site-packages")]
+    return differing_packages(environment, distributions_in(places))
 
 
 def _host_facts(host: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
@@ -119,37 +119,29 @@ def _shown(value: object) -> str:
     return "-" if value in (None, "") else str(value)
 
 
-def lacking(root: Path, manifest: Mapping[str, Any]) -> list[Finding]:
-    """Return the plugins and modules that the experiment in an unpacked package needs and that are not here.
+def missing_modules(root: Path, manifest: Mapping[str, Any]) -> list[Finding]:
+    """Return the plugins and modules that the experiment in an unpacked package needs and that are not installed.
 
     Raises:
         OSError: a file of the config cannot be read.
     """
     config = root / "config"
     local = {path.relative_to(config).parts[0].removesuffix(".py") for path in config.rglob("*.py")}
-    return [*_plugins(manifest, local), *_modules(config, manifest, local)]
-
-
-def _plugins(manifest: Mapping[str, Any], local: set[str]) -> Iterator[Finding]:
+    # `plugins` is what the paper's configs import, and is there while a config is loaded.
+    findings, seen = [], {*local, *stand_in_modules(), "plugins", *sys.stdlib_module_names, "robot_runner"}
     for plugin in manifest.get("plugins", ()):
         module, _, kind = str(plugin.get("class", "")).partition(":")
-        if module.partition(".")[0] in {*local, "robot_runner_config"} or _is_installed(module):
-            continue
-        package, release = plugin.get("package"), plugin.get("version")
-        fix = (
-            f"Install it: pip install {package}=={release}" if package else f"Install what brings the module {module}."
-        )
-        yield Finding.error(f"plugin {plugin.get('name')}", f"{kind}, of {package or module}, is not installed", fix)
-
-
-def _modules(config: Path, manifest: Mapping[str, Any], local: set[str]) -> Iterator[Finding]:
-    # `plugins` is what the paper's configs import, and is there while a config is loaded.
-    known = {*local, *stand_in_modules(), "plugins", *sys.stdlib_module_names, "robot_runner"}
-    told = {str(plugin.get("class", "")).partition(".")[0] for plugin in manifest.get("plugins", ())}
-    for name in sorted(imported_names(config) - known - told):
+        top, package, release = module.partition(".")[0], plugin.get("package"), plugin.get("version")
+        if top not in {*local, "robot_runner_config"} and not _is_installed(module):
+            fix = f"Install it: pip install {package}=={release}" if package else f"Install what brings {module}."
+            problem = f"{kind}, of {package or module}, is not installed"
+            findings.append(Finding.error(f"plugin {plugin.get('name')}", problem, fix))
+        seen.add(top)
+    for name in sorted(imported_names(config) - seen):
         if not _is_installed(name):
             fix = "Install the package that brings it, or have the environment made: --environment venv"
-            yield Finding.error("config", f"it imports {name}, which is not installed", fix)
+            findings.append(Finding.error("config", f"the config imports {name}, which is not installed", fix))
+    return findings
 
 
 def _is_installed(module: str) -> bool:

@@ -1,15 +1,17 @@
-"""Wheels of distributions that were installed from a folder of this machine: nobody else could get them.
+"""The installed Python distributions: where each came from, what it needs, and the wheels of those from a folder.
 
-The same distribution gives the same bytes: files in order, without times.
+Whatever was installed from a folder of this machine, nobody else could get. Its wheel is made of what is installed, not
+built from its source: that may have changed since, and building executes it, with tools that may be on the network.
 """
 
 from __future__ import annotations
 
 import base64
+import csv
 import hashlib
 import json
 import re
-import zipfile
+import sys
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
@@ -17,35 +19,36 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from robot_runner.replication.plain_zip import STAMP
+from robot_runner.replication.plain_zip import PlainZip
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Mapping
+    from typing import BinaryIO
+
+    from packaging.requirements import Requirement
 
 __all__ = [
     "InstalledDistribution",
     "canonical",
     "closure",
+    "distributions_in",
     "installed_distributions",
-    "record_hash",
     "wheel_name",
     "wheel_of",
     "write_wheel",
 ]
 
-
-# The installed Python distributions: what each holds, where it came from, and what it needs.
-
-#: Extras for who develops a package, not for who uses it.
+#: Extras for the developers of a package, not for its users.
 _NOT_FOR_USERS = frozenset({"dev", "develop", "doc", "docs", "lint", "test", "testing", "tests", "typing"})
-#: Written by whoever installs, so that they differ from machine to machine.
+#: Written by installers, so that they differ from machine to machine.
 _WRITTEN_BY_INSTALLERS = frozenset(
     {"INSTALLER", "RECORD", "REQUESTED", "direct_url.json", "uv_build.json", "uv_cache.json"}
 )
+_TAG = re.compile(r"^Tag: (\S+)$", re.MULTILINE)
 
 
 def canonical(name: str) -> str:
-    """Return a distribution's name as comparing names takes it (PEP 503).
+    """Return a distribution's name in the form in which names are compared (PEP 503).
 
     Example:
         >>> canonical("Annotated_Types")
@@ -85,8 +88,7 @@ class InstalledDistribution:
     def archive_sha256(self) -> str | None:
         """The hash of the file that it was installed from, where the installer kept it: not for those of an index."""
         info = self.direct_url.get("archive_info", {})
-        digest = info.get("hashes", {}).get("sha256") or str(info.get("hash", "")).removeprefix("sha256=")
-        return digest or None
+        return info.get("hashes", {}).get("sha256") or str(info.get("hash", "")).removeprefix("sha256=") or None
 
     @property
     def fingerprint(self) -> str | None:
@@ -95,96 +97,87 @@ class InstalledDistribution:
         What an installer writes (byte code, scripts, its own notes) does not count, so that the same wheel has the same
         fingerprint wherever it is installed.
         """
-        lines = sorted(self._hashes())
+        record = csv.reader((self.distribution.read_text("RECORD") or "").splitlines())
+        lines = sorted(f"{name} {digest}" for name, digest, *_ in record if digest and _is_of_wheel(name))
         return hashlib.sha256("\n".join(lines).encode()).hexdigest() if lines else None
 
-    def _hashes(self) -> Iterator[str]:
-        for path in self.distribution.files or ():
-            is_outside = path.parts[0] == ".."
-            if path.hash is None or is_outside or path.name in _WRITTEN_BY_INSTALLERS or path.suffix == ".pyc":
-                continue
-            yield f"{path.as_posix()} {path.hash.mode}={path.hash.value}"
+
+def _is_of_wheel(name: str) -> bool:
+    is_outside = name.startswith("../")
+    return not (is_outside or name.rpartition("/")[2] in _WRITTEN_BY_INSTALLERS or name.endswith(".pyc"))
+
+
+def distributions_in(folders: list[str]) -> dict[str, InstalledDistribution]:
+    """Return what is installed in these folders, by canonical name; the first of one name counts."""
+    found: dict[str, InstalledDistribution] = {}
+    for each in metadata.distributions(path=folders):
+        if name := each.metadata["Name"]:
+            found.setdefault(canonical(name), InstalledDistribution(name, each.version, each))
+    return found
 
 
 @cache
 def installed_distributions() -> dict[str, InstalledDistribution]:
-    """Return what is installed here, by canonical name; what comes first on the path counts."""
-    found: dict[str, InstalledDistribution] = {}
-    for each in metadata.distributions():
-        name = each.metadata["Name"]
-        if name:
-            found.setdefault(canonical(name), InstalledDistribution(name, each.version, each))
-    return found
+    """Return what is installed here, by canonical name."""
+    return distributions_in(sys.path)
 
 
 def closure(roots: Iterable[str]) -> set[str]:
     """Return the canonical names of these distributions and of everything that they need, as far as it is installed.
 
-    Extras of the roots count where all that they ask for is installed: nobody keeps with which one they were installed.
+    Extras of the roots count where all that they ask for is installed: with which one they were installed is not kept.
     """
-    from packaging.requirements import Requirement  # noqa: PLC0415 - an extra
-
     installed = installed_distributions()
-    pending = [(name, frozenset({""}) | _extras(name)) for name in map(canonical, roots)]
-    seen: dict[str, frozenset[str]] = {}
+    pending = [(name, {"", *_extras(name)}) for name in map(canonical, roots) if name in installed]
+    seen: dict[str, set[str]] = {}
     while pending:
         name, extras = pending.pop()
-        known = seen.get(name, frozenset())
-        if name not in installed or (name in seen and extras <= known):
+        if extras <= seen.setdefault(name, set()):
             continue
-        seen[name] = known | extras
-        for text in installed[name].distribution.requires or ():
-            requirement = Requirement(text)
-            if requirement.marker and not any(requirement.marker.evaluate({"extra": extra}) for extra in extras):
-                continue
-            pending.append((canonical(requirement.name), frozenset({"", *requirement.extras})))
+        seen[name] |= extras
+        asked = [
+            (canonical(each.name), {"", *each.extras}) for each in _requirements(name) if _is_asked_by(extras, each)
+        ]
+        pending += [(needed, with_extras) for needed, with_extras in asked if needed in installed]
     return set(seen)
 
 
-def _extras(name: str) -> frozenset[str]:
+def _extras(name: str) -> set[str]:
+    """Return the extras of a distribution that seem to have been installed with it."""
+    installed = installed_distributions()
+    offered = set(installed[name].distribution.metadata.get_all("Provides-Extra") or ()) - _NOT_FOR_USERS
+    optional = [each for each in _requirements(name) if not _is_asked_by({""}, each)]
+    asked = {extra: [canonical(each.name) for each in optional if _is_asked_by({extra}, each)] for extra in offered}
+    return {extra for extra, names in asked.items() if names and all(name in installed for name in names)}
+
+
+def _requirements(name: str) -> list[Requirement]:
     from packaging.requirements import Requirement  # noqa: PLC0415 - an extra
 
-    installed = installed_distributions()
-    if name not in installed:
-        return frozenset()
-    distribution = installed[name].distribution
-    offered = set(distribution.metadata.get_all("Provides-Extra") or ()) - _NOT_FOR_USERS
-    requirements = [Requirement(text) for text in distribution.requires or ()]
-
-    def is_satisfied(extra: str) -> bool:
-        asked = [each for each in requirements if each.marker and _is_for(each, extra)]
-        return bool(asked) and all(canonical(each.name) in installed for each in asked)
-
-    return frozenset(extra for extra in offered if is_satisfied(extra))
+    return [Requirement(text) for text in installed_distributions()[name].distribution.requires or ()]
 
 
-def _is_for(requirement: Any, extra: str) -> bool:
-    return bool(requirement.marker.evaluate({"extra": extra})) and not requirement.marker.evaluate({"extra": ""})
-
-
-def record_hash(data: bytes) -> str:
-    """Return a hash as a RECORD has it (PEP 376)."""
-    return "sha256=" + base64.urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b"=").decode()
-
-
-_NOT_OF_THE_WHEEL = frozenset({"INSTALLER", "RECORD", "REQUESTED", "direct_url.json", "uv_build.json", "uv_cache.json"})
-_TAG = re.compile(r"^Tag: (\S+)$", re.MULTILINE)
+def _is_asked_by(extras: set[str], requirement: Requirement) -> bool:
+    marker = requirement.marker
+    return marker is None or any(marker.evaluate({"extra": extra}) for extra in extras)
 
 
 def wheel_of(distribution: InstalledDistribution) -> dict[str, Path]:
-    """Return the files of its wheel by their names in it; nothing where they cannot be told.
+    """Return the files of its wheel by their names in it; nothing where its code cannot be found.
 
     Raises:
         OSError: a folder cannot be read.
     """
-    information = _information_folder(distribution)
-    if information is None:
-        return {}
-    files = {f"{information.name}/{path.relative_to(information).as_posix()}": path for path in _below(information)}
-    code = dict(_editable_code(distribution) if distribution.is_editable else _installed_code(distribution))
-    if not code:
-        return {}
-    return dict(sorted({**code, **{name: path for name, path in files.items() if _is_of_wheel(path)}}.items()))
+    named = [
+        (name, Path(str(path.locate())))
+        for path in distribution.distribution.files or ()
+        if _is_of_wheel(name := path.as_posix())
+    ]
+    notes = {name: path for name, path in named if ".dist-info" in name.partition("/")[0]}
+    installed = {name: path for name, path in named if name not in notes}
+    code = dict(_editable_code(distribution)) if distribution.is_editable else installed
+    files = {name: path for name, path in {**notes, **code}.items() if path.is_file()}
+    return dict(sorted(files.items())) if code and notes else {}
 
 
 def wheel_name(distribution: InstalledDistribution) -> str:
@@ -195,72 +188,38 @@ def wheel_name(distribution: InstalledDistribution) -> str:
     return f"{name}-{distribution.version}-{joined}.whl"
 
 
-def write_wheel(files: dict[str, Path], target: Path) -> None:
-    """Write a wheel of these files, with its RECORD.
+def write_wheel(files: Mapping[str, Path], target: Path | BinaryIO) -> None:
+    """Write a wheel of these files, with its RECORD (PEP 376): the same files give the same bytes.
 
     Raises:
         OSError: a file cannot be read, or the wheel not be written.
     """
-    information = next(name.partition("/")[0] for name in files if ".dist-info/" in name)
-    record = []
-    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, path in files.items():
-            data = path.read_bytes()
-            record.append(f"{name},{record_hash(data)},{len(data)}")
-            archive.writestr(_entry(name), data)
-        name = f"{information}/RECORD"
-        archive.writestr(_entry(name), "\n".join([*record, f"{name},,"]) + "\n")
+    record = f"{next(name.partition('/')[0] for name in files if '.dist-info/' in name)}/RECORD"
+    wheel = PlainZip(target)
+    for name, path in files.items():
+        wheel.add(name, [path.read_bytes()])
+    lines = [f"{each.name},sha256={_urlsafe(each.sha256)},{each.size}" for each in wheel.stored.values()]
+    wheel.add(record, ["\n".join([*lines, f"{record},,"]).encode() + b"\n"])
+    wheel.close()
 
 
-def _entry(name: str) -> zipfile.ZipInfo:
-    entry = zipfile.ZipInfo(name, STAMP)
-    entry.compress_type = zipfile.ZIP_DEFLATED
-    entry.create_system = 3
-    entry.external_attr = 0o644 << 16
-    return entry
-
-
-def _information_folder(distribution: InstalledDistribution) -> Path | None:
-    for path in distribution.distribution.files or ():
-        if path.name == "METADATA" and path.parent.name.endswith(".dist-info"):
-            return Path(str(distribution.distribution.locate_file(path.parent)))
-    return None
-
-
-def _is_of_wheel(path: Path) -> bool:
-    return path.name not in _NOT_OF_THE_WHEEL
-
-
-def _installed_code(distribution: InstalledDistribution) -> Iterator[tuple[str, Path]]:
-    for path in distribution.distribution.files or ():
-        is_code = path.parts[0] != ".." and ".dist-info" not in path.parts[0] and path.suffix != ".pyc"
-        located = Path(str(distribution.distribution.locate_file(path)))
-        if is_code and located.is_file():
-            yield path.as_posix(), located
+def _urlsafe(sha256: str) -> str:
+    return base64.urlsafe_b64encode(bytes.fromhex(sha256)).rstrip(b"=").decode()
 
 
 def _editable_code(distribution: InstalledDistribution) -> Iterator[tuple[str, Path]]:
     """Yield the code in the folder that the installed `.pth` file names: what the installed package imports."""
-    tops = _top_names(distribution)
+    listed = (distribution.distribution.read_text("top_level.txt") or "").split()
+    announced = {point.module.partition(".")[0] for point in distribution.distribution.entry_points}
+    tops = sorted({*listed, *announced, re.sub(r"[-.]+", "_", distribution.name)})
     for root in _path_entries(distribution):
-        for top in sorted(tops):
-            for path in (root / f"{top}.py", *(_below(root / top) if (root / top).is_dir() else ())):
-                if path.is_file() and path.suffix != ".pyc" and "__pycache__" not in path.parts:
-                    yield path.relative_to(root).as_posix(), path
+        for path in (each for top in tops for each in (root / f"{top}.py", *sorted((root / top).rglob("*")))):
+            if path.is_file() and not path.is_symlink() and path.suffix != ".pyc":
+                yield path.relative_to(root).as_posix(), path
 
 
 def _path_entries(distribution: InstalledDistribution) -> Iterator[Path]:
     for path in distribution.distribution.files or ():
         if path.suffix == ".pth":
-            text = Path(str(distribution.distribution.locate_file(path))).read_text(encoding="utf-8")
-            yield from (Path(line.strip()) for line in text.splitlines() if line.startswith("/"))
-
-
-def _top_names(distribution: InstalledDistribution) -> set[str]:
-    listed = (distribution.distribution.read_text("top_level.txt") or "").split()
-    announced = {point.module.partition(".")[0] for point in distribution.distribution.entry_points}
-    return {*listed, *announced, re.sub(r"[-.]+", "_", distribution.name)}
-
-
-def _below(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
+            lines = Path(str(path.locate())).read_text(encoding="utf-8").splitlines()
+            yield from (Path(line.strip()) for line in lines if line.startswith("/"))

@@ -1,7 +1,8 @@
 """The hashes of the files that the package index has of recorded versions, asked of pip.
 
-Pip knows which index is meant, how to get in, and which file fits. What it answers is read for hashes and names of
-files; where they come from is neither kept nor shown. Nothing is built: of a package without a wheel, nothing is known.
+Pip knows which index is meant, how to get in, and which file fits; uv reads none of pip's settings. What pip answers is
+read for hashes and names of files; where they come from is neither kept nor shown. Nothing is built: of a package
+without a wheel, nothing is known.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ __all__ = ["PLATFORMS", "IndexAnswer", "ask_index", "findings_of_hashes", "with_
 
 _DEADLINE_S = 300.0
 #: Of one connection; pip's own retries would make a network that is not there a matter of minutes.
-_CONNECTION_S = 15.0
-#: So many packages are not found, and none is: nobody answers.
+_CONNECTION_S = 15
+#: Where so many packages are not found, and none is, there is no index.
 _MOST_MISSES = 5
 
 _GLIBC = ("manylinux2014", *(f"manylinux_2_{minor}" for minor in (17, 24, 26, 27, 28, 31, 34, 35, 36)))
@@ -44,11 +45,11 @@ PLATFORMS: Mapping[str, tuple[str, ...]] = {
 }
 
 _NO_WHEEL = "pip finds no wheel of that version"
-_NOBODY = "no package index answers, or it has none of them"
+_NO_INDEX = "no package index answers, or it has none of them"
 _NO_PIP = "pip is not installed beside Robot Runner"
-_NO_SHA256 = "the index tells no SHA-256 of its file"
-_OWN_FOLDER = "pip takes it from a folder of this machine, which others have not"
-#: Why those are not asked for that did not come from an index.
+_NO_SHA256 = "the index does not give the SHA-256 of its file"
+_OWN_FOLDER = "pip takes it from a folder of this machine, which others do not have"
+#: Why the index is not asked for what did not come from one.
 _NOT_ASKED = {
     "local": "it was installed from a folder, and its wheel is not in the package",
     "url": "it was installed from a URL, and the installer did not keep the hash",
@@ -58,7 +59,7 @@ _NOT_ASKED = {
 
 @dataclass(frozen=True, slots=True)
 class IndexAnswer:
-    """What an index told.
+    """The answer of an index.
 
     Attributes:
         hashes: the SHA-256 of each file that fits, sorted, by the canonical name of its package.
@@ -87,29 +88,31 @@ def ask_index(pins: Sequence[str], python: str, *, deadline_s: float = _DEADLINE
     if find_spec("pip") is None:
         return IndexAnswer({}, dict.fromkeys(wanted, _NO_PIP))
     with tempfile.TemporaryDirectory(prefix="robot-runner-index-") as folder:
-        asking = _Asking(Path(folder), python, time.monotonic() + deadline_s)
-        files = asking.files(list(wanted.values()))
-        lacking = {name: asking.gave_up or _NO_WHEEL for name in wanted if name not in files}
+        pip = _Pip(Path(folder), python, deadline_s)
+        files = pip.files(wanted.values())
+        lacking = {name: pip.gave_up or _NO_WHEEL for name in wanted if name not in files}
         if own := [wanted[name] for name, file in files.items() if file.fault == _OWN_FOLDER]:
-            asking.hides_folders = True
-            files |= asking.files(own)
+            pip.hides_folders = True
+            files |= pip.files(own)
         lacking |= {name: file.fault for name, file in files.items() if file.fault}
-        known = {name: file for name, file in files.items() if name not in lacking}
-        hashes = {name: {file.sha256} for name, file in known.items()}
-        for name, file in _elsewhere(asking, {name: wanted[name] for name, file in known.items() if not file.is_any}):
-            hashes[name].add(file.sha256)
+        hashes = {name: {file.sha256} for name, file in files.items() if not file.fault}
+        compiled = [wanted[name] for name in hashes if not files[name].is_any]
+        for platforms in PLATFORMS.values():
+            for name, file in pip.files(compiled, platforms).items():
+                if name in hashes and not file.fault:
+                    hashes[name].add(file.sha256)
     return IndexAnswer({name: tuple(sorted(each)) for name, each in sorted(hashes.items())}, lacking)
 
 
 def with_index_hashes(environment: RecordedEnvironment) -> tuple[RecordedEnvironment, Mapping[str, str]]:
-    """Return the environment with the hashes that the index tells, and why others are lacking, by canonical name."""
+    """Return the environment with the hashes that the index gives, and why others are lacking, by canonical name."""
     pins = [each.requirement for each in environment.without_hash({}) if each.source not in _NOT_ASKED]
     answer = ask_index(pins, environment.python)
     return replace(environment, index_hashes=answer.hashes), answer.lacking
 
 
 def findings_of_hashes(unknown: Iterable[PackageRecord], lacking: Mapping[str, str]) -> Iterator[Finding]:
-    """Yield what the index was asked for in vain: one finding for each reason.
+    """Yield one finding for each reason for which the index gave no hash.
 
     Args:
         unknown: the packages of whose files no hash is known.
@@ -122,12 +125,6 @@ def findings_of_hashes(unknown: Iterable[PackageRecord], lacking: Mapping[str, s
     for why, those in sorted(names.items()):
         fix = "Pack again where pip can get it as a wheel; until then no hash is demanded when it is replicated."
         yield Finding.warning("environment", f"no hash of {', '.join(those)}: {why}", fix)
-
-
-def _elsewhere(asking: _Asking, pins: Mapping[str, str]) -> Iterator[tuple[str, _File]]:
-    for platforms in PLATFORMS.values():
-        found = asking.files(list(pins.values()), platforms) if pins else {}
-        yield from ((name, file) for name, file in found.items() if name in pins and not file.fault)
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +141,7 @@ class _File:
     fault: str
 
     @classmethod
-    def told(cls, download: Mapping[str, Any]) -> _File:
+    def of_download(cls, download: Mapping[str, Any]) -> _File:
         """Return the file of an entry in pip's report (PEP 610)."""
         url = urlsplit(str(download.get("url", "")))
         sha256 = str(download.get("archive_info", {}).get("hashes", {}).get("sha256", ""))
@@ -152,70 +149,74 @@ class _File:
         return cls(sha256, url.path.endswith("-any.whl"), fault)
 
 
-class _Asking:
-    """Questions to pip, one after the other, until a moment of the monotonic clock.
+class _Pip:
+    """Dry runs of pip, one after the other, until a deadline that holds for all of them.
 
     Attributes:
         gave_up: why the last question was not asked to its end; empty where it was.
         hides_folders: whether pip is kept from what its settings name beside the index: `find-links`, more indexes.
     """
 
-    def __init__(self, folder: Path, python: str, ends_at: float) -> None:
+    def __init__(self, folder: Path, python: str, deadline_s: float) -> None:
         self._folder = folder
         self._python = ["--python-version", python] if re.fullmatch(r"\d+(\.\d+){1,2}", python) else []
-        self._began, self._ends_at = time.monotonic(), ends_at
+        self._deadline_s, self._ends_at = deadline_s, time.monotonic() + deadline_s
         self.gave_up = ""
         self.hides_folders = False
 
-    def files(self, pins: list[str], platforms: Iterable[str] = ()) -> dict[str, _File]:
+    def files(self, pins: Iterable[str], platforms: Iterable[str] = ()) -> dict[str, _File]:
         """Return the files of the packages that pip finds, by their canonical names.
 
-        Pip answers for all packages or for none: a group with one that is not found is halved.
+        Pip answers for all packages or for none. Where it fails, it is asked again without the package that it names,
+        or, where it names none, for each half.
         """
         self.gave_up = ""
         found: dict[str, _File] = {}
-        pending, misses = [pins] if pins else [], 0
+        pending, misses = [list(pins)], 0
         while pending and not self.gave_up:
-            group = pending.pop()
-            answer = self._answer(group, platforms)
-            if answer is not None:
-                found |= answer
-            elif len(group) > 1:
+            if not (group := pending.pop()):
+                continue
+            report, complaint = self._dry_run(group, platforms)
+            culprits = set(group) & set(re.split(r"[\s,;:]+", complaint))
+            if report is not None:
+                found |= report
+            elif len(group) == 1 or len(culprits) == 1:
+                pending.append([pin for pin in group if culprits and pin not in culprits])
+                misses += 1
+            else:
                 half = len(group) // 2
                 pending += [group[half:], group[:half]]
-            else:
-                misses += 1
-                if misses == _MOST_MISSES and not found:
-                    self.gave_up = _NOBODY
+            if misses == _MOST_MISSES and not found:
+                self.gave_up = self.gave_up or _NO_INDEX
         return found
 
-    def _answer(self, pins: list[str], platforms: Iterable[str]) -> dict[str, _File] | None:
-        """Return what pip would install; None where it does not find all of it."""
+    def _dry_run(self, pins: list[str], platforms: Iterable[str]) -> tuple[dict[str, _File] | None, str]:
+        """Return what pip would install, or None and its complaint where it cannot get all of it."""
         wanted, report = self._folder / "requirements.txt", self._folder / "report.json"
         wanted.write_text("".join(f"{pin}\n" for pin in pins), encoding="utf-8")
         report.unlink(missing_ok=True)
-        words = [*self._words(platforms), "--report", str(report), "-r", str(wanted)]
-        left_s = self._ends_at - time.monotonic()
         try:
             finished = subprocess.run(  # noqa: S603 - words of our own, and pinned names that a manifest recorded
-                words,
+                [*self._words(platforms), "--report", str(report), "-r", str(wanted)],
                 stdin=subprocess.DEVNULL,
                 capture_output=True,
+                encoding="utf-8",
+                errors="replace",
                 env=self._variables(),
-                timeout=max(0.0, left_s),
+                timeout=max(0.0, self._ends_at - time.monotonic()),
                 check=False,
             )
         except subprocess.TimeoutExpired:
-            self.gave_up = f"there was no answer within {self._ends_at - self._began:.0f} s"
-            return None
+            self.gave_up = f"there was no answer within {self._deadline_s:.0f} s"
+            return None, ""
         if finished.returncode or not report.exists():
-            return None
-        told = json.loads(report.read_text(encoding="utf-8")).get("install", ())
-        return {canonical(each["metadata"]["name"]): _File.told(each["download_info"]) for each in told}
+            return None, finished.stderr
+        entries = json.loads(report.read_text(encoding="utf-8")).get("install", ())
+        return {canonical(each["metadata"]["name"]): _File.of_download(each["download_info"]) for each in entries}, ""
 
     def _words(self, platforms: Iterable[str]) -> list[str]:
         pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-input", "--disable-pip-version-check"]
-        quick = ["--retries", "0", "--timeout", f"{_CONNECTION_S:.0f}"]
+        quick = ["--retries", "0", "--timeout", str(_CONNECTION_S)]
         # A wheel tells what it is; a source package would have to be built, which executes it.
         only = ["--dry-run", "--ignore-installed", "--no-deps", "--only-binary", ":all:"]
         target = ["--target", str(self._folder / "nothing")]  # pip asks for it beside a platform; a dry run writes none

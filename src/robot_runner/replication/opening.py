@@ -3,56 +3,56 @@
 from __future__ import annotations
 
 import os
+import shutil
 import stat
 import struct
 import zipfile
 import zlib
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, PackageError
 from robot_runner.core.storage.safe_write import storage_error
-from robot_runner.replication.contents import DESCRIPTION, fault_of_name
+from robot_runner.replication.contents import DESCRIPTION, SUMS, fault_of_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
-__all__ = ["OpenPackage", "open_package"]
+    from robot_runner.replication.sealing import Progress
+
+__all__ = ["OpenPackage", "open_package", "unpack"]
 
 _BLOCK = 1 << 20
 #: Deflate cannot do better than about 1000 to 1, and data that was measured never comes near this.
 _MOST_TIMES_SMALLER = 200
 _SMALL = 64 << 20
+#: What stays free on a disk to which a package is unpacked.
+_SPARE = 64 << 20
 #: A local file header, without the name (APPNOTE.TXT, 4.3.7): flags, method, time and date are its third to sixth part.
 _LOCAL = struct.Struct("<4s5H3I2H")
-_HEADER = _LOCAL.size
+_LINK, _NOT_REGULAR = "the file is a symbolic link", "the file is not a regular one"
 _GET_IT_AGAIN = "Get it again from where it came from."
 
 
-class OpenPackage(Protocol):
-    """The files of a package."""
+@dataclass(frozen=True, slots=True)
+class OpenPackage:
+    """The files of a package.
 
-    @property
-    def where(self) -> Path:
-        """The file or folder that it is."""
+    Attributes:
+        where: the zip file or folder.
+        sizes: the size of each file in bytes, by its name.
+        faults: what no package may have, each an error finding.
+        blocks: yields a file block by block; raises PackageError where it is damaged, StorageError where it cannot be
+            read.
+    """
 
-    @property
-    def sizes(self) -> Mapping[str, int]:
-        """The size of each file in bytes, by its name."""
-
-    @property
-    def faults(self) -> tuple[Finding, ...]:
-        """What must not be, each an error finding."""
-
-    def blocks(self, name: str) -> Iterator[bytes]:
-        """Yield a file block by block.
-
-        Raises:
-            PackageError: it is damaged.
-            StorageError: it cannot be read.
-        """
+    where: Path
+    sizes: Mapping[str, int]
+    faults: tuple[Finding, ...]
+    blocks: Callable[[str], Iterator[bytes]]
 
 
 @contextmanager
@@ -64,96 +64,132 @@ def open_package(path: Path) -> Iterator[OpenPackage]:
         StorageError: it cannot be read.
     """
     if path.is_dir():
-        yield _Unpacked.at(path)
+        yield _unpacked(path)
         return
     if not path.exists():
-        raise PackageError("there is no such file or folder", where=str(path), fix="Mend the path.")
+        raise PackageError("there is no such file or folder", where=str(path), fix="Correct the path.")
     try:
         archive = zipfile.ZipFile(path)
     except zipfile.BadZipFile as error:
-        problem = f"it is no zip file, or its end is missing: {error}"
+        problem = f"the file is no zip file, or its end is missing: {error}"
         raise PackageError(problem, where=str(path), fix=_GET_IT_AGAIN) from error
     except (OSError, NotImplementedError) as error:
-        raise storage_error(path, "read", _as_os_error(error)) from error
+        raise storage_error(path, "read", error if isinstance(error, OSError) else OSError(str(error))) from error
     with archive:
-        yield _Zipped.of(path, archive)
+        yield _zipped(path, archive)
 
 
-def _as_os_error(error: Exception) -> OSError:
-    return error if isinstance(error, OSError) else OSError(str(error))
+def unpack(package: OpenPackage, target: Path, progress: Progress = lambda _, __: None) -> None:
+    """Write the files of a package below `target`, which is made; one that was unpacked there before is left as it is.
 
+    Args:
+        package: opened, and found to be intact.
+        target: the folder. What is half unpacked stands beside it under another name.
+        progress: is told how many bytes are written, of how many.
 
-@dataclass(frozen=True, slots=True)
-class _Unpacked:
-    where: Path
-    sizes: Mapping[str, int]
-    faults: tuple[Finding, ...]
-
-    @classmethod
-    def at(cls, root: Path) -> _Unpacked:
-        sizes: dict[str, int] = {}
-        faults: list[Finding] = []
+    Raises:
+        PackageError: another package is there, or there is no room.
+        StorageError: it cannot be written.
+    """
+    if target.exists():
+        _refuse_other(package, target)
+        return
+    beside = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _refuse_without_room(package, target.parent)
+        beside.mkdir()
         try:
-            for path in sorted(_entries(root)):
-                name = path.relative_to(root).as_posix()
-                status = path.lstat()
-                if stat.S_ISREG(status.st_mode):
-                    sizes[name] = status.st_size
-                elif not stat.S_ISDIR(status.st_mode):
-                    what = "it is a symbolic link" if stat.S_ISLNK(status.st_mode) else "it is no regular file"
-                    faults.append(_fault(root, name, what))
-        except OSError as error:
-            raise storage_error(root, "read", error) from error
-        return cls(root, sizes, tuple(faults))
-
-    def blocks(self, name: str) -> Iterator[bytes]:
-        try:
-            with (self.where / name).open("rb") as file:
-                while block := file.read(_BLOCK):
-                    yield block
-        except OSError as error:
-            raise storage_error(self.where / name, "read", error) from error
+            _write(package, beside, progress)
+            beside.rename(target)
+        finally:
+            shutil.rmtree(beside, ignore_errors=True)
+    except OSError as error:
+        raise storage_error(target, "written", error) from error
 
 
-def _entries(root: Path) -> Iterator[Path]:
-    for folder, folders, names in os.walk(root):
-        yield from (Path(folder) / name for name in (*folders, *names))
+def _write(package: OpenPackage, folder: Path, progress: Progress) -> None:
+    total, done = sum(package.sizes.values()), 0
+    for name in package.sizes:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("xb") as file:
+            for block in package.blocks(name):
+                file.write(block)
+                done += len(block)
+                progress(done, total)
 
 
-@dataclass(frozen=True, slots=True)
-class _Zipped:
-    where: Path
-    sizes: Mapping[str, int]
-    faults: tuple[Finding, ...]
-    archive: zipfile.ZipFile
+def _refuse_other(package: OpenPackage, target: Path) -> None:
+    """Both have the checksums of all their files: the same checksums, the same package."""
+    sums = target / SUMS
+    try:
+        is_same = sums.is_file() and sums.read_bytes() == b"".join(package.blocks(SUMS))
+    except OSError as error:
+        raise storage_error(sums, "read", error) from error
+    if not is_same:
+        fix = "Name another folder with --to."
+        raise PackageError("another package is unpacked here", where=str(target), fix=fix)
 
-    @classmethod
-    def of(cls, path: Path, archive: zipfile.ZipFile) -> _Zipped:
-        entries = archive.infolist()
-        if min((entry.header_offset for entry in entries), default=0) > 0:
-            # Where the end is cut off, the directory that is found last may be that of a wheel in the package.
-            problem = "its end is missing, or something stands before its beginning"
-            raise PackageError(problem, where=str(path), fix=_GET_IT_AGAIN)
-        sizes = {entry.filename: entry.file_size for entry in entries if not entry.is_dir()}
-        if DESCRIPTION not in sizes:
-            problem = f"it has no {DESCRIPTION}: it was not made by `robot-runner pack`"
-            raise PackageError(problem, where=str(path), fix="Name a package.")
-        faults = [*_entry_faults(path, entries), *_layout_faults(path, entries), *_header_faults(path, entries)]
-        return cls(path, sizes, tuple(faults), archive)
 
-    def blocks(self, name: str) -> Iterator[bytes]:
-        left = self.sizes[name]
-        try:
-            with self.archive.open(name) as file:
-                while block := file.read(_BLOCK):
-                    left -= len(block)
-                    if left < 0:
-                        raise _damaged(self.where, name, "it is larger than it says")
-                    yield block
-        except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
-            raise _damaged(self.where, name, str(error)) from error
-        except OSError as error:
-            raise storage_error(self.where, "read", error) from error
+def _refuse_without_room(package: OpenPackage, folder: Path) -> None:
+    needed, free = sum(package.sizes.values()), shutil.disk_usage(folder).free
+    if needed + _SPARE > free:
+        problem = f"the package would take {needed:,} bytes, and {free:,} are free"
+        raise PackageError(problem, where=str(folder), fix="Make room, or name a folder on another disk with --to.")
+
+
+def _unpacked(root: Path) -> OpenPackage:
+    sizes: dict[str, int] = {}
+    faults: list[Finding] = []
+    try:
+        for path in sorted(Path(top, name) for top, folders, files in os.walk(root) for name in (*folders, *files)):
+            name, status = path.relative_to(root).as_posix(), path.lstat()
+            if stat.S_ISREG(status.st_mode):
+                sizes[name] = status.st_size
+            elif not stat.S_ISDIR(status.st_mode):
+                faults.append(_fault(root, name, _LINK if stat.S_ISLNK(status.st_mode) else _NOT_REGULAR))
+    except OSError as error:
+        raise storage_error(root, "read", error) from error
+    return OpenPackage(root, sizes, tuple(faults), partial(_blocks_of_file, root))
+
+
+def _blocks_of_file(root: Path, name: str) -> Iterator[bytes]:
+    try:
+        with (root / name).open("rb") as file:
+            while block := file.read(_BLOCK):
+                yield block
+    except OSError as error:
+        raise storage_error(root / name, "read", error) from error
+
+
+def _zipped(path: Path, archive: zipfile.ZipFile) -> OpenPackage:
+    entries = archive.infolist()
+    if min((entry.header_offset for entry in entries), default=0) > 0:
+        # Where the end is cut off, the directory that is found last may be that of a wheel in the package.
+        problem = "the zip file's end is missing, or something stands before its beginning"
+        raise PackageError(problem, where=str(path), fix=_GET_IT_AGAIN)
+    sizes = {entry.filename: entry.file_size for entry in entries if not entry.is_dir()}
+    if DESCRIPTION not in sizes:
+        problem = f"the zip file has no {DESCRIPTION}: it was not made by `robot-runner pack`"
+        raise PackageError(problem, where=str(path), fix="Name a package.")
+    faults = [*_entry_faults(path, entries), *_layout_faults(path, entries), *_header_faults(path, entries)]
+    return OpenPackage(path, sizes, tuple(faults), partial(_blocks_of_entry, path, archive))
+
+
+def _blocks_of_entry(path: Path, archive: zipfile.ZipFile, name: str) -> Iterator[bytes]:
+    left = archive.getinfo(name).file_size
+    try:
+        with archive.open(name) as file:
+            while block := file.read(_BLOCK):
+                left -= len(block)
+                if left < 0:
+                    raise _damaged(path, name, "it is larger than it says")
+                yield block
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
+        raise _damaged(path, name, str(error)) from error
+    except OSError as error:
+        raise storage_error(path, "read", error) from error
 
 
 def _entry_faults(path: Path, entries: list[zipfile.ZipInfo]) -> Iterator[Finding]:
@@ -164,15 +200,15 @@ def _entry_faults(path: Path, entries: list[zipfile.ZipInfo]) -> Iterator[Findin
         if fault:
             yield _fault(path, entry.orig_filename, fault)
         if stat.S_ISLNK(kind):
-            yield _fault(path, name, "it is a symbolic link")
+            yield _fault(path, name, _LINK)
         elif stat.S_IFMT(kind) not in {0, stat.S_IFREG, stat.S_IFDIR}:
-            yield _fault(path, name, "it is no regular file")
+            yield _fault(path, name, _NOT_REGULAR)
         if entry.flag_bits & 1:
-            yield _fault(path, name, "it is encrypted")
+            yield _fault(path, name, "the file is encrypted")
         if entry.compress_type not in {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
-            yield _fault(path, name, f"it is compressed in a way (number {entry.compress_type}) that no package is")
+            yield _fault(path, name, f"the file is compressed by method {entry.compress_type}, which no package is")
         if entry.file_size > _SMALL and entry.file_size > _MOST_TIMES_SMALLER * max(1, entry.compress_size):
-            problem = f"it would unpack to {entry.file_size:,} bytes out of {entry.compress_size:,}: a zip bomb"
+            problem = f"the file would unpack to {entry.file_size:,} bytes out of {entry.compress_size:,}: a zip bomb"
             yield _fault(path, name, problem)
 
 
@@ -181,16 +217,18 @@ def _header_faults(path: Path, entries: list[zipfile.ZipInfo]) -> Iterator[Findi
     with path.open("rb") as file:
         for entry in entries:
             file.seek(entry.header_offset)
-            header = file.read(_HEADER)
-            if len(header) < _HEADER:
-                yield _fault(path, entry.filename, "its header is cut off")
+            header = file.read(_LOCAL.size)
+            if len(header) < _LOCAL.size:
+                yield _fault(path, entry.filename, "the file's header is cut off")
                 continue
             magic, _, flags, method, time, date, *_ = _LOCAL.unpack(header)
             day = ((date >> 9) + 1980, date >> 5 & 0xF, date & 0x1F)
             stamp = (*day, time >> 11, time >> 5 & 0x3F, (time & 0x1F) * 2)
             wanted = (b"PK\x03\x04", entry.flag_bits, entry.compress_type, entry.date_time)
             if (magic, flags, method, stamp) != wanted:
-                yield _fault(path, entry.filename, "its header is damaged: the directory of the zip file differs")
+                yield _fault(
+                    path, entry.filename, "the file's header is damaged: the directory of the zip file differs"
+                )
 
 
 def _layout_faults(path: Path, entries: list[zipfile.ZipInfo]) -> Iterator[Finding]:
@@ -206,16 +244,16 @@ def _layout_faults(path: Path, entries: list[zipfile.ZipInfo]) -> Iterator[Findi
         folders.update("/".join(parts[:place]) for place in range(1, len(parts)))
     files = {entry.filename for entry in entries if not entry.is_dir()}
     for name in sorted(files & folders):
-        yield _fault(path, name, "it is a file and a folder at once")
+        yield _fault(path, name, "the name is that of a file and a folder at once")
     end = 0
     for entry in sorted(entries, key=lambda each: each.header_offset):
         if entry.header_offset < end:
-            yield _fault(path, entry.filename, "it shares bytes with another file: a zip bomb")
-        end = max(end, entry.header_offset + _HEADER + len(entry.orig_filename) + entry.compress_size)
+            yield _fault(path, entry.filename, "the file shares bytes with another one: a zip bomb")
+        end = max(end, entry.header_offset + _LOCAL.size + len(entry.orig_filename) + entry.compress_size)
     packed = path.stat().st_size
     unpacked = sum(entry.file_size for entry in entries)
     if unpacked > _SMALL and unpacked > _MOST_TIMES_SMALLER * packed:
-        yield _fault(path, path.name, f"it would unpack to {unpacked:,} bytes out of {packed:,}: a zip bomb")
+        yield _fault(path, path.name, f"the package would unpack to {unpacked:,} bytes out of {packed:,}: a zip bomb")
 
 
 def _fault(path: Path, name: str, problem: str) -> Finding:
@@ -223,4 +261,4 @@ def _fault(path: Path, name: str, problem: str) -> Finding:
 
 
 def _damaged(path: Path, name: str, problem: str) -> PackageError:
-    return PackageError(f"it is damaged: {problem}", where=f"{path}, {name}", fix=_GET_IT_AGAIN)
+    return PackageError(f"the file is damaged: {problem}", where=f"{path}, {name}", fix=_GET_IT_AGAIN)

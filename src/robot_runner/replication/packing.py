@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import zipfile
 from dataclasses import dataclass, field
-from fnmatch import fnmatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,48 +18,20 @@ from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.replication.about import About
-from robot_runner.replication.contents import ALL, DESCRIPTION, LeftOut, choose_contents
+from robot_runner.replication.contents import DESCRIPTION, LeftOut, choose_contents
 from robot_runner.replication.crate import require_rocrate
 from robot_runner.replication.environment import record_environment
 from robot_runner.replication.index_hashes import findings_of_hashes, with_index_hashes
 from robot_runner.replication.plain_zip import written_beside
 from robot_runner.replication.redaction import SECRET_NAME, Redactor, secrets_in_code
-from robot_runner.replication.sealing import PackingPlan, Progress, Replaced, Sealing
+from robot_runner.replication.sealing import Packing, PackingPlan, Progress, Replaced, Sealing
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from robot_runner.core.config.experiment import Author
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
 __all__ = ["Packed", "Packing", "file_sha256", "pack"]
-
-_BLOCK = 1 << 20
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Packing:
-    """What is asked of a package.
-
-    Attributes:
-        raw: whose raw data to take: `all`, `none`, or names of plugins.
-        keep: patterns of names of files to pack as they are, though something in them looks secret.
-        authors, licence, citation: take the place of what the config said.
-        with_wheels: whether packages that only this machine has go in as wheels.
-        with_hashes: whether the package index that pip is set up for is asked for the hashes of its files.
-
-    Example:
-        >>> Packing(raw=("Ina219",)).licence is None
-        True
-    """
-
-    raw: tuple[str, ...] = (ALL,)
-    keep: tuple[str, ...] = ()
-    authors: tuple[Author, ...] = ()
-    licence: str | None = None
-    citation: str | None = None
-    with_wheels: bool = True
-    with_hashes: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +45,7 @@ class Packed:
         replaced: which secrets were replaced in which files.
         wheels: distributions that went in as wheels.
         package_count: how many Python packages the experiment needs.
-        without_hash: those of whose files no hash is known; pip can demand hashes where there are none such.
+        without_hash: those of whose files no hash is known; pip demands hashes only where this is empty.
         findings: what others will miss.
     """
 
@@ -116,21 +87,20 @@ def pack(folder: Path, target: Path, packing: Packing | None = None, progress: P
     if asked.with_hashes:
         environment, lacking = with_index_hashes(environment)
     plan = PackingPlan(
-        about=about,
-        manifest=manifest,
+        asked,
+        about,
+        manifest,
         columns=read_schema(files.schema),
         contents=choose_contents(files, run_ids, asked.raw),
-        raw=asked.raw,
         environment=environment,
         redactor=Redactor.knowing(_known_secrets(files, manifest), home=Path.home()),
-        keep=lambda name: any(fnmatch(name, pattern) for pattern in asked.keep),
         failed=rows.count(RunStatus.FAILED),
-        with_wheels=asked.with_wheels,
     )
     with written_beside(target) as archive:
         sealing = Sealing(plan, archive, progress)
         sealing.write()
     unknown = environment.without_hash(sealing.wheels)
+    about_hashes = findings_of_hashes(unknown, lacking) if asked.with_hashes else ()
     return Packed(
         target,
         target.stat().st_size,
@@ -141,12 +111,7 @@ def pack(folder: Path, target: Path, packing: Packing | None = None, progress: P
         tuple(sorted(sealing.wheels)),
         len(environment.needed),
         tuple(each.name for each in unknown),
-        (
-            *about.findings(),
-            *environment.findings,
-            *(findings_of_hashes(unknown, lacking) if asked.with_hashes else ()),
-            *_findings(files, rows),
-        ),
+        (*about.findings(), *environment.findings, *about_hashes, *_findings(files, rows)),
     )
 
 
@@ -156,27 +121,24 @@ def file_sha256(path: Path) -> str:
     Raises:
         StorageError: it cannot be read.
     """
-    digest = hashlib.sha256()
     try:
         with path.open("rb") as file:
-            while block := file.read(_BLOCK):
-                digest.update(block)
+            return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise storage_error(path, "read", error) from error
-    return digest.hexdigest()
 
 
 def _refuse(files: ExperimentFolder, target: Path) -> None:
     holder = holder_of(files.lock)
     if holder is not None:
-        problem = f"it is being executed by process {holder.pid} on {holder.host}"
-        raise PackageError(problem, where=str(files.root), fix="Wait until it has ended, then pack it.")
+        problem = f"the experiment is being executed by process {holder.pid} on {holder.host}"
+        raise PackageError(problem, where=str(files.root), fix="Pack it once it has ended.")
     if files.root in target.resolve().parents:
         fix = "Name a file outside the experiment's folder."
         raise PackageError("a package cannot be part of what it holds", where=str(target), fix=fix)
     if target.exists() and not _is_package(target):
         fix = "Name another file, or remove that one."
-        raise PackageError("there is a file of this name, and it is no package", where=str(target), fix=fix)
+        raise PackageError("a file of this name exists, and is not a package", where=str(target), fix=fix)
 
 
 def _is_package(path: Path) -> bool:
@@ -195,7 +157,7 @@ def _rows(files: ExperimentFolder) -> RunTableRows:
 
 
 def _known_secrets(files: ExperimentFolder, manifest: Mapping[str, Any]) -> set[str]:
-    """Return the texts that the configs and what was set by hand give away as secrets, to find them elsewhere too."""
+    """Return the secrets that stand in the configs and in what was set by hand, to find them elsewhere, too."""
     found: set[str] = set()
     for folder in (files.config, files.earlier_configs):
         for path in sorted(folder.rglob("*.py")):

@@ -6,39 +6,31 @@ import hashlib
 import os
 import zipfile
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from robot_runner.core.storage.safe_write import fsync_folder, storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
+    from typing import BinaryIO
 
-__all__ = ["STAMP", "PlainZip", "StoredFile", "written_beside"]
+__all__ = ["PlainZip", "StoredFile", "written_beside"]
 
 #: The time of every file in a package: the earliest that a zip file can say.
-STAMP = (1980, 1, 1, 0, 0, 0)
-
+_STAMP = (1980, 1, 1, 0, 0, 0)
 _LEVEL = 6
 _LARGE = 1 << 30
-_PACKED = (".bz2", ".gz", ".npz", ".parquet", ".pdf", ".png", ".whl", ".woff2", ".xz", ".zip", ".zst")
+#: Compressed already.
+_COMPRESSED = (".bz2", ".gz", ".npz", ".parquet", ".pdf", ".png", ".whl", ".woff2", ".xz", ".zip", ".zst")
 
 
-class StoredFile:
-    """What was written under one name.
+class StoredFile(NamedTuple):
+    """What was written under one name: its size in bytes, uncompressed, and its SHA-256 in hexadecimal digits."""
 
-    Attributes:
-        name: in the zip file.
-        size: in bytes, uncompressed.
-        sha256: of the bytes, in hexadecimal digits.
-    """
-
-    __slots__ = ("name", "sha256", "size")
-
-    def __init__(self, name: str, size: int, sha256: str) -> None:
-        self.name = name
-        self.size = size
-        self.sha256 = sha256
+    name: str
+    size: int
+    sha256: str
 
 
 class PlainZip:
@@ -48,8 +40,8 @@ class PlainZip:
         stored: what was written so far, by name.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._archive = zipfile.ZipFile(path, "x", allowZip64=True)
+    def __init__(self, target: Path | BinaryIO) -> None:
+        self._archive = zipfile.ZipFile(target, "x", allowZip64=True)
         self.stored: dict[str, StoredFile] = {}
 
     def add(self, name: str, blocks: Iterable[bytes], *, size: int = 0) -> StoredFile:
@@ -63,12 +55,10 @@ class PlainZip:
         Raises:
             OSError: it cannot be read or written.
         """
-        entry = zipfile.ZipInfo(name, STAMP)
-        is_packed = name.casefold().endswith(_PACKED)
-        entry.compress_type = zipfile.ZIP_STORED if is_packed else zipfile.ZIP_DEFLATED
+        entry = _entry(name, 0o100644)
+        is_compressed = name.casefold().endswith(_COMPRESSED)
+        entry.compress_type = zipfile.ZIP_STORED if is_compressed else zipfile.ZIP_DEFLATED
         entry._compresslevel = _LEVEL  # type: ignore[attr-defined] # noqa: SLF001 - public from Python 3.13 only
-        entry.create_system = 3
-        entry.external_attr = 0o100644 << 16
         digest, written = hashlib.sha256(), 0
         with self._archive.open(entry, "w", force_zip64=size > _LARGE) as file:
             for block in blocks:
@@ -85,14 +75,20 @@ class PlainZip:
             OSError: it cannot be written.
         """
         for name in sorted({f"{name.partition('/')[0]}/" for name in self.stored if "/" in name}):
-            entry = zipfile.ZipInfo(name, STAMP)
-            entry.create_system = 3
-            entry.external_attr = (0o40755 << 16) | 0x10  # the second part is how MS-DOS marks a folder
+            entry = _entry(name, 0o40755)
+            entry.external_attr |= 0x10  # how MS-DOS marks a folder
             self._archive.writestr(entry, b"")
 
     def close(self) -> None:
         """Write the directory of the zip file, and close it."""
         self._archive.close()
+
+
+def _entry(name: str, mode: int) -> zipfile.ZipInfo:
+    entry = zipfile.ZipInfo(name, _STAMP)
+    entry.create_system = 3  # Unix, wherever the package is made
+    entry.external_attr = mode << 16
+    return entry
 
 
 @contextmanager

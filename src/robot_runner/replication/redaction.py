@@ -13,26 +13,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
-__all__ = [
-    "HOME_PATH",
-    "REDACTED",
-    "SECRET_NAME",
-    "Redactor",
-    "SecretPattern",
-    "forbidden_name",
-    "is_binary",
-    "literal_pattern",
-    "patterns",
-    "secrets_in_code",
-]
-
-
-# What must not leave the house: home paths, passwords, tokens, keys.
+__all__ = ["REDACTED", "SECRET_NAME", "Redactor", "forbidden_name", "is_binary", "secrets_in_code"]
 
 #: What stands in a secret's place.
 REDACTED = "REDACTED"
 
-HOME_PATH = "home path"
+_HOME_PATH = "home path"
 
 #: A name under which a secret is kept, in a config, a command or a settings file.
 SECRET_NAME = re.compile(
@@ -51,13 +37,13 @@ _FORBIDDEN = re.compile(
 
 
 @dataclass(frozen=True, slots=True)
-class SecretPattern:
+class _Pattern:
     """One kind of secret.
 
     Attributes:
         what: the secret in words.
-        hints: it can only be where one of these is, in lower case; only there is it looked for, as that is quick.
-        expression: finds it.
+        hints: texts in lower case of which the secret holds one. Looking for them is much quicker than the expression.
+        expression: finds the secret.
         replacement: what stands in its place; groups may be kept.
         loose: whether it also takes what merely looks like a setting, as in a log; not for files with a grammar.
     """
@@ -70,7 +56,7 @@ class SecretPattern:
 
 
 @cache
-def patterns() -> tuple[SecretPattern, ...]:
+def _patterns() -> tuple[_Pattern, ...]:
     """Return the kinds of secrets, wherever they are; home paths come last, so that a secret in a path goes whole."""
     return (
         _pattern("private key", rb"(-----BEGIN [A-Z0-9 ]*PRIVATE KEY-----).*?(-----END [A-Z0-9 ]*PRIVATE KEY-----)",
@@ -93,19 +79,19 @@ def patterns() -> tuple[SecretPattern, ...]:
         _pattern("password", rb"(?i)(\b\w*" + _WORD + rb"\w*\s*=\s*)([\"'])(?:\\.|(?!\2)[^\\\n])+\2",
                  rb"\1\2" + _MARK + rb"\2", *_WORD_HINTS),
         _pattern("password", rb"(?i)(--?" + _WORD + rb"(?:=|\s+))(?!-)[^\s\"'\\,]+", rb"\1" + _MARK, *_WORD_HINTS),
-        SecretPattern("password", _WORD_HINTS, re.compile(
+        _Pattern("password", _WORD_HINTS, re.compile(
             rb"(?i)(\b[\w.-]*" + _WORD + rb"(?:[_-]\w+)?\s*[:=]\s*)(?:\"[^\"\n]+\"|'[^'\n]+'|[^\s\"',;]+)"),
             rb"\1" + _MARK, loose=True),
-        _pattern(HOME_PATH, rb"(?<![\w.~-])/(?:home|Users)/[A-Za-z0-9_][A-Za-z0-9._-]*(?=$|[^A-Za-z0-9._-])", b"~",
+        _pattern(_HOME_PATH, rb"(?<![\w.~-])/(?:home|Users)/[A-Za-z0-9_][A-Za-z0-9._-]*(?=$|[^A-Za-z0-9._-])", b"~",
                  b"/home/", b"/users/"),
-        _pattern(HOME_PATH, rb"(?<![\w./~-])/root(?=$|[/\s\"'\\,:;)\]}<])", b"~", b"/root"),
+        _pattern(_HOME_PATH, rb"(?<![\w./~-])/root(?=$|[/\s\"'\\,:;)\]}<])", b"~", b"/root"),
     )  # fmt: skip
 
 
-def literal_pattern(what: str, text: str, replacement: str) -> SecretPattern:
+def _literal(what: str, text: str, replacement: str) -> _Pattern:
     """Return what finds this very text."""
     raw = text.encode("utf-8", "surrogateescape")
-    return SecretPattern(what, (raw.lower(),), re.compile(re.escape(raw)), replacement.encode())
+    return _Pattern(what, (raw.lower(),), re.compile(re.escape(raw)), replacement.encode())
 
 
 def forbidden_name(name: str) -> bool:
@@ -113,35 +99,16 @@ def forbidden_name(name: str) -> bool:
     return _FORBIDDEN.fullmatch(name) is not None
 
 
-def _pattern(what: str, expression: bytes, replacement: bytes, *hints: bytes) -> SecretPattern:
-    return SecretPattern(what, tuple(_distinct(hints)), re.compile(expression, re.DOTALL), replacement)
-
-
-def _distinct(hints: Iterable[bytes]) -> Iterable[bytes]:
-    return dict.fromkeys(hint.lower() for hint in hints)
+def _pattern(what: str, expression: bytes, replacement: bytes, *hints: bytes) -> _Pattern:
+    return _Pattern(what, tuple(hint.lower() for hint in hints), re.compile(expression, re.DOTALL), replacement)
 
 
 _BLOCK = 1 << 20
 _LONGEST = 4 << 20  # a longer line is cut: what stands across the cut may be missed
 _SHORTEST_SECRET = 5
 _SNIFFED = 8192
-_PACKED = frozenset(
-    {
-        ".bag",
-        ".bz2",
-        ".db3",
-        ".gz",
-        ".mcap",
-        ".npz",
-        ".parquet",
-        ".pdf",
-        ".png",
-        ".whl",
-        ".woff2",
-        ".xz",
-        ".zip",
-        ".zst",
-    }
+_BINARY = frozenset(
+    ".bag .bz2 .db3 .gz .mcap .npz .parquet .pdf .png .whl .woff2 .xz .zip .zst".split()  # noqa: SIM905 - sixteen lines otherwise
 )
 #: Files with a grammar, which a value without its quotes would break.
 _STRICT = frozenset({".csv", ".html", ".json", ".jsonl", ".py", ".svg"})
@@ -153,7 +120,7 @@ def is_binary(path: Path) -> bool:
     Raises:
         OSError: it cannot be read.
     """
-    if path.suffix.casefold() in _PACKED:
+    if path.suffix.casefold() in _BINARY:
         return True
     with path.open("rb") as file:
         return b"\0" in file.read(_SNIFFED)
@@ -174,21 +141,23 @@ def secrets_in_code(text: str) -> set[str]:
 
 
 def _secrets_of(node: ast.AST) -> Iterator[str]:
-    if isinstance(node, ast.Assign):
-        for target in node.targets:
-            yield from _if_secret(target, node.value)
-    elif isinstance(node, ast.AnnAssign | ast.NamedExpr) and node.value is not None:
-        yield from _if_secret(node.target, node.value)
-    elif isinstance(node, ast.keyword) and node.arg:
-        yield from _if_secret(ast.Name(node.arg), node.value)
-    elif isinstance(node, ast.Dict):
-        for key, value in zip(node.keys, node.values, strict=True):
-            yield from _if_secret(key, value)
-    elif isinstance(node, ast.arguments):
-        named = [*node.posonlyargs, *node.args]
-        pairs = zip(named[len(named) - len(node.defaults) :], node.defaults, strict=True)
-        for argument, default in [*pairs, *zip(node.kwonlyargs, node.kw_defaults, strict=True)]:
-            yield from _if_secret(ast.Name(argument.arg), default)
+    pairs: Iterable[tuple[ast.AST | None, ast.AST | None]] = ()
+    match node:
+        case ast.Assign(targets=targets, value=value):
+            pairs = [(target, value) for target in targets]
+        case ast.AnnAssign(target=target, value=value) | ast.NamedExpr(target=target, value=value):
+            pairs = [(target, value)]
+        case ast.keyword(arg=str(name), value=value):
+            pairs = [(ast.Name(name), value)]
+        case ast.Dict(keys=keys, values=values):
+            pairs = zip(keys, values, strict=True)
+        case ast.arguments():
+            positional = [*node.posonlyargs, *node.args]
+            with_default = [*positional[len(positional) - len(node.defaults) :], *node.kwonlyargs]
+            names = [ast.Name(argument.arg) for argument in with_default]
+            pairs = zip(names, [*node.defaults, *node.kw_defaults], strict=True)
+    for named, secret in pairs:
+        yield from _if_secret(named, secret)
 
 
 def _if_secret(target: ast.AST | None, value: ast.AST | None) -> Iterator[str]:
@@ -200,14 +169,11 @@ def _if_secret(target: ast.AST | None, value: ast.AST | None) -> Iterator[str]:
 
 
 def _name_of(target: ast.AST | None) -> str:
-    if isinstance(target, ast.Name):
-        return target.id
-    if isinstance(target, ast.Attribute):
-        return target.attr
-    if isinstance(target, ast.Subscript):
-        return _name_of(target.slice)
-    if isinstance(target, ast.Constant) and isinstance(target.value, str):
-        return target.value
+    match target:
+        case ast.Name(id=name) | ast.Attribute(attr=name) | ast.Constant(value=str(name)):
+            return name
+        case ast.Subscript(slice=key):
+            return _name_of(key)
     return ""
 
 
@@ -216,7 +182,7 @@ class Redactor:
     """Replaces secrets in files.
 
     Attributes:
-        patterns: what it looks for.
+        patterns: the secrets that are replaced.
 
     Example:
         >>> redactor = Redactor.knowing({"swordfish"}, home=None)
@@ -224,19 +190,19 @@ class Redactor:
         b'GET ~/map.pgm with REDACTED'
     """
 
-    patterns: tuple[SecretPattern, ...]
+    patterns: tuple[_Pattern, ...]
 
     @classmethod
     def knowing(cls, secrets: Iterable[str], *, home: Path | None) -> Redactor:
         """Return one that also replaces these very texts, and the home folder of whoever packs."""
-        known = [literal_pattern("password", text, REDACTED) for text in sorted(secrets, key=len, reverse=True)]
-        own = [literal_pattern(HOME_PATH, str(home), "~")] if home and len(home.parts) > 2 else []  # noqa: PLR2004
-        return cls((*known, *own, *patterns()))
+        known = [_literal("password", text, REDACTED) for text in sorted(secrets, key=len, reverse=True)]
+        own = [_literal(_HOME_PATH, str(home), "~")] if home and len(home.parts) > 2 else []  # noqa: PLR2004
+        return cls((*known, *own, *_patterns()))
 
     @property
     def own(self) -> Redactor:
-        """One that looks for what this experiment or machine gives away: code is full of what only looks secret."""
-        general = set(patterns())
+        """A redactor of this experiment's secrets, this home and private keys only: code is full of false alarms."""
+        general = set(_patterns())
         return Redactor(tuple(each for each in self.patterns if each not in general or each.what == "private key"))
 
     def blocks(self, path: Path, found: Counter[str]) -> Iterator[bytes]:
@@ -244,7 +210,7 @@ class Redactor:
 
         Args:
             path: the file.
-            found: is told how many secrets of each kind were replaced.
+            found: counts the secrets of each kind that were replaced.
 
         Raises:
             OSError: it cannot be read.
@@ -260,7 +226,7 @@ class Redactor:
         Raises:
             OSError: it cannot be read.
         """
-        found: Counter[str] = Counter()
+        found = Counter[str]()
         with path.open("rb") as file:
             for block in _whole_lines(file):
                 self.redacted(block, found, loose=False)
@@ -278,8 +244,8 @@ class Redactor:
         return block
 
 
-def _replaced(pattern: SecretPattern, found: Counter[str], match: re.Match[bytes]) -> bytes:
-    """Return what takes a secret's place; what was replaced before is no other secret."""
+def _replaced(pattern: _Pattern, found: Counter[str], match: re.Match[bytes]) -> bytes:
+    """Return what takes a secret's place; a secret that an earlier pattern replaced is not counted again."""
     replacement = match.expand(pattern.replacement)
     if replacement != match[0]:
         found[pattern.what] += 1

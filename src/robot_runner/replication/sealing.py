@@ -1,41 +1,68 @@
-"""Sealing an experiment's folder as one file: read, cleaned of secrets, hashed and written as it comes."""
+"""Sealing an experiment's folder as one file: read, cleaned of secrets, hashed and written block by block."""
 
 from __future__ import annotations
 
+import io
 import json
-import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from fnmatch import fnmatch
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.core.storage.table_schema import data_package, table_resource
 from robot_runner.replication import contents
 from robot_runner.replication.about import containerfile, readme
-from robot_runner.replication.contents import Contents, LeftOut, PackedFile
+from robot_runner.replication.contents import ALL, Contents, LeftOut, PackedFile
 from robot_runner.replication.crate import crate_text
 from robot_runner.replication.distributions import canonical, wheel_name, wheel_of, write_wheel
 from robot_runner.replication.redaction import Redactor, is_binary
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
+    from robot_runner.core.config.experiment import Author
     from robot_runner.core.storage.table_schema import ColumnDescription
     from robot_runner.replication.about import About
     from robot_runner.replication.distributions import InstalledDistribution
     from robot_runner.replication.environment import RecordedEnvironment
     from robot_runner.replication.plain_zip import PlainZip
 
-__all__ = ["PackingPlan", "Progress", "Replaced", "Sealing"]
+__all__ = ["Packing", "PackingPlan", "Progress", "Replaced", "Sealing"]
 
-#: Is told how many bytes are packed, of how many in all.
+#: Called with the number of bytes that are done, and with that of all.
 Progress = Callable[[int, int], None]
 
 _BLOCK = 1 << 20
-_TABLE, _SCHEMA = "run_table.csv", "run_table.schema.json"
+_Found = TypeVar("_Found")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Packing:
+    """What is asked of a package.
+
+    Attributes:
+        raw: whose raw data to take: `all`, `none`, or names of plugins.
+        keep: patterns of names of files to pack as they are, though something in them looks secret.
+        authors, licence, citation: take the place of what the config said.
+        with_wheels: whether packages that only this machine has go in as wheels.
+        with_hashes: whether the package index that pip is set up for is asked for the hashes of its files.
+
+    Example:
+        >>> Packing(raw=("Ina219",)).licence is None
+        True
+    """
+
+    raw: tuple[str, ...] = (ALL,)
+    keep: tuple[str, ...] = ()
+    authors: tuple[Author, ...] = ()
+    licence: str | None = None
+    citation: str | None = None
+    with_wheels: bool = True
+    with_hashes: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,24 +79,20 @@ class PackingPlan:
     """Everything that is known before the first byte is packed.
 
     Attributes:
+        asked: what is asked of the package.
         contents: which files go in.
-        raw: whose raw data were asked for.
-        redactor: what replaces secrets.
-        keep: says whether a file is packed as it is, by its name.
+        redactor: replaces secrets.
         failed: how many runs failed.
-        with_wheels: whether distributions that only this machine has go in as wheels.
     """
 
+    asked: Packing
     about: About
     manifest: dict[str, Any]
     columns: Sequence[ColumnDescription]
     contents: Contents
-    raw: tuple[str, ...]
     environment: RecordedEnvironment
     redactor: Redactor
-    keep: Callable[[str], bool]
     failed: int
-    with_wheels: bool
 
 
 class Sealing:
@@ -99,44 +122,29 @@ class Sealing:
             OSError: the package cannot be written.
         """
         for file in self._plan.contents.files:
+            end = self._done + file.size
             self._add(file)
-        if self._plan.with_wheels:
+            self._advance(end - self._done)  # what was replaced may be longer than what stood there
+        if self._plan.asked.with_wheels:
             for distribution in self._plan.environment.local:
                 self._add_wheel(distribution)
         self._add_descriptions()
 
     def _add(self, file: PackedFile) -> None:
-        end = self._done + file.size
-        self._write(file)
-        self._advance(end - self._done)  # what was replaced may be longer than what stood there
-
-    def _write(self, file: PackedFile) -> None:
-        if self._plan.keep(file.name):
-            self._archive.add(file.name, self._as_it_is(file), size=file.size)
-        elif _of(file.path, is_binary):
-            found = _of(file.path, self._plan.redactor.secrets_in)
-            if found:
-                why = f"it holds {_in_words(found)}, and nothing in it can be replaced (--keep packs it as it is)"
-                self.left_out.append(LeftOut(file.name, why))
-            else:
-                self._archive.add(file.name, self._as_it_is(file), size=file.size)
-        else:
-            counted: Counter[str] = Counter()
-            self._archive.add(file.name, self._cleaned(file, counted), size=file.size)
+        redactor, counted = self._plan.redactor, Counter[str]()
+        is_kept = any(fnmatch(file.name, pattern) for pattern in self._plan.asked.keep)
+        if not is_kept and not _read(file.path, is_binary):
+            self._archive.add(file.name, self._blocks(file, redactor.blocks(file.path, counted)), size=file.size)
             self.replaced += [Replaced(file.name, what, count) for what, count in sorted(counted.items())]
+        elif not is_kept and (found := _read(file.path, redactor.secrets_in)):
+            why = f"it holds {_in_words(found)}, and nothing in it can be replaced (--keep packs it as it is)"
+            self.left_out.append(LeftOut(file.name, why))
+        else:
+            self._archive.add(file.name, self._blocks(file, _unchanged(file.path)), size=file.size)
 
-    def _as_it_is(self, file: PackedFile) -> Iterator[bytes]:
+    def _blocks(self, file: PackedFile, blocks: Iterator[bytes]) -> Iterator[bytes]:
         try:
-            with file.path.open("rb") as opened:
-                while block := opened.read(_BLOCK):
-                    yield block
-                    self._advance(len(block))
-        except OSError as error:
-            raise storage_error(file.path, "read", error) from error
-
-    def _cleaned(self, file: PackedFile, counted: Counter[str]) -> Iterator[bytes]:
-        try:
-            for block in self._plan.redactor.blocks(file.path, counted):
+            for block in blocks:
                 yield block
                 self._advance(len(block))
         except OSError as error:
@@ -147,41 +155,38 @@ class Sealing:
         self._progress(self._done, self._total)
 
     def _add_wheel(self, distribution: InstalledDistribution) -> None:
+        secrets, wheel = Counter[str](), io.BytesIO()
         try:
             files = wheel_of(distribution)
-            name = f"{contents.WHEELS}/{wheel_name(distribution)}"
-            secrets: Counter[str] = Counter()
             for path in files.values():
                 secrets += self._plan.redactor.own.secrets_in(path)
+            if files and not secrets:
+                write_wheel(files, wheel)
         except OSError as error:
             raise storage_error(Path(distribution.name), "read", error) from error
         if not files or secrets:
-            why = f"it holds {_in_words(secrets)}" if secrets else "its files cannot be told"
+            why = f"it holds {_in_words(secrets)}" if secrets else "its code cannot be found"
             self.left_out.append(LeftOut(f"wheel of {distribution.name}", why))
             return
-        with tempfile.TemporaryDirectory() as folder:
-            wheel = Path(folder) / "wheel"
-            write_wheel(files, wheel)
-            stored = self._archive.add(name, [wheel.read_bytes()])
+        stored = self._archive.add(f"{contents.WHEELS}/{wheel_name(distribution)}", [wheel.getvalue()])
         self.wheels[canonical(distribution.name)] = stored.sha256
 
     def _add_descriptions(self) -> None:
         plan, stored = self._plan, self._archive.stored
-        if _TABLE in stored:
-            table = stored[_TABLE]
-            schema = _SCHEMA if _SCHEMA in stored else None
-            resource = table_resource(_TABLE, table.size, table.sha256, schema=schema)
+        if table := stored.get(contents.TABLE):
+            schema = contents.SCHEMA if contents.SCHEMA in stored else None
+            resource = table_resource(table.name, table.size, table.sha256, schema=schema)
             self._add_json(contents.DATA_PACKAGE, data_package(plan.about.name, [resource]))
         self._add_text(contents.REQUIREMENTS, plan.environment.requirements(self.wheels))
         self._add_json(contents.ENVIRONMENT, plan.environment.as_mapping(self.wheels))
         self._add_text(contents.CONTAINERFILE, containerfile(plan.manifest, has_wheels=bool(self.wheels)))
         self._add_json(contents.DESCRIPTION, self._description())
-        listed = [*stored, contents.README]
-        self._add_text(contents.README, readme(plan.about, plan.manifest, listed, self.left_out))
-        files = sorted(stored.values(), key=lambda file: file.name)
+        names = [*stored, contents.README]
+        self._add_text(contents.README, readme(plan.about, plan.manifest, names, self.left_out))
+        files = [stored[name] for name in sorted(stored)]
         crate = crate_text(plan.about, plan.manifest, plan.columns, files, failed=plan.failed)
         self._add_text(contents.CRATE, crate)
-        sums = "".join(f"{file.sha256}  {file.name}\n" for _, file in sorted(stored.items()))
+        sums = "".join(f"{file.sha256}  {name}\n" for name, file in sorted(stored.items()))
         self._archive.add(contents.SUMS, [sums.encode()])
         self._archive.add_folders()
 
@@ -191,7 +196,7 @@ class Sealing:
             "made_by": f"robot-runner {version('robot-runner')}",
             "experiment": self._plan.about.name,
             "config": self._plan.manifest.get("config"),
-            "raw": list(self._plan.raw),
+            "raw": list(self._plan.asked.raw),
             "left_out": [asdict(each) for each in self.left_out],
             "replaced": [asdict(each) for each in self.replaced],
         }
@@ -200,11 +205,17 @@ class Sealing:
         self._add_text(name, json.dumps(facts, indent=2, ensure_ascii=False, default=str) + "\n")
 
     def _add_text(self, name: str, text: str) -> None:
-        """What is made from the manifest may hold what the manifest holds."""
+        """Write what was made from the manifest: whatever the manifest holds may be in it, secrets too."""
         self._archive.add(name, [self._plan.redactor.redacted(text.encode(), Counter(), loose=False)])
 
 
-def _of(path: Path, question: Callable[[Path], Any]) -> Any:
+def _unchanged(path: Path) -> Iterator[bytes]:
+    with path.open("rb") as file:
+        while block := file.read(_BLOCK):
+            yield block
+
+
+def _read(path: Path, question: Callable[[Path], _Found]) -> _Found:
     try:
         return question(path)
     except OSError as error:

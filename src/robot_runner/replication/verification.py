@@ -17,31 +17,32 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.replication.opening import OpenPackage
+    from robot_runner.replication.sealing import Progress
 
 __all__ = ["Verification", "refuse_faults", "verify_package"]
 
-_MANIFEST = "manifest.json"
-_LARGEST_TEXT = 64 << 20  # of what is read whole: descriptions and sums
+#: Of what is read whole: descriptions and checksums.
+_LARGEST_TEXT = 64 << 20
 _MOST_FINDINGS = 20
-#: What is read of each description, and what it has to be; what is missing is none of ours to judge.
+#: The type that each key of a description that is read must have, where it is there.
 _SHAPES: dict[str, dict[str, str]] = {
-    contents.DESCRIPTION: {"left_out": "mappings", "replaced": "mappings", "experiment": "text"},
+    contents.DESCRIPTION: {"left_out": "list of mappings", "replaced": "list of mappings", "experiment": "text"},
     contents.ENVIRONMENT: {"packages": "mapping of mappings", "host": "mapping", "ros": "mapping"},
-    _MANIFEST: {
+    contents.MANIFEST: {
         "config": "mapping",
         "design": "mapping",
         "deviations": "mapping",
         "software": "mapping",
         "host": "mapping",
-        "executions": "mappings",
-        "plugins": "mappings",
+        "executions": "list of mappings",
+        "plugins": "list of mappings",
         "seed": "number",
         "experiment_name": "text",
     },
 }
 _IS_OF_SHAPE: dict[str, Callable[[Any], bool]] = {
     "mapping": lambda value: isinstance(value, dict),
-    "mappings": lambda value: isinstance(value, list) and all(isinstance(each, dict) for each in value),
+    "list of mappings": lambda value: isinstance(value, list) and all(isinstance(each, dict) for each in value),
     "mapping of mappings": lambda value: isinstance(value, dict) and all(isinstance(v, dict) for v in value.values()),
     "number": lambda value: isinstance(value, int),
     "text": lambda value: isinstance(value, str),
@@ -81,7 +82,7 @@ class Verification:
         return str(self.description.get("experiment") or self.manifest.get("experiment_name") or "")
 
 
-def verify_package(package: OpenPackage, progress: Callable[[int, int], None] = lambda _, __: None) -> Verification:
+def verify_package(package: OpenPackage, progress: Progress = lambda _, __: None) -> Verification:
     """Read a package from end to end and compare it with what it says of itself.
 
     Args:
@@ -93,18 +94,23 @@ def verify_package(package: OpenPackage, progress: Callable[[int, int], None] = 
         StorageError: it cannot be read.
     """
     description = _description(package)
-    if package.faults:  # not even looked into
-        return _verified(package, description, {}, {}, package.faults)
-    sums, findings = _sums(package)
-    findings += _differing_names(package, sums)
-    findings += _differing_contents(package, sums, progress)
-    manifest = _mapping(package, _MANIFEST, findings)
-    environment = _mapping(package, contents.ENVIRONMENT, findings)
-    findings += _malformed(package, contents.DESCRIPTION, description)
-    findings += _malformed(package, contents.ENVIRONMENT, environment)
-    malformed = list(_malformed(package, _MANIFEST, manifest))
-    findings += malformed or _unfit(package, manifest)
-    return _verified(package, description, manifest, environment, tuple(findings))
+    manifest: Mapping[str, Any] = {}
+    environment: Mapping[str, Any] = {}
+    findings = list(package.faults)
+    if not findings:  # otherwise nothing in it is even read
+        sums, findings = _sums(package)
+        findings += _differing_names(package, sums)
+        findings += _differing_contents(package, sums, progress)
+        manifest = _mapping(package, contents.MANIFEST, findings)
+        environment = _mapping(package, contents.ENVIRONMENT, findings)
+        findings += _malformed(package, contents.DESCRIPTION, description)
+        findings += _malformed(package, contents.ENVIRONMENT, environment)
+        findings += [*_malformed(package, contents.MANIFEST, manifest)] or _unfit(package, manifest)
+    more = len(findings) - _MOST_FINDINGS
+    if more > 0:
+        findings[_MOST_FINDINGS:] = [Finding.error(str(package.where), f"there are {more:,} more faults", _ALTERED)]
+    count, size = len(package.sizes), sum(package.sizes.values())
+    return Verification(package.where, description, manifest, environment, count, size, tuple(findings))
 
 
 def refuse_faults(verification: Verification) -> None:
@@ -118,55 +124,42 @@ def refuse_faults(verification: Verification) -> None:
         raise PackageError.of_findings(errors)
 
 
-def _verified(
-    package: OpenPackage,
-    description: Mapping[str, Any],
-    manifest: Mapping[str, Any],
-    environment: Mapping[str, Any],
-    findings: tuple[Finding, ...],
-) -> Verification:
-    shown = findings[:_MOST_FINDINGS]
-    if len(findings) > _MOST_FINDINGS:
-        more = f"there are {len(findings) - _MOST_FINDINGS:,} more faults"
-        shown = (*shown, Finding.error(str(package.where), more, _ALTERED))
-    size = sum(package.sizes.values())
-    return Verification(package.where, description, manifest, environment, len(package.sizes), size, shown)
-
-
 def _description(package: OpenPackage) -> Mapping[str, Any]:
     where = f"{package.where}, {contents.DESCRIPTION}"
     if contents.DESCRIPTION not in package.sizes:
         fix = "Name a package; `robot-runner pack` makes one of an experiment's folder."
-        raise PackageError(f"it is no package: it has no {contents.DESCRIPTION}", where=str(package.where), fix=fix)
+        raise PackageError(f"this is no package: it has no {contents.DESCRIPTION}", where=str(package.where), fix=fix)
     try:
         found = json.loads(_text(package, contents.DESCRIPTION))
     except ValueError as error:
-        raise PackageError(f"it cannot be read: {error}", where=where, fix=_ALTERED) from error
+        raise PackageError(f"the file cannot be read: {error}", where=where, fix=_ALTERED) from error
     if not isinstance(found, dict) or not isinstance(found.get("format"), int):
-        raise PackageError("it does not describe a package", where=where, fix=_ALTERED)
+        raise PackageError("the file does not describe a package", where=where, fix=_ALTERED)
     if found["format"] > contents.FORMAT:
-        problem = f"it has format {found['format']}, newer than {contents.FORMAT}, which this version knows"
+        problem = (
+            f"the package has format {found['format']}, newer than {contents.FORMAT}, the newest that is known here"
+        )
         raise PackageError(problem, where=where, fix="Update robot-runner.")
     return found
 
 
 def _text(package: OpenPackage, name: str) -> str:
     if package.sizes[name] > _LARGEST_TEXT:
-        problem = f"it has {package.sizes[name]:,} bytes, more than any such file"
+        problem = f"the file has {package.sizes[name]:,} bytes, more than any such file"
         raise PackageError(problem, where=f"{package.where}, {name}", fix=_ALTERED)
     return b"".join(package.blocks(name)).decode("utf-8", "replace")
 
 
 def _sums(package: OpenPackage) -> tuple[dict[str, str], list[Finding]]:
     if contents.SUMS not in package.sizes:
-        return {}, [Finding.error(f"{package.where}, {contents.SUMS}", "it is missing", _ALTERED)]
+        return {}, [Finding.error(f"{package.where}, {contents.SUMS}", "the file is missing", _ALTERED)]
     sums: dict[str, str] = {}
     findings = []
     for number, line in enumerate(_text(package, contents.SUMS).splitlines(), start=1):
         found = _SUM.fullmatch(line)
         if found is None:
             where = f"{package.where}, {contents.SUMS}:{number}"
-            findings.append(Finding.error(where, "this line is no checksum", _ALTERED))
+            findings.append(Finding.error(where, "the line is not a checksum", _ALTERED))
         else:
             sums[found[2]] = found[1]
     return sums, findings
@@ -174,14 +167,14 @@ def _sums(package: OpenPackage) -> tuple[dict[str, str], list[Finding]]:
 
 def _differing_names(package: OpenPackage, sums: Mapping[str, str]) -> Iterator[Finding]:
     for name in sorted(set(sums) - set(package.sizes)):
-        yield Finding.error(f"{package.where}, {name}", "it is missing", _ALTERED)
+        yield Finding.error(f"{package.where}, {name}", "the file is missing", _ALTERED)
     for name in sorted(set(package.sizes) - set(sums) - {contents.SUMS}):
-        yield Finding.error(f"{package.where}, {name}", "it is no part of the package", "Remove it, or get it again.")
+        yield Finding.error(
+            f"{package.where}, {name}", "the file is no part of the package", "Remove it, or get the package again."
+        )
 
 
-def _differing_contents(
-    package: OpenPackage, sums: Mapping[str, str], progress: Callable[[int, int], None]
-) -> Iterator[Finding]:
+def _differing_contents(package: OpenPackage, sums: Mapping[str, str], progress: Progress) -> Iterator[Finding]:
     total, done = sum(package.sizes.values()), 0
     for name in sorted(set(sums) & set(package.sizes)):
         digest = hashlib.sha256()
@@ -194,16 +187,16 @@ def _differing_contents(
             yield error.as_finding()
             continue
         if digest.hexdigest() != sums[name]:
-            yield Finding.error(f"{package.where}, {name}", "it was altered: its SHA-256 is another", _ALTERED)
+            yield Finding.error(f"{package.where}, {name}", "the file was altered: its SHA-256 differs", _ALTERED)
 
 
 def _mapping(package: OpenPackage, name: str, findings: list[Finding]) -> Mapping[str, Any]:
     if name not in package.sizes:
-        return {}  # said already, if it was ever part of the package
+        return {}  # reported already, if the checksums list it
     try:
         found = json.loads(_text(package, name))
     except (ValueError, PackageError) as error:
-        findings.append(Finding.error(f"{package.where}, {name}", f"it cannot be read: {error}", _ALTERED))
+        findings.append(Finding.error(f"{package.where}, {name}", f"the file cannot be read: {error}", _ALTERED))
         return {}
     return found if isinstance(found, dict) else {}
 
@@ -211,18 +204,18 @@ def _mapping(package: OpenPackage, name: str, findings: list[Finding]) -> Mappin
 def _malformed(package: OpenPackage, name: str, facts: Mapping[str, Any]) -> Iterator[Finding]:
     for key, shape in _SHAPES[name].items():
         if facts.get(key) is not None and not _IS_OF_SHAPE[shape](facts[key]):
-            yield Finding.error(f"{package.where}, {name}", f"{key} is no {shape}: {facts[key]!r:.80}", _ALTERED)
+            yield Finding.error(f"{package.where}, {name}", f"{key} is not a {shape}: {facts[key]!r:.80}", _ALTERED)
 
 
 def _unfit(package: OpenPackage, manifest: Mapping[str, Any]) -> Iterator[Finding]:
     """Yield why the experiment in it could not be executed, though nothing was altered."""
     where = str(package.where)
     if not manifest:
-        yield Finding.error(f"{where}, {_MANIFEST}", "it is missing, or empty", _ALTERED)
+        yield Finding.error(f"{where}, {contents.MANIFEST}", "the file is missing, or empty", _ALTERED)
         return
     if isinstance(manifest.get("format"), int) and manifest["format"] > MANIFEST_FORMAT:
         problem = f"the experiment in it has format {manifest['format']}, newer than {MANIFEST_FORMAT}"
-        yield Finding.error(f"{where}, {_MANIFEST}", problem, "Update robot-runner.")
+        yield Finding.error(f"{where}, {contents.MANIFEST}", problem, "Update robot-runner.")
     config = (manifest.get("config") or {}).get("file")
     if config and f"config/{config}" not in package.sizes:
         yield Finding.error(f"{where}, config/{config}", "the config is missing", _ALTERED)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -15,9 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.colors import to_rgb
 
-from robot_runner.analysis.figures.courses import PhaseSpan, course_of_run, mean_course
+from robot_runner.analysis.figures.courses import MissionCourses, PhaseSpan, course_of_run
 from robot_runner.analysis.figures.distribution import Group, draw_distribution, draw_quantiles, draw_run_order
-from robot_runner.analysis.figures.effects import Estimate, Mean, draw_agreement, draw_differences, draw_interaction
+from robot_runner.analysis.figures.effects import Estimate, draw_agreement, draw_differences, draw_interaction
 from robot_runner.analysis.figures.missions import (
     AttemptSpan,
     Way,
@@ -33,24 +34,19 @@ LABEL = "Energy (J)"
 TASKS = ("Video", "Network")
 
 
-def courses():
+def mission():
     time = np.arange(0, 20, 0.1)
-    return [course_of_run(f"r_{n}", time, 7 + np.sin(time) + n, 0.5) for n in range(2)]
+    runs = {name: [course_of_run(f"r_{n}", time, 7 + np.sin(time) + n, 0.5)] for n, name in enumerate(TASKS)}
+    phases = [PhaseSpan("sleep", 0, 5), PhaseSpan("forward", 5, 20)]
+    return MissionCourses("Power (W)", "W", TASKS, runs, 0.5, phases, {"launch_mission": 0.1, "stop_measurement": 19.0})
 
 
 def single():
-    return draw_single_courses(
-        dict(zip(TASKS, courses(), strict=True)),
-        order=TASKS,
-        value_label="Power (W)",
-        phases=[PhaseSpan("sleep", 0, 5), PhaseSpan("forward", 5, 20)],
-        events={"launch_mission": 0.1, "stop_measurement": 19.0},
-    )
+    return draw_single_courses(mission())
 
 
 def means():
-    means = [mean_course(name, [course], 0.5) for name, course in zip(TASKS, courses(), strict=True)]
-    return draw_mean_courses(means, order=TASKS, value_label="Power (W)")
+    return draw_mean_courses(replace(mission(), phases=(), events={}))
 
 
 def distribution(count=3, size=5):
@@ -73,7 +69,10 @@ DRAWINGS = {
         [Group("a", (1.0,) * 30, ("r",) * 30)], value_label=LABEL, group_label="Task"
     ),
     "interaction": lambda: draw_interaction(
-        {"fast": {"a": Mean(1.0, 0.9, 1.1), "b": Mean(2.0)}, "slow": {"a": Mean(1.5)}},
+        {
+            "fast": {"a": Group("a", (1.0,), ("r_1",), 0.9, 1.1), "b": Group("b", (2.0,), ("r_2",))},
+            "slow": {"a": Group("a", (1.5,), ("r_3",))},
+        },
         treatments=["a", "b"],
         value_label=LABEL,
         along="Task",

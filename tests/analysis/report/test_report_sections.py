@@ -7,7 +7,7 @@ import pytest
 from robot_runner.analysis.report.blocks import Chart, Paragraph, Part, Remarks, Tone
 from robot_runner.analysis.report.document import report_document
 from robot_runner.analysis.report.material import Material
-from robot_runner.analysis.report.mission_figures import Mission, mission_parts, sampled_measures
+from robot_runner.analysis.report.mission_figures import mission_courses, mission_parts, sampled_measures
 from robot_runner.analysis.report.rendering import markdown_of
 from robot_runner.analysis.report.threats_section import threats_of
 from robot_runner.analysis.results import load_results
@@ -139,7 +139,7 @@ def test_phases_that_differ_between_runs_are_not_drawn_for_all(two_tasks):
     )
     material = material_of(folder)
     [measure] = sampled_measures(material.results)
-    assert Mission(material, measure, material.order).phases == ()
+    assert mission_courses(material, measure, material.order).phases == ()
 
 
 def test_times_are_counted_from_the_start_of_measurement(two_tasks):
@@ -147,7 +147,7 @@ def test_times_are_counted_from_the_start_of_measurement(two_tasks):
     power(folder)
     material = material_of(folder)
     [measure] = sampled_measures(material.results)
-    mission = Mission(material, measure, material.order)
+    mission = mission_courses(material, measure, material.order)
     assert dict(mission.events) == {"launch_mission": 5.0, "stop_measurement": 10.0}
     assert {course.runs for course in mission.means} == {5}
 

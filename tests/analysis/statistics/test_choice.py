@@ -7,9 +7,8 @@ import pytest
 from tests.analysis.statistics.reference_data import one_factor, split_plot, two_factors
 
 from robot_runner.analysis.statistics.choice import Choice, choose_test
-from robot_runner.analysis.statistics.outcome import NotComputed
 from robot_runner.analysis.statistics.post_hoc import compare_pairs
-from robot_runner.analysis.statistics.tested import TestMethod
+from robot_runner.analysis.statistics.tested import NotComputed, TestMethod
 from robot_runner.analysis.statistics.tests import carry_out
 from robot_runner.core.design.analysis_plan import Correction
 

@@ -12,9 +12,9 @@ from robot_runner.analysis.statistics.choice import Choice, choose_test, equal_v
 from robot_runner.analysis.statistics.correlations import correlations_of
 from robot_runner.analysis.statistics.effect_sizes import cliffs_delta, cohens_d, paired_d, vargha_delaney
 from robot_runner.analysis.statistics.linear_model import aligned, fit_aligned, fit_linear, terms_of
-from robot_runner.analysis.statistics.outcome import Magnitude, TestMethod
 from robot_runner.analysis.statistics.post_hoc import adjusted, compare_pairs
 from robot_runner.analysis.statistics.power import _power, repetitions_needed
+from robot_runner.analysis.statistics.tested import Magnitude, TestMethod
 from robot_runner.analysis.statistics.tests import carry_out, mixed_model
 from robot_runner.core.design.analysis_plan import Correction
 

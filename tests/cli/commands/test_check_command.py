@@ -90,7 +90,7 @@ def test_json_of_a_refused_config_has_its_findings(robot_runner: Callable, write
         {
             "severity": "error",
             "where": "config.py, RobotRunnerConfig.attempts",
-            "problem": "it is 0, of type int",
+            "problem": "the value is 0, of type int",
             "fix": "It must be a whole number, 1 or more.",
         }
     ]

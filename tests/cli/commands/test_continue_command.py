@@ -53,5 +53,5 @@ def test_an_experiment_that_does_not_hear_is_said_not_to(
     monkeypatch.setattr(continue_, "_PATIENCE", 0.0)
     answer = robot_runner("continue", "config.py")
     assert answer.code == 2
-    assert "the experiment has not heard it" in answer.err
+    assert "the experiment has not taken the request" in answer.err
     assert (folder / ".control").read_text() == "continue"

@@ -81,7 +81,7 @@ def test_a_plugin_that_cannot_be_looked_at_is_a_finding_too(
     monkeypatch.setattr(plugins, "installed_plugins", lambda: (Installed(),))
     answer = robot_runner("plugins")
     assert answer.code == 0
-    assert "it cannot be described: RuntimeError: a licence is missing" in answer.out
+    assert "the plugin cannot be described: RuntimeError: a licence is missing" in answer.out
     assert "Systems\n  none is installed\n" in answer.out
 
 

@@ -138,15 +138,15 @@ def test_what_its_check_finds_refuses_it_with_a_fix(robot_runner: Callable) -> N
 @pytest.mark.parametrize(
     ("body", "code", "said"),
     [
-        ("raise RuntimeError('no licence')", 2, "it raised RuntimeError when it was imported: no licence"),
-        ("x = 1", 2, "it holds no class that derives from Profiler"),
+        ("raise RuntimeError('no licence')", 2, "the code raised RuntimeError when it was imported: no licence"),
+        ("x = 1", 2, "the module holds no class that derives from Profiler"),
         (
             broken("def __init__(self):\n    raise ValueError('no port')"),
             2,
-            "it raised ValueError when it was made: no port",
+            "the code raised ValueError when it was made: no port",
         ),
-        (broken("def __init__(self):\n    pass"), 2, "it has no name"),
-        (broken("def check(self, circumstances):\n    return 1 / 0"), 2, "its check raised ZeroDivisionError"),
+        (broken("def __init__(self):\n    pass"), 2, "the profiler has no name"),
+        (broken("def check(self, circumstances):\n    return 1 / 0"), 2, "the check raised ZeroDivisionError"),
         (broken("def start_run(self, a, b):\n    pass"), 2, "start_run(a, b) cannot be called with a context"),
         (
             broken("def start_measurement(self, context):\n    raise OSError('unplugged')"),
@@ -193,7 +193,7 @@ def test_the_traceback_of_a_strangers_callback_is_shown(robot_runner: Callable, 
         (["PsUtil", "--seconds", "0"], "--seconds is 0"),
         (["PsUtil", "--seconds", "nan"], "--seconds is nan"),
         (["nowhere.py"], "there is no such file"),
-        (["no_such_module:Meter"], "it raised ModuleNotFoundError when it was imported"),
+        (["no_such_module:Meter"], "the code raised ModuleNotFoundError when it was imported"),
         (["robot_runner.core.errors:Finding"], "Finding is no Profiler"),
         (["robot_runner.meters.psutil:PsUtl"], "Did you mean 'PsUtil'?"),
         (["BasicTurtlebot3"], "no plugin named 'BasicTurtlebot3' is installed"),
@@ -215,7 +215,7 @@ def test_a_file_with_two_profilers_wants_one_named(robot_runner: Callable, plugi
 def test_raw_data_are_not_kept_over_something_else(robot_runner: Callable, plugin: Callable, tmp_path: Path) -> None:
     answer = robot_runner("try", plugin(GOOD), "--keep", tmp_path)
     assert answer.code == 2
-    assert "it is there already" in answer.err
+    assert "the folder to keep is there already" in answer.err
 
 
 def test_a_profiler_that_hangs_is_ended(

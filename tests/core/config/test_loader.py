@@ -27,7 +27,7 @@ def test_a_file_that_is_not_there_is_refused_with_the_nearest_name(write_config:
 
 
 def test_a_folder_is_refused(tmp_path: Path) -> None:
-    assert refused(tmp_path)[0].problem == "it is a folder"
+    assert refused(tmp_path)[0].problem == "the path names a folder, and no config file"
 
 
 def test_a_file_that_is_not_python_is_refused_with_the_line(tmp_path: Path) -> None:
@@ -42,7 +42,7 @@ def test_a_file_that_is_not_python_is_refused_with_the_line(tmp_path: Path) -> N
 def test_bytes_that_are_no_source_are_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "config.py"
     path.write_bytes(content)
-    assert "it is not" in refused(path)[0].problem
+    assert "the file is not" in refused(path)[0].problem
 
 
 def test_a_file_without_a_config_class_is_refused_with_the_class_that_was_meant(tmp_path: Path) -> None:

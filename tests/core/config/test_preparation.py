@@ -128,7 +128,7 @@ def test_callbacks_signatures_are_checked(write_config: Write) -> None:
 @pytest.mark.parametrize(
     ("plugins", "problem"),
     [
-        ("PsUtil()", "it is"),
+        ("PsUtil()", "the value is"),
         ("[PsUtil]", "PsUtil is a class"),
         ("['PsUtil']", "'PsUtil' is no plugin"),
         ("[PsUtil(), PsUtil()]", "2 plugins are named 'PsUtil'"),
@@ -151,7 +151,7 @@ class RobotRunnerConfig(ExperimentConfig):
     ("table", "problem"),
     [
         ("", "the config does not say which runs to execute"),
-        ("    def create_run_table(self): return []\n", "it returned []"),
+        ("    def create_run_table(self): return []\n", "create_run_table returned []"),
         ("    def create_run_table(self): return 1 / 0\n", "ZeroDivisionError"),
         ("    def create_run_table(self): return RunTableModel([])\n", "factors"),
         ("    def create_run_table(self): return RunTableModel([Factor('A', [1, 1])])\n", "twice"),

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -234,3 +235,38 @@ def test_a_newer_format_is_refused(write_config: Write) -> None:
     write(config.parent / "results" / "trial" / "manifest.json", '{"format": 99}')
     with pytest.raises(StorageError, match="newer"):
         resume(config)
+
+
+def test_a_table_that_is_as_the_journal_knows_it_is_not_written_again(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    before = (executed.folder / "run_table.csv").stat()
+    journal = (executed.folder / "journal.jsonl").read_text(encoding="utf-8")
+    assert [row["status"] for row in resume(executed.config)] == ["Done"] * 4
+    assert (executed.folder / "run_table.csv").stat().st_mtime_ns == before.st_mtime_ns
+    added = (executed.folder / "journal.jsonl").read_text(encoding="utf-8").removeprefix(journal)
+    assert "table_written" not in added
+
+
+def test_columns_in_another_order_are_put_right_when_an_experiment_goes_on(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    path = executed.folder / "run_table.csv"
+    written = path.read_text(encoding="utf-8")
+    rows = [[line[-1], *line[:-1]] for line in csv.reader(written.splitlines())]
+    write(path, "".join(f"{','.join(row)}\n" for row in rows))
+    resume(executed.config)
+    assert path.read_text(encoding="utf-8") == written
+
+
+@pytest.mark.parametrize("has_schema", [True, False])
+def test_the_origins_of_measures_are_known_after_resuming(execute: Execute, has_schema: bool) -> None:
+    executed = execute(COUNTING)
+    schema = executed.folder / "run_table.schema.json"
+    before = json.loads(schema.read_text(encoding="utf-8"))
+    if not has_schema:
+        schema.unlink()
+    resume(executed.config, redo=("r_1",))
+    after = json.loads(schema.read_text(encoding="utf-8"))
+    assert [field["robot_runner:origin"] for field in after["fields"]] == [
+        field["robot_runner:origin"] for field in before["fields"]
+    ]
+    assert {field["name"]: field["robot_runner:origin"] for field in after["fields"]}["Energy"] == "measured"

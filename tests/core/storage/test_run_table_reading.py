@@ -11,12 +11,11 @@ from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.run_table_rows import RunTableRows, table_text, write_run_table
 from robot_runner.core.storage.table_columns import FactorColumn, TableLayout
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from robot_runner.core.storage.run_table_rows import RunTableRows
 
 TASK = Factor("Task", ["Video", "Network"])
 SPEED = Factor("Speed", [0.1, 1, True, None])
@@ -338,3 +337,30 @@ def test_types_are_those_of_the_factors_whatever_the_cells_look_like(tmp_path: P
     layout = TableLayout.of_model(RunTableModel([Factor("Load", ["1", 2, "None"])]), [])
     values: list[Any] = [row["Load"] for row in read(tmp_path, "Load\n1\n2\nNone\n", layout)]
     assert values == ["1", 2, "None"]
+
+
+def test_an_emptied_cell_stays_empty_where_none_is_a_treatment(tmp_path: Path) -> None:
+    rows = read(tmp_path, "Task,Speed\nVideo,\nVideo,None\n")
+    assert [row["Speed"] for row in rows] == [None, None]
+    lines = "".join(table_text(rows)).splitlines()
+    place = lines[0].split(",").index("Speed")
+    assert [line.split(",")[place] for line in lines[1:]] == ["", "None"]
+
+
+def test_a_cell_keeps_the_way_in_which_it_was_written_where_its_treatment_is_not_known(tmp_path: Path) -> None:
+    layout = TableLayout((FactorColumn("Speed"),), stamps=(), types={"Speed": "number"})
+    rows = read(tmp_path, "Speed\n+0.50\n0.5\n", layout)
+    assert [row["Speed"] for row in rows] == [0.5, 0.5]
+    assert "".join(table_text(rows)) == "run_id,status,Speed\nr_1,-,+0.50\nr_2,-,0.5\n"
+
+
+def test_rows_that_are_as_planned_refer_to_the_plan(tmp_path: Path) -> None:
+    model = RunTableModel([TASK], repetitions=2, shuffle=True, seed=1)
+    layout = TableLayout.of_model(model, [])
+    plan = model.plan()
+    write_run_table(tmp_path / "run_table.csv", RunTableRows.of_plan(plan, layout))
+    rows = read_run_table(tmp_path / "run_table.csv", layout, plan)
+    assert all(one is other for one, other in zip(plan, rows.planned, strict=True))
+    text = (tmp_path / "run_table.csv").read_text(encoding="utf-8").replace("Video", "Network")
+    edited = read(tmp_path, text, layout)
+    assert [row["Task"] for row in edited] == ["Network"] * 4

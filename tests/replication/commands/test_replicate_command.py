@@ -62,10 +62,14 @@ class TestReplicate:
         assert "This machine differs from the package's:" in answer.out
         assert "rich" in answer.out.partition("differs")[2]
 
-    def test_a_deviation_gets_its_verdict(self, robot_runner):
-        robot = "robot=simulated:task_power_factor=3"
-        answer = robot_runner("replicate", "small.zip", "--yes", "--set", robot)
+    def test_an_experiment_that_nobody_sealed_says_so_and_a_deviation_gets_its_verdict(
+        self, robot_runner, experiment, tmp_path
+    ):
+        folder, robot = shutil.copytree(experiment, tmp_path / "open"), "robot=simulated:task_power_factor=3"
+        answer = robot_runner("replicate", folder, "--yes", "--set", robot, "--to", "again")
         assert answer.code == 0, answer.err
+        assert "not sealed" in answer.out
+        assert "nothing tells whether it was altered" in answer.err
         assert f"Deviates  {robot}" in answer.out
         energy = next(line for line in answer.out.splitlines() if line.strip().startswith("Energy"))
         assert "different" in energy
@@ -83,14 +87,8 @@ class TestReplicate:
         _rewrite(package, "config/small.py", b"Video", b"Videos", with_sums=False)
         answer = robot_runner("replicate", "small.zip", "--yes")
         assert answer.code == 2
-        assert "it was altered" in answer.err
+        assert "the file was altered" in answer.err
         assert [path.name for path in tmp_path.iterdir()] == ["small.zip"]
-
-    def test_an_experiment_that_nobody_sealed_says_so(self, robot_runner, experiment, tmp_path):
-        answer = robot_runner("replicate", shutil.copytree(experiment, tmp_path / "open"), "--yes", "--to", "again")
-        assert answer.code == 0, answer.err
-        assert "not sealed" in answer.out
-        assert "nothing tells whether it was altered" in answer.err
 
     def test_a_name_that_leads_elsewhere_leads_nowhere(self, robot_runner, package, tmp_path):
         _rewrite(package, "package.json", b'"experiment": "', b"../../\\u001b[2J")

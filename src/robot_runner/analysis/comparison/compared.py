@@ -11,17 +11,13 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.analysis.comparison.equivalence import Bound
-    from robot_runner.analysis.statistics.outcome import Interval, NotComputed
+    from robot_runner.analysis.statistics.tested import Interval, NotComputed
 
 __all__ = ["Agreement", "Comparison", "Difference", "MeasureComparison", "Side", "Verdict"]
 
 
 class Verdict(Enum):
-    """What the data say of a difference.
-
-    EQUIVALENT: it lies within the bound that was stated; DIFFERENT: it is not explained by chance; UNDECIDED: the runs
-    do not suffice to say either.
-    """
+    """What the data say of a difference: it is within the bound, it is not explained by chance, or neither is shown."""
 
     EQUIVALENT = "equivalent"
     DIFFERENT = "different"
@@ -64,7 +60,7 @@ class Difference:
         treatments: which combination, by factor; empty for all runs together.
         first_n, second_n: how many runs have a value; of pairs, how many pairs.
         difference: of the means, in the unit of the measure.
-        interval: confidence interval of it at 1 - alpha.
+        interval: confidence interval of the difference at 1 - alpha.
         narrow_interval: at 1 - 2 alpha: it lies within the bound exactly where the two are equivalent, if the bound is
             in the unit of the measure.
         relative: the difference in percent of the first mean.

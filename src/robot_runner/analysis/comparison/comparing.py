@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from statsmodels.stats.multitest import multipletests
-
 from robot_runner.analysis.comparison.compared import Comparison, Difference, MeasureComparison, Side, Verdict
 from robot_runner.analysis.comparison.comparison_document import conclusion_of
 from robot_runner.analysis.comparison.equivalence import (
@@ -19,7 +17,9 @@ from robot_runner.analysis.comparison.equivalence import (
 )
 from robot_runner.analysis.comparison.matching import chosen_measures, differing_circumstances, match_runs, names_of
 from robot_runner.analysis.results import Results, load_results
-from robot_runner.analysis.statistics.outcome import NotComputed
+from robot_runner.analysis.statistics.post_hoc import adjusted
+from robot_runner.analysis.statistics.tested import NotComputed
+from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.errors import AnalysisError
 
 if TYPE_CHECKING:
@@ -177,10 +177,8 @@ def _tested(
 
 def _adjusted(differences: Sequence[Difference]) -> list[Difference]:
     p_values = [each.p_value for each in differences if each.p_value is not None]
-    adjusted = iter(multipletests(p_values, method="holm")[1] if p_values else ())
-    return [
-        each if each.p_value is None else replace(each, adjusted_p_value=float(next(adjusted))) for each in differences
-    ]
+    holm = iter(adjusted(p_values, Correction.HOLM))
+    return [each if each.p_value is None else replace(each, adjusted_p_value=next(holm)) for each in differences]
 
 
 def _judged(difference: Difference, alpha: float) -> Difference:

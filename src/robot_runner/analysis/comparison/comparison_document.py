@@ -30,7 +30,8 @@ from robot_runner.analysis.report.document import plain
 from robot_runner.analysis.report.material import origin_badges
 from robot_runner.analysis.report.tables import build_table, field, interval, number, p_value, text
 from robot_runner.analysis.report.writing import made_by, write_page
-from robot_runner.analysis.wording import ALPHA, counted, listed, shown_number, with_unit
+from robot_runner.analysis.wording import ALPHA, listed, shown_number, with_unit
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

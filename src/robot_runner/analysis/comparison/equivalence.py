@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from robot_runner.analysis.comparison.compared import Agreement
-from robot_runner.analysis.statistics.outcome import Interval
+from robot_runner.analysis.statistics.tested import Interval
 from robot_runner.core.errors import AnalysisError
 
 if TYPE_CHECKING:

@@ -1,9 +1,10 @@
-"""The phases of a mission, drawn as a strip above a course, and as shades behind it."""
+"""Courses of samples over a mission, thinned out to what a figure can show, with its phases and events."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Course",
+    "MissionCourses",
     "PhaseSpan",
     "bin_width",
     "course_of_run",
@@ -28,11 +30,14 @@ __all__ = [
     "strip_height",
 ]
 
-
-# Samples over the time of a mission, thinned out to what a figure can show, one run or the mean of several.
-
 _NICE = (1.0, 2.0, 2.5, 5.0, 10.0)
 _FEWEST_FOR_A_BAND = 2
+_SHADE = "#f1f4f7"  # behind a course
+_SHADES = ("#eef1f4", "#c9d3dd", "#dde4ea", "#b7c4d1")  # of names
+_POINTS = 5.8
+#: The mean width of a letter of DejaVu Sans, as a share of the size of the font.
+_LETTER = 0.62
+_INCH = 72.0  # points
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +59,55 @@ class Course:
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     runs: int
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseSpan:
+    """One phase of a mission.
+
+    Attributes:
+        name: what the robot does in it.
+        start, end: s since the start of measurement.
+    """
+
+    name: str
+    start: float
+    end: float
+
+
+@dataclass(frozen=True)
+class MissionCourses:
+    """A sampled measure over the time of a mission, of all runs that are shown.
+
+    Attributes:
+        label: what was sampled, with its unit, as in `Power (W)`.
+        order: the treatments in the order in which all figures show them.
+        runs: the courses of each treatment's runs; treatments without any are left out.
+        width: of a bin, s.
+        phases: of the mission, where all runs went through the same ones.
+        events: when they were, s since the start of measurement, by name.
+    """
+
+    label: str
+    unit: str
+    order: Sequence[str]
+    runs: Mapping[str, Sequence[Course]]
+    width: float
+    phases: Sequence[PhaseSpan] = ()
+    events: Mapping[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def means(self) -> tuple[Course, ...]:
+        """The mean course of each treatment."""
+        return tuple(mean_course(treatment, courses, self.width) for treatment, courses in self.runs.items())
+
+    @cached_property
+    def firsts(self) -> dict[str, Course]:
+        """The first run of each treatment."""
+        return {treatment: courses[0] for treatment, courses in self.runs.items()}
+
+
+_NOTHING = (np.empty(0),) * 4
 
 
 def bin_width(duration: float, period: float, *, most: int = 500) -> float:
@@ -85,8 +139,7 @@ def course_of_run(label: str, time: NDArray[np.float64], values: NDArray[np.floa
     there = np.isfinite(values) & np.isfinite(time)
     time, values = time[there], values[there]
     if not len(time):
-        empty = np.empty(0)
-        return Course(label, empty, empty, empty, empty, runs=1)
+        return Course(label, *_NOTHING, runs=1)
     places = np.floor(time / width).astype(np.int64)
     first = int(places[0])
     grid = (np.arange(first, int(places[-1]) + 1, dtype=np.float64) + 0.5) * width
@@ -104,8 +157,7 @@ def mean_course(label: str, courses: Sequence[Course], width: float) -> Course:
     """Return the mean of several runs with their spread, from courses with bins of this width."""
     given = [course for course in courses if len(course.time)]
     if not given:
-        empty = np.empty(0)
-        return Course(label, empty, empty, empty, empty, runs=0)
+        return Course(label, *_NOTHING, runs=0)
     firsts = [round(course.time[0] / width - 0.5) for course in given]
     first = min(firsts)
     last = max(place + len(course.time) for place, course in zip(firsts, given, strict=True))
@@ -121,32 +173,11 @@ def mean_course(label: str, courses: Sequence[Course], width: float) -> Course:
     return Course(label, grid, middle, middle - spread, middle + spread, runs=len(given))
 
 
-_SHADES = ("#f1f4f7", "#dfe5eb")
-_POINTS = 5.8
-#: The mean width of a letter of DejaVu Sans, as a share of the size of the font.
-_LETTER = 0.62
-_INCH = 72.0
-
-
-@dataclass(frozen=True, slots=True)
-class PhaseSpan:
-    """One phase of a mission.
-
-    Attributes:
-        name: what the robot does in it.
-        start, end: s since the start of measurement.
-    """
-
-    name: str
-    start: float
-    end: float
-
-
 def shade_phases(axes: Axes, phases: Sequence[PhaseSpan]) -> None:
     """Shade every other phase, so that the borders are seen behind the course."""
     for place, phase in enumerate(phases):
         if place % 2:
-            axes.axvspan(phase.start, phase.end, color=_SHADES[0], linewidth=0, zorder=0)
+            axes.axvspan(phase.start, phase.end, color=_SHADE, linewidth=0, zorder=0)
 
 
 def strip_height(phases: Sequence[PhaseSpan], seconds: float, width: float) -> float:
@@ -165,9 +196,11 @@ def draw_phase_names(axes: Axes, phases: Sequence[PhaseSpan], seconds: float, wi
     """Fill an axes with a box and a name for each phase; names that do not fit stand upright."""
     axes.set_axis_off()
     axes.set_ylim(0, 1)
-    shades = _shades(phases)
+    names = list(dict.fromkeys(phase.name for phase in phases))
     for phase in phases:
-        axes.axvspan(phase.start, phase.end, facecolor=shades[phase.name], edgecolor="white", linewidth=0.8)
+        # By its name, so that the same phase looks the same wherever it comes.
+        shade = _SHADES[names.index(phase.name) % len(_SHADES)]
+        axes.axvspan(phase.start, phase.end, facecolor=shade, edgecolor="white", linewidth=0.8)
         axes.text(
             (phase.start + phase.end) / 2,
             0.5,
@@ -214,13 +247,6 @@ def _is_high(axes: Axes, moment: float) -> bool:
     near = values[np.abs(times - moment) <= 0.05 * max(float(np.ptp(times)), 1e-9)] if len(times) else values
     near = near[np.isfinite(near)]
     return bool(len(near)) and float(near.mean()) > sum(axes.get_ylim()) / 2
-
-
-def _shades(phases: Sequence[PhaseSpan]) -> dict[str, str]:
-    """Return a shade for each name, so that the same phase looks the same wherever it comes."""
-    names = list(dict.fromkeys(phase.name for phase in phases))
-    steps = ("#eef1f4", "#c9d3dd", "#dde4ea", "#b7c4d1")
-    return {name: steps[place % len(steps)] for place, name in enumerate(names)}
 
 
 def _inches(text: str) -> float:

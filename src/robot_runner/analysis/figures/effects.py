@@ -29,29 +29,17 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-__all__ = ["Estimate", "Mean", "draw_agreement", "draw_differences", "draw_interaction"]
+    from robot_runner.analysis.figures.distribution import Group
+
+__all__ = ["Estimate", "draw_agreement", "draw_differences", "draw_interaction"]
 
 _MINUS = "\N{MINUS SIGN}"
 _ROW = 0.24  # height of a combination, inches
 
 
-@dataclass(frozen=True, slots=True)
-class Mean:
-    """The mean of one combination.
-
-    Attributes:
-        value: the mean.
-        low, high: confidence interval of it, where one was computed.
-    """
-
-    value: float
-    low: float | None = None
-    high: float | None = None
-
-
 @figure_style()
 def draw_interaction(
-    means: Mapping[str, Mapping[str, Mean]],
+    groups: Mapping[str, Mapping[str, Group]],
     *,
     treatments: Sequence[str],
     value_label: str,
@@ -61,7 +49,7 @@ def draw_interaction(
     """Draw the mean of each combination of two factors; lines that are not parallel hint at an interaction.
 
     Args:
-        means: by treatment of the second factor, then of the first.
+        groups: by treatment of the second factor, then of the first; those without a run are left out.
         treatments: of the first factor, in order.
         value_label: the measure, with its unit.
         along: the first factor, along the horizontal axis.
@@ -69,29 +57,27 @@ def draw_interaction(
     """
     figure = new_figure(COLUMN, 2.5)
     axes = figure.subplots()
-    shift = min(0.06, 0.3 / max(1, len(means)))  # so that intervals stand beside each other
-    for number, (treatment, look) in enumerate(looks_by(means).items()):
-        offset = (number - (len(means) - 1) / 2) * shift
-        points = [
-            (place + offset, means[treatment][name])
-            for place, name in enumerate(treatments)
-            if name in means[treatment]
-        ]
+    shift = min(0.06, 0.3 / max(1, len(groups)))  # so that intervals stand beside each other
+    for number, (treatment, look) in enumerate(looks_by(groups).items()):
+        offset = (number - (len(groups) - 1) / 2) * shift
+        members = groups[treatment]
+        points = [(place + offset, members[name]) for place, name in enumerate(treatments) if name in members]
+        means = [group.mean for _, group in points]
         axes.plot(
             [at for at, _ in points],
-            [mean.value for _, mean in points],
+            means,
             color=look.colour,
             linestyle=look.line,
             marker=look.marker,
             label=verbatim(treatment),
         )
-        for at, mean in points:
-            if mean.low is not None and mean.high is not None:
-                axes.plot([at, at], [mean.low, mean.high], color=look.colour, linewidth=0.8)
+        for at, group in points:
+            if group.mean_low is not None and group.mean_high is not None:
+                axes.plot([at, at], [group.mean_low, group.mean_high], color=look.colour, linewidth=0.8)
     axes.set_xticks(range(len(treatments)), [verbatim(name) for name in treatments])
     axes.set_xlim(-0.4, len(treatments) - 0.6)
     label_axes(axes, along, value_label, grid="y")
-    add_legend(figure, len(means), title=verbatim(across), title_fontsize=6.5)
+    add_legend(figure, len(groups), title=verbatim(across), title_fontsize=6.5)
     return figure
 
 

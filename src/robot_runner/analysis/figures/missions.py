@@ -22,13 +22,13 @@ from robot_runner.analysis.figures.style import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.figures.courses import Course, PhaseSpan
+    from robot_runner.analysis.figures.courses import Course, MissionCourses, PhaseSpan
 
 __all__ = [
     "AttemptSpan",
@@ -52,28 +52,14 @@ _FAILED = "#BB5566"
 
 
 @figure_style()
-def draw_single_courses(
-    courses: Mapping[str, Course],
-    *,
-    order: Sequence[str],
-    value_label: str,
-    phases: Sequence[PhaseSpan] = (),
-    events: Mapping[str, float] | None = None,
-) -> Figure:
-    """Draw one run for each treatment, one above the other: the mean of each bin, and all samples as a band.
-
-    Args:
-        courses: one run for each treatment.
-        order: the treatments in the order in which all figures show them.
-        value_label: what is measured, with its unit.
-        phases: of the mission; named above the topmost run.
-        events: when they were, s since the start of measurement.
-    """
-    seconds = _seconds(list(courses.values()))
-    figure, panels = _panels([_PANEL] * len(courses), phases, seconds, foot=_FOOT, hspace=0.02)
-    limits = _limits(list(courses.values()))
-    by_name = looks_by(order)
-    for axes, (treatment, course) in zip(panels, courses.items(), strict=True):
+def draw_single_courses(mission: MissionCourses) -> Figure:
+    """Draw the first run of each treatment, one above the other: the mean of each bin, and all samples as a band."""
+    courses = list(mission.firsts.values())
+    seconds = _seconds(courses)
+    figure, panels = _panels([_PANEL] * len(courses), mission.phases, seconds, foot=_FOOT, hspace=0.02)
+    limits = _limits(courses)
+    by_name = looks_by(mission.order)
+    for axes, (treatment, course) in zip(panels, mission.firsts.items(), strict=True):
         look, name = by_name[treatment], verbatim(course.label)
         axes.fill_between(course.time, course.low, course.high, color=look.colour, alpha=0.25, linewidth=0)
         axes.plot(course.time, course.middle, color=look.colour, linewidth=0.9)
@@ -89,43 +75,28 @@ def draw_single_courses(
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0},
         )
         axes.grid(visible=True, axis="y")
-    draw_events(panels[-1], events or {}, seconds)
+    draw_events(panels[-1], mission.events, seconds)
     panels[-1].set_xlabel(_TIME)
     if len(panels) == 1:
-        panels[0].set_ylabel(wrapped(value_label))
+        panels[0].set_ylabel(wrapped(mission.label))
     else:
-        figure.supylabel(wrapped(value_label), fontsize=7.5)
+        figure.supylabel(wrapped(mission.label), fontsize=7.5)
     return figure
 
 
 @figure_style()
-def draw_mean_courses(
-    courses: Sequence[Course],
-    *,
-    order: Sequence[str],
-    value_label: str,
-    phases: Sequence[PhaseSpan] = (),
-    events: Mapping[str, float] | None = None,
-) -> Figure:
-    """Draw the mean of each treatment's runs, with a band of one standard deviation between runs.
-
-    Args:
-        courses: one for each treatment.
-        order: the treatments in the order in which all figures show them.
-        value_label: what is measured, with its unit.
-        phases: of the mission, where all runs have the same.
-        events: when they were, s since the start of measurement.
-    """
-    seconds = _seconds(courses)
-    figure, [axes] = _panels([_HEIGHT], phases, seconds)
-    by_name = looks_by(order)
-    for course in courses:
+def draw_mean_courses(mission: MissionCourses) -> Figure:
+    """Draw the mean of each treatment's runs, with a band of one standard deviation between runs."""
+    seconds = _seconds(mission.means)
+    figure, [axes] = _panels([_HEIGHT], mission.phases, seconds)
+    by_name = looks_by(mission.order)
+    for course in mission.means:
         look = by_name[course.label]
         axes.fill_between(course.time, course.low, course.high, color=look.colour, alpha=0.22, linewidth=0)
         axes.plot(course.time, course.middle, color=look.colour, linestyle=look.line, label=verbatim(course.label))
-    draw_events(axes, events or {}, seconds)
-    label_axes(axes, _TIME, value_label, grid="y")
-    add_legend(figure, len(courses))
+    draw_events(axes, mission.events, seconds)
+    label_axes(axes, _TIME, mission.label, grid="y")
+    add_legend(figure, len(mission.means))
     return figure
 
 

@@ -1,4 +1,4 @@
-"""PDF files of figures, made by a second process: embedding fonts takes longer than all else that a figure needs."""
+"""PDF files of figures, made by a second process: embedding fonts takes longer than everything else."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Self
+from typing import IO, TYPE_CHECKING, Self, cast
 
 from robot_runner.analysis.figures.style import FigureFormat, figure_bytes
 from robot_runner.core.errors import AnalysisError
@@ -48,6 +48,7 @@ class PdfWorker:
             stdout=subprocess.PIPE,
             stderr=self._complaint,
         )
+        self._input = cast("IO[bytes]", self._process.stdin)  # there is one, as it was asked for
 
     def __enter__(self) -> Self:
         return self
@@ -67,7 +68,7 @@ class PdfWorker:
         """Have a figure written; the figure may be used further, or not."""
         data = pickle.dumps((figure, str(path)))
         try:
-            _stdin(self._process).write(len(data).to_bytes(8, "big") + data)
+            self._input.write(len(data).to_bytes(8, "big") + data)
         except BrokenPipeError:
             self._finish()
 
@@ -85,12 +86,6 @@ class PdfWorker:
             self._complaint.seek(0)
             last = self._complaint.read().decode("utf-8", "replace").strip().splitlines()[-1:]
             raise AnalysisError(f"figures cannot be written as PDF: {''.join(last)}", where="figures", fix="Try again.")
-
-
-def _stdin(process: subprocess.Popen[bytes]) -> IO[bytes]:
-    if process.stdin is None:
-        raise AnalysisError("the process takes no figures", where="figures", fix="Try again.")
-    return process.stdin
 
 
 def main() -> int:

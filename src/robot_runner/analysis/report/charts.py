@@ -10,13 +10,13 @@ import pandas as pd
 
 from robot_runner.analysis.figures.style import looks_by
 from robot_runner.analysis.report.blocks import Chart
-from robot_runner.analysis.wording import counted
 from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Sequence
 
-    from robot_runner.analysis.figures.courses import Course, PhaseSpan
+    from robot_runner.analysis.figures.courses import Course, MissionCourses
     from robot_runner.analysis.figures.style import Look
     from robot_runner.analysis.report.material import Material
 
@@ -27,57 +27,36 @@ _MOST_RUNS = 40
 _DIGITS = 4
 
 
-def course_chart(
-    name: str,
-    *,
-    label: str,
-    unit: str,
-    order: Sequence[str],
-    means: Sequence[Course],
-    runs: Mapping[str, Sequence[Course]],
-    phases: Sequence[PhaseSpan],
-    events: Mapping[str, float],
-) -> Chart:
-    """Return a chart of a sampled measure over the time of the mission.
-
-    Args:
-        name: unique in the document.
-        label: what is measured, with its unit.
-        unit: of it.
-        order: the treatments in the order in which all figures show them.
-        means: the mean course of each treatment.
-        runs: the courses of each treatment's runs.
-        phases: of the mission.
-        events: when they were, s since the start of measurement.
-    """
-    grid = _Grid.of(means)
-    share = max(1, -(-sum(map(len, runs.values())) // _MOST_RUNS))
-    by_name = looks_by(order)
+def course_chart(name: str, mission: MissionCourses) -> Chart:
+    """Return a chart of a sampled measure over the time of the mission; its name is unique in the document."""
+    grid = _Grid.of(mission.means)
+    share = max(1, -(-sum(map(len, mission.runs.values())) // _MOST_RUNS))
+    by_name = looks_by(mission.order)
     data = {
-        "label": label,
-        "unit": unit,
+        "label": mission.label,
+        "unit": mission.unit,
         "time": [round(grid.first + place * grid.width, 4) for place in range(grid.count)],
         "groups": [
             {
-                "name": course.label,
-                "colour": by_name[course.label].colour,
-                "dash": _dash(by_name[course.label]),
-                "runs": course.runs,
-                **{edge: grid.values(course, edge) for edge in ("middle", "low", "high")},
+                "name": mean.label,
+                "colour": by_name[mean.label].colour,
+                "dash": _dash(by_name[mean.label]),
+                "runs": mean.runs,
+                **{edge: grid.values(mean, edge) for edge in ("middle", "low", "high")},
                 "each": [
                     {"name": run.label, "values": grid.values(run, "middle")}
-                    for run in list(runs[course.label])[::share]
+                    for run in mission.runs[mean.label][::share]
                 ],
             }
-            for course in means
+            for mean in mission.means
         ],
-        "phases": [{"name": each.name, "start": each.start, "end": each.end} for each in phases],
-        "events": [{"name": each.replace("_", " "), "at": at} for each, at in events.items()],
+        "phases": [{"name": each.name, "start": each.start, "end": each.end} for each in mission.phases],
+        "events": [{"name": each.replace("_", " "), "at": at} for each, at in mission.events.items()],
     }
     some = f" Of single runs, one in {share} is shown." if share > 1 else ""
     caption = (
-        f"{label}: mean of each treatment with a band of one standard deviation between runs, or each run. Drag to "
-        f"look closer; press twice for the whole.{some}"
+        f"{mission.label}: mean of each treatment with a band of one standard deviation between runs, or each run. "
+        f"Drag to look closer; press twice for the whole.{some}"
     )
     return Chart(name, "course", caption, data)
 

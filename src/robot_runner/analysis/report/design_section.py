@@ -8,8 +8,8 @@ from robot_runner.analysis.report.blocks import Block, Cell, Facts, Paragraph, P
 from robot_runner.analysis.report.charts import points_chart
 from robot_runner.analysis.report.material import correction_in_words, origin_badges
 from robot_runner.analysis.report.tables import build_table, field, interval, number, text
-from robot_runner.analysis.wording import ALPHA, MINUS, counted, listed, sentence, with_unit
-from robot_runner.core.words import shown_duration
+from robot_runner.analysis.wording import ALPHA, MINUS, listed, sentence, with_unit
+from robot_runner.core.words import counted, shown_duration
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -19,7 +19,8 @@ from robot_runner.analysis.report.outcome_section import outcome_section
 from robot_runner.analysis.report.summary_section import replication_section, summary_section
 from robot_runner.analysis.report.tests_section import tests_section
 from robot_runner.analysis.report.threats_section import threats_of, threats_section
-from robot_runner.analysis.wording import counted, listed
+from robot_runner.analysis.wording import listed
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from robot_runner.analysis.figures.distribution import Group, draw_distribution, draw_quantiles, draw_run_order
-from robot_runner.analysis.figures.effects import Mean, draw_interaction
+from robot_runner.analysis.figures.effects import draw_interaction
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Section, Tone
 from robot_runner.analysis.report.material import JOINT, origin_in_words
 from robot_runner.analysis.report.mission_figures import mission_parts, trajectory_part
-from robot_runner.analysis.wording import RHO, counted, shown_number
+from robot_runner.analysis.wording import RHO, shown_number
 from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -146,12 +147,11 @@ def _interactions(material: Material, measure: MeasureStatistics) -> Iterator[Fi
 def _interaction(material: Material, measure: MeasureStatistics, along: str, across: str) -> FigureBlock:
     groups = {group.label: group for group in _groups(material, measure, (along, across)) if group.size}
     treatments = [str(each) for each in material.runs[along].cat.categories]
-    means: dict[str, dict[str, Mean]] = {}
-    for second in map(str, material.runs[across].cat.categories):
-        found = {first: groups[key] for first in treatments if (key := f"{first}{JOINT}{second}") in groups}
-        cells = {first: Mean(group.mean, group.mean_low, group.mean_high) for first, group in found.items()}
-        if cells:
-            means[second] = cells
+    by_second = {
+        second: {first: groups[key] for first in treatments if (key := f"{first}{JOINT}{second}") in groups}
+        for second in map(str, material.runs[across].cat.categories)
+    }
+    lines = {second: members for second, members in by_second.items() if members}
     return FigureBlock(
         f"interaction {measure.name} {along} {across}",
         f"Mean {material.results.label(measure.name)} of each combination of {along} and {across}. Lines that are not "
@@ -159,7 +159,7 @@ def _interaction(material: Material, measure: MeasureStatistics, along: str, acr
         f"Interaction of {along} and {across} on {measure.name}.",
         partial(
             draw_interaction,
-            means,
+            lines,
             treatments=treatments,
             value_label=material.results.label(measure.name),
             along=along,

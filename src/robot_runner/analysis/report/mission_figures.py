@@ -3,31 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from robot_runner.analysis.figures.courses import Course, PhaseSpan, bin_width, course_of_run, mean_course
+from robot_runner.analysis.figures.courses import Course, MissionCourses, PhaseSpan, bin_width, course_of_run
 from robot_runner.analysis.figures.missions import Way, draw_mean_courses, draw_single_courses, draw_trajectories
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Tone
 from robot_runner.analysis.report.charts import course_chart
 from robot_runner.analysis.report.material import origin_badges, origin_in_words
-from robot_runner.analysis.wording import counted, listed
+from robot_runner.analysis.wording import listed
 from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     import numpy as np
-    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from robot_runner.analysis.report.material import Material
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.sample_files import SampleFile
 
-__all__ = ["Mission", "SampledMeasure", "is_way", "mission_parts", "sampled_measures", "trajectory_part"]
+__all__ = ["SampledMeasure", "is_way", "mission_courses", "mission_parts", "sampled_measures", "trajectory_part"]
 
 _MOST_MEASURES = 4
 #: More lines than that cannot be told apart in a column.
@@ -103,98 +102,71 @@ def _origin(results: Results, plugin: str) -> str | None:
     return ", ".join(sorted(map(str, origins))) or None
 
 
-@dataclass(frozen=True)
-class Mission:
-    """One sampled measure over the time of the mission, of all runs that are done.
-
-    Attributes:
-        material: what the report is about.
-        measure: what was sampled.
-        groups: the combinations that are shown.
-    """
-
-    material: Material
-    measure: SampledMeasure
-    groups: tuple[str, ...]
-
-    @cached_property
-    def width(self) -> float:
-        """The width of a bin, s."""
-        spans = [(float(time[-1] - time[0]), len(time)) for time, _ in self._samples.values()]
-        longest = max((span for span, _ in spans), default=1.0)
-        period = max((span / (count - 1) for span, count in spans), default=1.0)
-        return bin_width(longest, period)
-
-    @cached_property
-    def courses(self) -> Mapping[str, Course]:
-        """The course of each run, by its id."""
-        return {run_id: course_of_run(run_id, *pair, self.width) for run_id, pair in self._samples.items()}
-
-    @cached_property
-    def _samples(self) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
-        """Times and values of each run that has two samples at least."""
-        file, labels = self.measure.file, self.material.labels
-        samples = self.material.results.samples(
-            file.plugin,
-            file=file.name,
-            runs=[run for run in self.material.done[RUN_ID] if run in file.paths and labels[run] in self.groups],
-            columns=[self.measure.column],
-            with_factors=False,
-            with_phases=False,
-        )
-        times = samples["time_s"].to_numpy(dtype="float64")
-        values = pd.to_numeric(samples[self.measure.column], errors="coerce").to_numpy(dtype="float64")
-        by_run = samples.groupby("run_id", observed=True, sort=False).indices
-        return {str(run): (times[places], values[places]) for run, places in by_run.items() if len(places) > 1}
-
-    @cached_property
-    def members(self) -> Mapping[str, list[Course]]:
-        """The courses of each combination's runs; those without any are left out."""
-        members: dict[str, list[Course]] = {group: [] for group in self.groups}
-        for run_id, course in self.courses.items():
-            members[self.material.labels[run_id]].append(course)
-        return {group: courses for group, courses in members.items() if courses}
-
-    @cached_property
-    def means(self) -> tuple[Course, ...]:
-        """The mean course of each combination."""
-        return tuple(mean_course(group, courses, self.width) for group, courses in self.members.items())
-
-    @cached_property
-    def phases(self) -> tuple[PhaseSpan, ...]:
-        """The phases of the mission, where all runs went through the same ones; their median times."""
-        phases = self.material.results.phases(list(self.courses)) if self.courses else pd.DataFrame()
-        if phases.empty or len(phases["plugin"].unique()) != 1:
-            return ()
-        sequences = phases.sort_values(["run_id", "number"]).groupby("run_id")["phase"].agg(tuple)
-        if len(sequences.unique()) != 1:
-            return ()
-        spans = phases.groupby("number").agg(
-            phase=("phase", "first"), start=("start_s", "median"), end=("end_s", "median")
-        )
-        return tuple(PhaseSpan(str(row.phase), float(row.start), float(row.end)) for row in spans.itertuples())
-
-    @cached_property
-    def events(self) -> Mapping[str, float]:
-        """When events were, s since the start of measurement; the median of all runs."""
-        events = self.material.results.events(list(self.courses)) if self.courses else pd.DataFrame()
-        if events.empty:
-            return {}
-        times = events.groupby("event", observed=True)["since_start_s"].median().dropna()
-        return {name: float(times[name]) for name in _MARKED if name in times.index}
-
-
 def mission_parts(material: Material) -> Iterator[Part]:
     """Yield a part for each sampled measure that runs which are done have samples of."""
     if not len(material.done):
         return
     groups = _shown_groups(material)
     for measure in sampled_measures(material.results):
-        mission = Mission(material, measure, groups)
-        if mission.means:
-            blocks = tuple(_blocks(mission))
+        mission = mission_courses(material, measure, groups)
+        if mission.runs:
+            blocks = tuple(_blocks(material, measure, mission))
             name = f"mission-{measure.file.plugin}-{measure.column}"
             yield Part(name, f"{measure.title} over the mission", blocks, origin_badges(measure.origin))
+
+
+def mission_courses(material: Material, measure: SampledMeasure, groups: Sequence[str]) -> MissionCourses:
+    """Return a sampled measure over the mission, of all runs of these combinations that are done and have samples."""
+    samples = _samples(material, measure, groups)
+    spans = [(float(time[-1] - time[0]), len(time)) for time, _ in samples.values()]
+    longest = max((span for span, _ in spans), default=1.0)
+    width = bin_width(longest, max((span / (count - 1) for span, count in spans), default=1.0))
+    runs: dict[str, list[Course]] = {group: [] for group in groups}
+    for run_id, pair in samples.items():
+        runs[material.labels[run_id]].append(course_of_run(run_id, *pair, width))
+    there = {group: courses for group, courses in runs.items() if courses}
+    phases, events = _phases(material, list(samples)), _events(material, list(samples))
+    return MissionCourses(measure.label, measure.unit, groups, there, width, phases, events)
+
+
+def _samples(
+    material: Material, measure: SampledMeasure, groups: Sequence[str]
+) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Return times and values of each run that has two samples at least."""
+    file, labels = measure.file, material.labels
+    samples = material.results.samples(
+        file.plugin,
+        file=file.name,
+        runs=[run_id for run_id in material.done[RUN_ID] if run_id in file.paths and labels[run_id] in groups],
+        columns=[measure.column],
+        with_factors=False,
+        with_phases=False,
+    )
+    times = samples["time_s"].to_numpy(dtype="float64")
+    values = pd.to_numeric(samples[measure.column], errors="coerce").to_numpy(dtype="float64")
+    by_run = samples.groupby("run_id", observed=True, sort=False).indices
+    return {str(run_id): (times[places], values[places]) for run_id, places in by_run.items() if len(places) > 1}
+
+
+def _phases(material: Material, run_ids: list[str]) -> tuple[PhaseSpan, ...]:
+    """Return the phases of the mission, where all runs went through the same ones; their median times."""
+    phases = material.results.phases(run_ids) if run_ids else pd.DataFrame()
+    if phases.empty or len(phases["plugin"].unique()) != 1:
+        return ()
+    sequences = phases.sort_values(["run_id", "number"]).groupby("run_id")["phase"].agg(tuple)
+    if len(sequences.unique()) != 1:
+        return ()
+    spans = phases.groupby("number").agg(phase=("phase", "first"), start=("start_s", "median"), end=("end_s", "median"))
+    return tuple(PhaseSpan(str(row.phase), float(row.start), float(row.end)) for row in spans.itertuples())
+
+
+def _events(material: Material, run_ids: list[str]) -> dict[str, float]:
+    """Return when events were, s since the start of measurement; the median of all runs."""
+    events = material.results.events(run_ids) if run_ids else pd.DataFrame()
+    if events.empty:
+        return {}
+    times = events.groupby("event", observed=True)["since_start_s"].median().dropna()
+    return {name: float(times[name]) for name in _MARKED if name in times.index}
 
 
 def _shown_groups(material: Material) -> tuple[str, ...]:
@@ -205,61 +177,36 @@ def _shown_groups(material: Material) -> tuple[str, ...]:
     return tuple(order[place] for place in places)
 
 
-def _blocks(mission: Mission) -> Iterator[Block]:
-    material, measure = mission.material, mission.measure
-    left_out = len(material.order) - len(mission.groups)
+def _blocks(material: Material, measure: SampledMeasure, mission: MissionCourses) -> Iterator[Block]:
+    left_out = len(material.order) - len(mission.order)
     if left_out:
-        shown = f"Shown are {listed(mission.groups)}; {counted(left_out, 'combination')} between them left out."
+        shown = f"Shown are {listed(mission.order)}; {counted(left_out, 'combination')} between them left out."
         yield Paragraph(shown, Tone.NOTE)
-    yield course_chart(
-        f"chart-{measure.file.plugin}-{measure.column}",
-        label=measure.label,
-        unit=measure.unit,
-        order=mission.groups,
-        means=mission.means,
-        runs=mission.members,
-        phases=mission.phases,
-        events=mission.events,
-    )
-    name = f"paper-{measure.file.plugin}-{measure.column}"
-    yield Part(name, "Figures for a paper", (Gallery((_single(mission), _means(mission))),), is_folded=True)
+    yield course_chart(f"chart-{measure.file.plugin}-{measure.column}", mission)
+    figures = Gallery(tuple(_figures(measure, mission)))
+    yield Part(f"paper-{measure.file.plugin}-{measure.column}", "Figures for a paper", (figures,), is_folded=True)
 
 
-def _single(mission: Mission) -> FigureBlock:
-    one = {group: courses[0] for group, courses in mission.members.items()}
-    runs = listed(course.label for course in one.values())
-    return _figure_over_time(
-        mission,
-        "runs",
-        f"the first run that is done of each treatment ({runs}). Line: mean of {mission.width:g} s; band: least and "
-        "greatest sample",
-        f"{mission.measure.title} of {counted(len(one), 'run')} over time.",
-        partial(draw_single_courses, one),
-    )
-
-
-def _means(mission: Mission) -> FigureBlock:
-    runs = ", ".join(f"{course.label}: {course.runs}" for course in mission.means)
-    return _figure_over_time(
-        mission,
-        "means",
-        f"mean of all runs of each treatment (runs: {runs}). Line: mean of {mission.width:g} s; band: one standard "
-        "deviation between runs",
-        f"Mean {mission.measure.title} of each treatment over time.",
-        partial(draw_mean_courses, mission.means),
-    )
-
-
-def _figure_over_time(
-    mission: Mission, name: str, shown: str, alternative: str, draw: Callable[..., Figure]
-) -> FigureBlock:
-    measure = mission.measure
+def _figures(measure: SampledMeasure, mission: MissionCourses) -> Iterator[FigureBlock]:
+    name = f"course {measure.file.plugin} {measure.column}"
+    over = f"{measure.label} over the time of the mission"
+    line = f"Line: mean of {mission.width:g} s"
     marks = f"{' Dashed: events.' if mission.events else ''}{origin_in_words(measure.origin)}"
-    return FigureBlock(
-        f"course {measure.file.plugin} {measure.column} {name}",
-        f"{measure.label} over the time of the mission, {shown}.{marks}",
-        alternative,
-        lambda: draw(order=mission.groups, value_label=measure.label, phases=mission.phases, events=mission.events),
+    runs = listed(course.label for course in mission.firsts.values())
+    yield FigureBlock(
+        f"{name} runs",
+        f"{over}, the first run that is done of each treatment ({runs}). {line}; band: least and greatest "
+        f"sample.{marks}",
+        f"{measure.title} of {counted(len(mission.firsts), 'run')} over time.",
+        lambda: draw_single_courses(mission),
+    )
+    sizes = ", ".join(f"{course.label}: {course.runs}" for course in mission.means)
+    yield FigureBlock(
+        f"{name} means",
+        f"{over}, mean of all runs of each treatment (runs: {sizes}). {line}; band: one standard deviation between "
+        f"runs.{marks}",
+        f"Mean {measure.title} of each treatment over time.",
+        lambda: draw_mean_courses(mission),
     )
 
 

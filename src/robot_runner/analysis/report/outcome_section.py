@@ -20,10 +20,10 @@ from robot_runner.analysis.report.blocks import (
     Tone,
 )
 from robot_runner.analysis.report.tables import Field, build_table, field, number, number_cell, text
-from robot_runner.analysis.wording import MISSING, counted, listed
+from robot_runner.analysis.wording import MISSING, listed
 from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.words import shown_duration
+from robot_runner.core.words import counted, shown_duration
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -12,7 +12,7 @@ from robot_runner.analysis.wording import shown_interval, shown_number, shown_p
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from robot_runner.analysis.statistics.outcome import Interval
+    from robot_runner.analysis.statistics.tested import Interval
 
     #: Reads a value of an item: a function, or the name of an attribute.
     Read = Callable[[Any], Any] | str

@@ -22,30 +22,21 @@ from robot_runner.analysis.report.blocks import (
 from robot_runner.analysis.report.material import correction_in_words, origin_badges
 from robot_runner.analysis.report.measure_figures import quantile_figure
 from robot_runner.analysis.report.tables import Field, build_table, field, interval, number, p_value, text
-from robot_runner.analysis.wording import (
-    ALPHA,
-    MISSING,
-    RHO,
-    counted,
-    listed,
-    sentence,
-    shown_interval,
-    shown_number,
-)
+from robot_runner.analysis.wording import ALPHA, MISSING, RHO, listed, sentence, shown_interval, shown_number
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from robot_runner.analysis.report.material import Material
-    from robot_runner.analysis.statistics.outcome import (
+    from robot_runner.analysis.statistics.outcome import MeasureStatistics, Power
+    from robot_runner.analysis.statistics.tested import (
         Comparison,
         Effect,
         EffectSize,
-        MeasureStatistics,
         MeasureTest,
         NotComputed,
         PostHoc,
-        Power,
     )
 
 __all__ = ["tests_section"]

@@ -9,9 +9,10 @@ from robot_runner.analysis.report.blocks import Block, Gallery, Paragraph, Remar
 from robot_runner.analysis.report.material import origin_badges
 from robot_runner.analysis.report.measure_figures import drift_figure
 from robot_runner.analysis.report.outcome_section import failures_in_words
-from robot_runner.analysis.wording import counted, listed, shown_number
+from robot_runner.analysis.wording import listed, shown_number
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

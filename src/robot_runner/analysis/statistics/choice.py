@@ -10,9 +10,9 @@ from scipy import stats
 
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.linear_model import LinearFit, fit_linear, terms_of
-from robot_runner.analysis.statistics.outcome import NotComputed
-from robot_runner.analysis.statistics.tested import AssumptionCheck, QuantilePairs, TestMethod
-from robot_runner.analysis.wording import counted, p_in_words
+from robot_runner.analysis.statistics.tested import AssumptionCheck, NotComputed, QuantilePairs, TestMethod
+from robot_runner.analysis.wording import p_in_words
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -13,9 +13,9 @@ from scipy import stats
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.design import PLACE, VALUE
 from robot_runner.analysis.statistics.effect_sizes import correlation_magnitude
-from robot_runner.analysis.statistics.outcome import Interval, NotComputed
+from robot_runner.analysis.statistics.outcome import Correlation, Drift
 from robot_runner.analysis.statistics.post_hoc import adjusted
-from robot_runner.analysis.statistics.tested import Correlation, Drift
+from robot_runner.analysis.statistics.tested import Interval, NotComputed
 from robot_runner.analysis.wording import p_in_words, with_unit
 from robot_runner.core.design.columns import RUN_ID
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import stats
 
-from robot_runner.analysis.statistics.outcome import Description, Interval, Outlier
+from robot_runner.analysis.statistics.outcome import Description, Outlier
+from robot_runner.analysis.statistics.tested import Interval
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

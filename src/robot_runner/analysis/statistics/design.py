@@ -10,8 +10,8 @@ import pandas as pd
 
 from robot_runner.analysis.run_frame import treatment_texts
 from robot_runner.analysis.statistics.outcome import DesignSummary
-from robot_runner.analysis.wording import counted, enumerated
 from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

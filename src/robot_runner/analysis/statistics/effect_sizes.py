@@ -11,8 +11,7 @@ import numpy as np
 from scipy import optimize, special, stats
 
 from robot_runner.analysis.statistics.descriptive import bootstrap_interval
-from robot_runner.analysis.statistics.outcome import Interval
-from robot_runner.analysis.statistics.tested import EffectSize, Magnitude
+from robot_runner.analysis.statistics.tested import EffectSize, Interval, Magnitude
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,7 +27,6 @@ __all__ = [
     "kendalls_w",
     "paired_d",
     "paired_rank_biserial",
-    "partial_eta_squared",
     "two_group_effects",
     "vargha_delaney",
 ]
@@ -47,7 +45,11 @@ class _Thresholds:
     source: str
 
     def magnitude(self, value: float) -> Magnitude:
-        return tuple(Magnitude)[bisect_right(self.limits, value)]
+        return tuple(Magnitude)[bisect_right(self.limits, abs(value))]
+
+    def size(self, name: str, value: float, interval: Interval | None, *, neutral: float = 0.0) -> EffectSize:
+        """Return an effect size, whose magnitude is its distance from the value that stands for no effect."""
+        return EffectSize(name, value, interval, self.magnitude(value - neutral), self.source)
 
 
 _COHEN_D = _Thresholds((0.2, 0.5, 0.8), "Cohen, Statistical Power Analysis for the Behavioral Sciences, 1988")
@@ -81,9 +83,7 @@ def cohens_d(first: NDArray[np.float64], second: NDArray[np.float64]) -> EffectS
         return None
     value = float(np.mean(first) - np.mean(second)) / pooled
     scale = math.sqrt(1 / n + 1 / m)
-    return EffectSize(
-        "Cohen's d", value, _of_t(value / scale, freedom, scale), _COHEN_D.magnitude(abs(value)), _COHEN_D.source
-    )
+    return _COHEN_D.size("Cohen's d", value, _of_t(value / scale, freedom, scale))
 
 
 def paired_d(differences: NDArray[np.float64]) -> EffectSize | None:
@@ -94,7 +94,7 @@ def paired_d(differences: NDArray[np.float64]) -> EffectSize | None:
         return None
     value = float(np.mean(differences)) / spread
     interval = _of_t(value * math.sqrt(n), n - 1, 1 / math.sqrt(n))
-    return EffectSize("Cohen's d (paired)", value, interval, _COHEN_D.magnitude(abs(value)), _COHEN_D.source)
+    return _COHEN_D.size("Cohen's d (paired)", value, interval)
 
 
 def cliffs_delta(first: NDArray[np.float64], second: NDArray[np.float64]) -> EffectSize:
@@ -109,8 +109,7 @@ def cliffs_delta(first: NDArray[np.float64], second: NDArray[np.float64]) -> Eff
     """
     dominance = np.sign(first[:, None] - second[None, :])
     value = float(dominance.mean())
-    interval = _delta_interval(dominance, value)
-    return EffectSize("Cliff's delta", value, interval, _ROMANO.magnitude(abs(value)), _ROMANO.source)
+    return _ROMANO.size("Cliff's delta", value, _delta_interval(dominance, value))
 
 
 def vargha_delaney(first: NDArray[np.float64], second: NDArray[np.float64]) -> EffectSize:
@@ -122,8 +121,7 @@ def vargha_delaney(first: NDArray[np.float64], second: NDArray[np.float64]) -> E
     interval = delta.interval
     if interval is not None:
         interval = Interval((interval.low + 1) / 2, (interval.high + 1) / 2, interval.level, interval.method)
-    value = (delta.value + 1) / 2
-    return EffectSize("Vargha-Delaney A12", value, interval, _VARGHA.magnitude(abs(value - 0.5)), _VARGHA.source)
+    return _VARGHA.size("Vargha-Delaney A12", (delta.value + 1) / 2, interval, neutral=0.5)
 
 
 def paired_rank_biserial(differences: NDArray[np.float64]) -> EffectSize | None:
@@ -136,19 +134,15 @@ def paired_rank_biserial(differences: NDArray[np.float64]) -> EffectSize | None:
         ranks = stats.rankdata(np.abs(of), axis=axis)
         return np.sum(ranks * np.sign(of), axis=axis) / np.sum(ranks, axis=axis)
 
-    value = float(share(nonzero))
-    interval = bootstrap_interval((nonzero,), share)
-    return EffectSize("rank-biserial correlation", value, interval, _COHEN_R.magnitude(abs(value)), _COHEN_R.source)
+    return _COHEN_R.size("rank-biserial correlation", float(share(nonzero)), bootstrap_interval((nonzero,), share))
 
 
-def eta_squared(f_value: float, freedom: tuple[float, float]) -> EffectSize:
-    """Return eta squared of a one-way analysis of variance from its F."""
-    return _eta("eta squared", f_value, freedom)
-
-
-def partial_eta_squared(f_value: float, freedom: tuple[float, float]) -> EffectSize:
-    """Return partial eta squared of one effect among several from its F."""
-    return _eta("partial eta squared", f_value, freedom)
+def eta_squared(f_value: float, freedom: tuple[float, float], *, is_partial: bool = False) -> EffectSize:
+    """Return eta squared of a one-way analysis of variance from its F; partial, of one effect among several."""
+    between, within = freedom
+    value = f_value * between / (f_value * between + within)
+    name = "partial eta squared" if is_partial else "eta squared"
+    return _COHEN_ETA.size(name, value, _of_f(f_value, between, within))
 
 
 def eta_squared_of_ranks(groups: Sequence[NDArray[np.float64]]) -> EffectSize:
@@ -163,26 +157,17 @@ def eta_squared_of_ranks(groups: Sequence[NDArray[np.float64]]) -> EffectSize:
         k, n = len(samples), sum(sample.shape[axis] for sample in samples)
         return np.maximum(0.0, (h - k + 1) / (n - k))
 
-    value = float(of(*groups))
-    interval = bootstrap_interval(tuple(groups), of)
-    return EffectSize("eta squared (H)", value, interval, _COHEN_ETA.magnitude(value), _COHEN_ETA.source)
+    return _COHEN_ETA.size("eta squared (H)", float(of(*groups)), bootstrap_interval(tuple(groups), of))
 
 
 def kendalls_w(chi_squared: float, blocks: int, treatments: int) -> EffectSize:
     """Return Kendall's W of a Friedman test: how much the blocks agree on the order of the treatments, 0..1."""
-    value = chi_squared / (blocks * (treatments - 1))
-    return EffectSize("Kendall's W", value, None, _COHEN_R.magnitude(value), _COHEN_R.source)
+    return _COHEN_R.size("Kendall's W", chi_squared / (blocks * (treatments - 1)), None)
 
 
 def correlation_magnitude(value: float) -> Magnitude:
     """Return the word for a coefficient of correlation."""
-    return _COHEN_R.magnitude(abs(value))
-
-
-def _eta(name: str, f_value: float, freedom: tuple[float, float]) -> EffectSize:
-    between, within = freedom
-    value = f_value * between / (f_value * between + within)
-    return EffectSize(name, value, _of_f(f_value, between, within), _COHEN_ETA.magnitude(value), _COHEN_ETA.source)
+    return _COHEN_R.magnitude(value)
 
 
 def _of_t(t_value: float, freedom: float, scale: float) -> Interval | None:

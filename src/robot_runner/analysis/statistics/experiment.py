@@ -10,19 +10,16 @@ from robot_runner.analysis.statistics.choice import choose_test, normality, quan
 from robot_runner.analysis.statistics.correlations import correlations_of, drift_of
 from robot_runner.analysis.statistics.descriptive import describe
 from robot_runner.analysis.statistics.design import design_of
-from robot_runner.analysis.statistics.outcome import (
-    ExperimentStatistics,
-    HypothesisOutcome,
-    MeasureStatistics,
-    NotComputed,
-)
+from robot_runner.analysis.statistics.outcome import ExperimentStatistics, HypothesisOutcome, MeasureStatistics
 from robot_runner.analysis.statistics.post_hoc import adjusted, compare_pairs
 from robot_runner.analysis.statistics.power import power_of
+from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.statistics.tests import carry_out
-from robot_runner.analysis.wording import counted, p_in_words
+from robot_runner.analysis.wording import p_in_words
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import AnalysisError, did_you_mean
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -30,8 +27,8 @@ if TYPE_CHECKING:
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.choice import Choice
     from robot_runner.analysis.statistics.design import Design, MeasureData
-    from robot_runner.analysis.statistics.outcome import Description
-    from robot_runner.analysis.statistics.tested import AssumptionCheck, Effect, MeasureTest, PostHoc, Power
+    from robot_runner.analysis.statistics.outcome import Description, Power
+    from robot_runner.analysis.statistics.tested import AssumptionCheck, Effect, MeasureTest, PostHoc
     from robot_runner.core.design.analysis_plan import Hypothesis
 
 __all__ = ["analyse", "judge", "measure_statistics"]

@@ -1,7 +1,7 @@
-"""What statistics yield: plain data that carry the numbers, the reasons, and what could not be computed and why.
+"""The statistics of an experiment and of each measure, as plain data.
 
-A value that could not be computed is None, and a `NotComputed` beside it says why. No p-value is given that does not
-hold. Names of treatments are the texts of the run table. What the parts are made of can be imported from here, too.
+A value that could not be computed is None, and a `NotComputed` beside it says why. Names of treatments are the texts of
+the run table.
 """
 
 from __future__ import annotations
@@ -9,82 +9,32 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.statistics.tested import (
-    AssumptionCheck,
-    Comparison,
-    Correlation,
-    Drift,
-    Effect,
-    EffectSize,
-    Magnitude,
-    MeasureTest,
-    PostHoc,
-    Power,
-    QuantilePairs,
-    RepetitionsNeeded,
-    TestMethod,
-)
-
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from robot_runner.analysis.statistics.tested import (
+        AssumptionCheck,
+        Interval,
+        Magnitude,
+        MeasureTest,
+        NotComputed,
+        PostHoc,
+        QuantilePairs,
+    )
     from robot_runner.core.design.analysis_plan import Correction, Hypothesis
 
 __all__ = [
-    "AssumptionCheck",
-    "Comparison",
     "Correlation",
     "Description",
     "DesignSummary",
     "Drift",
-    "Effect",
-    "EffectSize",
     "ExperimentStatistics",
     "HypothesisOutcome",
-    "Interval",
-    "Magnitude",
     "MeasureStatistics",
-    "MeasureTest",
-    "NotComputed",
     "Outlier",
-    "PostHoc",
     "Power",
-    "QuantilePairs",
     "RepetitionsNeeded",
-    "TestMethod",
 ]
-
-
-# What describes values: plain data. A value that could not be computed is None, and a `NotComputed` says why.
-
-
-@dataclass(frozen=True, slots=True)
-class NotComputed:
-    """Something that could not be computed.
-
-    Attributes:
-        what: as in `Shapiro-Wilk test of Task=Video`.
-        why: one sentence.
-    """
-
-    what: str
-    why: str
-
-
-@dataclass(frozen=True, slots=True)
-class Interval:
-    """A confidence interval.
-
-    Attributes:
-        low, high: its ends.
-        level: the confidence, 0.95 for 95 %.
-        method: how it was computed, as in `bootstrap (BCa)`.
-    """
-
-    low: float
-    high: float
-    level: float
-    method: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +87,89 @@ class Description:
     def label(self) -> str:
         """The group in words: its treatments, with ` / ` between; `all runs` for all of them."""
         return " / ".join(self.treatments.values()) or "all runs"
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """Whether a measure drifts over the order of execution: is the battery or the room confounding?
+
+    Residuals (value less the mean of its combination) are compared with the place in the order of execution.
+
+    Attributes:
+        places: the place of each run in the order of execution, from 1; `residuals` and `run_ids` belong to it.
+        correlation: Spearman's rho.
+        slope: Theil-Sen slope, in the measure's unit a run.
+        is_significant: whether the drift is not explained by chance at alpha.
+        is_confounded: whether treatments are also unevenly spread over the order, so that drift may pass for an effect.
+        warning: one sentence for the reader; empty where nothing was found.
+    """
+
+    places: tuple[int, ...]
+    residuals: tuple[float, ...]
+    run_ids: tuple[str, ...]
+    correlation: float
+    p_value: float
+    slope: float
+    slope_interval: Interval
+    is_significant: bool
+    is_confounded: bool
+    warning: str
+
+
+@dataclass(frozen=True, slots=True)
+class RepetitionsNeeded:
+    """How many runs a group needs so that an effect is found with the given power."""
+
+    effect_size: float
+    magnitude: str
+    repetitions: int
+
+
+@dataclass(frozen=True, slots=True)
+class Power:
+    """What the number of runs suffices for.
+
+    Attributes:
+        effect_name: `Cohen's d` or `Cohen's f`.
+        observed_effect: as estimated from the data.
+        achieved_power: the power for an effect as large as the observed one, 0..1.
+        target_power: the power that the other figures are for.
+        detectable_effect: the smallest effect that would be found with the target power; None if there is none.
+        needed: runs a group for a small, a medium, a large and the observed effect.
+        note: how to read it.
+    """
+
+    effect_name: str
+    observed_effect: float
+    achieved_power: float
+    alpha: float
+    target_power: float
+    detectable_effect: float | None
+    needed: tuple[RepetitionsNeeded, ...]
+    note: str
+
+
+@dataclass(frozen=True, slots=True)
+class Correlation:
+    """How two measures go together.
+
+    Attributes:
+        n: runs that have both.
+        pearson, spearman: over all runs.
+        within: Pearson's r of the residuals: what is left once the treatments' own effect is taken away.
+        p_value: of Spearman's rho; `adjusted_p_value` after correction for the number of pairs.
+    """
+
+    first: str
+    second: str
+    n: int
+    pearson: float
+    pearson_interval: Interval | None
+    spearman: float
+    p_value: float
+    adjusted_p_value: float
+    within: float | None
+    magnitude: Magnitude
 
 
 @dataclass(frozen=True, slots=True)

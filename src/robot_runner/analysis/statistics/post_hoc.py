@@ -13,8 +13,7 @@ from scipy import stats
 from robot_runner.analysis.statistics.descriptive import bootstrap_interval, quiet
 from robot_runner.analysis.statistics.effect_sizes import paired_d, paired_rank_biserial, two_group_effects
 from robot_runner.analysis.statistics.linear_model import aligned_ranks, fit_linear
-from robot_runner.analysis.statistics.outcome import Interval, NotComputed
-from robot_runner.analysis.statistics.tested import Comparison, PostHoc, TestMethod
+from robot_runner.analysis.statistics.tested import Comparison, Interval, NotComputed, PostHoc, TestMethod
 from robot_runner.analysis.statistics.tests import mixed_model
 from robot_runner.core.design.analysis_plan import Correction
 
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["adjusted", "compare_pairs"]
 
 #: More pairs can neither be read nor tested with any power left: 15 treatments make 105.
-MOST_PAIRS = 105
+_MOST_PAIRS = 105
 
 _LEVEL = 0.95
 _BY_RANKS = frozenset({TestMethod.MANN_WHITNEY, TestMethod.KRUSKAL_WALLIS, TestMethod.WILCOXON, TestMethod.FRIEDMAN})
@@ -47,12 +46,8 @@ _BY_MODEL = frozenset(
 )
 _MIXED = frozenset({TestMethod.MIXED_MODEL, TestMethod.MIXED_ALIGNED_RANKS})
 _BY_ALIGNED_RANKS = frozenset({TestMethod.ALIGNED_RANKS, TestMethod.MIXED_ALIGNED_RANKS})
+#: What the test of each pair is called, where it is not called as the test of all groups.
 _WORDS = {
-    TestMethod.STUDENT_T: "Student's t-test",
-    TestMethod.WELCH_T: "Welch's t-test",
-    TestMethod.MANN_WHITNEY: "Mann-Whitney U test",
-    TestMethod.PAIRED_T: "paired t-test",
-    TestMethod.WILCOXON: "Wilcoxon signed-rank test",
     TestMethod.ANOVA: "t-tests with pooled standard deviation",
     TestMethod.WELCH_ANOVA: "Welch's t-tests",
     TestMethod.KRUSKAL_WALLIS: "Dunn's test",
@@ -89,7 +84,7 @@ def compare_pairs(
     for factors in _compared(test):
         groups = data.groups(factors)
         pairs = math.comb(len(groups), 2)
-        if pairs > MOST_PAIRS:
+        if pairs > _MOST_PAIRS:
             what = f"pairwise comparisons of {' x '.join(factors)}"
             missing.append(NotComputed(what, f"{len(groups)} groups make {pairs:,} pairs: compare chosen ones."))
             continue
@@ -157,7 +152,7 @@ def _post_hoc(
     for pair in pairs:
         p_value = next(after) if math.isfinite(pair.p_value) else None
         comparisons.append(_comparison(pair, by_label, p_value, alpha, is_of_means=is_of_means))
-    return PostHoc(factors, _WORDS[choice.method], correction, is_of_means, tuple(comparisons))
+    return PostHoc(factors, _WORDS.get(choice.method, choice.method.value), correction, is_of_means, tuple(comparisons))
 
 
 def _comparison(

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from robot_runner.analysis.statistics.descriptive import quiet
-from robot_runner.analysis.statistics.outcome import NotComputed
-from robot_runner.analysis.statistics.tested import Power, RepetitionsNeeded
+from robot_runner.analysis.statistics.outcome import Power, RepetitionsNeeded
+from robot_runner.analysis.statistics.tested import NotComputed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -9,24 +9,50 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from robot_runner.analysis.statistics.outcome import Interval
     from robot_runner.core.design.analysis_plan import Correction
 
 __all__ = [
     "AssumptionCheck",
     "Comparison",
-    "Correlation",
-    "Drift",
     "Effect",
     "EffectSize",
+    "Interval",
     "Magnitude",
     "MeasureTest",
+    "NotComputed",
     "PostHoc",
-    "Power",
     "QuantilePairs",
-    "RepetitionsNeeded",
     "TestMethod",
 ]
+
+
+@dataclass(frozen=True, slots=True)
+class NotComputed:
+    """Something that could not be computed.
+
+    Attributes:
+        what: as in `Shapiro-Wilk test of Task=Video`.
+        why: one sentence.
+    """
+
+    what: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A confidence interval.
+
+    Attributes:
+        low, high: its ends.
+        level: the confidence, 0.95 for 95 %.
+        method: how it was computed, as in `bootstrap (BCa)`.
+    """
+
+    low: float
+    high: float
+    level: float
+    method: str
 
 
 class Magnitude(Enum):
@@ -203,86 +229,3 @@ class PostHoc:
     correction: Correction
     is_of_means: bool
     comparisons: tuple[Comparison, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Drift:
-    """Whether a measure drifts over the order of execution: is the battery or the room confounding?
-
-    Residuals (value less the mean of its combination) are compared with the place in the order of execution.
-
-    Attributes:
-        places: the place of each run in the order of execution, from 1; `residuals` and `run_ids` belong to it.
-        correlation: Spearman's rho.
-        slope: Theil-Sen slope, in the measure's unit a run.
-        is_significant: whether the drift is not explained by chance at alpha.
-        is_confounded: whether treatments are also unevenly spread over the order, so that drift may pass for an effect.
-        warning: one sentence for the reader; empty where nothing was found.
-    """
-
-    places: tuple[int, ...]
-    residuals: tuple[float, ...]
-    run_ids: tuple[str, ...]
-    correlation: float
-    p_value: float
-    slope: float
-    slope_interval: Interval
-    is_significant: bool
-    is_confounded: bool
-    warning: str
-
-
-@dataclass(frozen=True, slots=True)
-class RepetitionsNeeded:
-    """How many runs a group needs so that an effect is found with the given power."""
-
-    effect_size: float
-    magnitude: str
-    repetitions: int
-
-
-@dataclass(frozen=True, slots=True)
-class Power:
-    """What the number of runs suffices for.
-
-    Attributes:
-        effect_name: `Cohen's d` or `Cohen's f`.
-        observed_effect: as estimated from the data.
-        achieved_power: the power for an effect as large as the observed one, 0..1.
-        target_power: the power that the other figures are for.
-        detectable_effect: the smallest effect that would be found with the target power; None if there is none.
-        needed: runs a group for a small, a medium, a large and the observed effect.
-        note: how to read it.
-    """
-
-    effect_name: str
-    observed_effect: float
-    achieved_power: float
-    alpha: float
-    target_power: float
-    detectable_effect: float | None
-    needed: tuple[RepetitionsNeeded, ...]
-    note: str
-
-
-@dataclass(frozen=True, slots=True)
-class Correlation:
-    """How two measures go together.
-
-    Attributes:
-        n: runs that have both.
-        pearson, spearman: over all runs.
-        within: Pearson's r of the residuals: what is left once the treatments' own effect is taken away.
-        p_value: of Spearman's rho; `adjusted_p_value` after correction for the number of pairs.
-    """
-
-    first: str
-    second: str
-    n: int
-    pearson: float
-    pearson_interval: Interval | None
-    spearman: float
-    p_value: float
-    adjusted_p_value: float
-    within: float | None
-    magnitude: Magnitude

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -17,58 +17,64 @@ from robot_runner.analysis.statistics.effect_sizes import (
     kendalls_w,
     paired_d,
     paired_rank_biserial,
-    partial_eta_squared,
     two_group_effects,
 )
 from robot_runner.analysis.statistics.linear_model import aligned_ranks, coded_frame, fit_aligned, formula_of
 from robot_runner.analysis.statistics.tested import AssumptionCheck, Effect, EffectSize, MeasureTest, TestMethod
-from robot_runner.analysis.wording import enumerated, p_in_words
+from robot_runner.analysis.wording import p_in_words
+from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
     from robot_runner.analysis.statistics.design import MeasureData
-    from robot_runner.analysis.statistics.tested import EffectSize
 
-__all__ = ["carry_out", "library", "make_effect", "mixed_model"]
-
-
-# The line of a table of tests, with its conclusion in plain words.
+__all__ = ["carry_out", "mixed_model"]
 
 
-def library(name: str) -> str:
-    """Return a library with its version, as in `scipy 1.17.1`."""
-    return f"{name} {version(name)}"
+class _Result(NamedTuple):
+    """What a library computed for one effect; its factors are those of the measure where nothing else is said."""
+
+    name: str
+    statistic: float
+    freedom: tuple[float, ...]
+    p_value: float
+    sizes: tuple[EffectSize | None, ...]
+    factors: tuple[str, ...] = ()
 
 
-def make_effect(
-    measure: str,
-    factors: tuple[str, ...],
-    statistic: tuple[str, float],
-    freedom: tuple[float, ...],
-    p_value: float,
-    alpha: float,
-    sizes: tuple[EffectSize, ...],
-) -> Effect:
-    """Return a tested effect; a p-value that is no number is none."""
-    name, value = statistic
-    if not all(map(math.isfinite, (p_value, value, *freedom))):
-        return Effect(factors, name, None, (), None, None, (), f"The effect of {_named(factors)} was not computed.")
-    is_significant = p_value < alpha
-    in_brackets = ", ".join(map(_number, freedom))
-    figures = f"{name}{f'({in_brackets})' if freedom else ''} = {value:.3g}, {p_in_words(p_value)}"
-    return Effect(
-        factors,
-        name,
-        value,
-        freedom,
-        p_value,
-        is_significant,
-        sizes,
-        _conclusion(measure, factors, figures, sizes, is_significant),
+def carry_out(data: MeasureData, choice: Choice, alpha: float) -> MeasureTest:
+    """Return the results of the test that was chosen."""
+    compute, library = _CARRIED_OUT[choice.method]
+    with quiet():
+        effects = tuple(_effect(data, result, alpha) for result in compute(data, choice))
+    notes = [
+        choice.fit.terms.note,
+        _NOTES.get(choice.method, ""),
+        _balance_note(data, choice),
+        _variances_note(choice),
+        _size_note(data, choice),
+    ]
+    return MeasureTest(
+        choice.method, choice.reason, effects, f"{library} {version(library)}", tuple(filter(None, notes))
     )
+
+
+def _effect(data: MeasureData, result: _Result, alpha: float) -> Effect:
+    """Return a line of the table of tests, with its conclusion in plain words; a p-value of NaN becomes None."""
+    factors = result.factors or data.factors
+    statistic, p_value = float(result.statistic), float(result.p_value)
+    if not all(map(math.isfinite, (p_value, statistic, *result.freedom))):
+        conclusion = f"The effect of {enumerated(factors)} was not computed."
+        return Effect(factors, result.name, None, (), None, None, (), conclusion)
+    is_significant = p_value < alpha
+    sizes = tuple(size for size in result.sizes if size is not None)
+    freedom = ", ".join(f"{each:g}" if float(each).is_integer() else f"{each:.2f}" for each in result.freedom)
+    figures = f"{result.name}{f'({freedom})' if freedom else ''} = {statistic:.3g}, {p_in_words(p_value)}"
+    conclusion = _conclusion(data.name, factors, figures, sizes, is_significant)
+    return Effect(factors, result.name, statistic, result.freedom, p_value, is_significant, sizes, conclusion)
 
 
 def _conclusion(
@@ -82,28 +88,6 @@ def _conclusion(
         others = enumerated(factors[1:])
         return f"The effect of {factors[0]} on {measure} depends on {others} ({figures}{size})."
     return f"{factors[0]} has an effect on {measure} ({figures}{size})."
-
-
-def _named(factors: tuple[str, ...]) -> str:
-    return enumerated(factors)
-
-
-def _number(value: float) -> str:
-    return f"{value:g}" if float(value).is_integer() else f"{value:.2f}"
-
-
-def carry_out(data: MeasureData, choice: Choice, alpha: float) -> MeasureTest:
-    """Return the results of the test that was chosen."""
-    with quiet():
-        effects, source = _CARRIED_OUT[choice.method](data, choice, alpha)
-    notes = [
-        choice.fit.terms.note,
-        _NOTES.get(choice.method, ""),
-        _balance_note(data, choice),
-        _variances_note(choice),
-        _size_note(data, choice),
-    ]
-    return MeasureTest(choice.method, choice.reason, tuple(effects), library(source), tuple(filter(None, notes)))
 
 
 #: By simulation: of groups of three runs, five err in 8 % and ten in 14 % of experiments at an alpha of 5 %.
@@ -156,71 +140,64 @@ def _variances_note(choice: Choice) -> str:
     return ""
 
 
-def _student(data: MeasureData, choice: Choice, alpha: float) -> tuple[list[Effect], str]:
+def _student(data: MeasureData, choice: Choice) -> Iterator[_Result]:
     first, second = (group.values for group in data.groups(data.factors))
-    result = stats.ttest_ind(first, second, equal_var=choice.method is TestMethod.STUDENT_T)
+    found = stats.ttest_ind(first, second, equal_var=choice.method is TestMethod.STUDENT_T)
     sizes = two_group_effects(first, second, by_ranks=False)
-    return [_effect(data, ("t", result.statistic), (float(result.df),), result.pvalue, alpha, sizes)], "scipy"
+    yield _Result("t", found.statistic, (float(found.df),), found.pvalue, sizes)
 
 
-def _mann_whitney(data: MeasureData, choice: Choice, alpha: float) -> tuple[list[Effect], str]:
-    del choice
+def _mann_whitney(data: MeasureData, _choice: Choice) -> Iterator[_Result]:
     first, second = (group.values for group in data.groups(data.factors))
-    result = stats.mannwhitneyu(first, second, method="auto")
-    sizes = two_group_effects(first, second, by_ranks=True)
-    return [_effect(data, ("U", result.statistic), (), result.pvalue, alpha, sizes)], "scipy"
+    found = stats.mannwhitneyu(first, second, method="auto")
+    yield _Result("U", found.statistic, (), found.pvalue, two_group_effects(first, second, by_ranks=True))
 
 
-def _anova(data: MeasureData, choice: Choice, alpha: float) -> tuple[list[Effect], str]:
+def _anova(data: MeasureData, choice: Choice) -> Iterator[_Result]:
     from statsmodels.stats.oneway import anova_oneway  # noqa: PLC0415 - takes a second to import
 
     groups = [group.values for group in data.groups(data.factors)]
-    result = anova_oneway(groups, use_var="equal" if choice.method is TestMethod.ANOVA else "unequal")
-    freedom = (float(result.df_num), float(result.df_denom))
+    found = anova_oneway(groups, use_var="equal" if choice.method is TestMethod.ANOVA else "unequal")
     # Eta squared is a share of the sums of squares, whichever way the test weighs the groups.
     (term,) = choice.fit.tests.values()
-    sizes = (eta_squared(term.f_value, term.freedom),)
-    return [_effect(data, ("F", result.statistic), freedom, result.pvalue, alpha, sizes)], "statsmodels"
+    size = eta_squared(term.f_value, term.freedom)
+    yield _Result("F", found.statistic, (float(found.df_num), float(found.df_denom)), found.pvalue, (size,))
 
 
-def _kruskal_wallis(data: MeasureData, choice: Choice, alpha: float) -> tuple[list[Effect], str]:
-    del choice
+def _kruskal_wallis(data: MeasureData, _choice: Choice) -> Iterator[_Result]:
     groups = [group.values for group in data.groups(data.factors)]
-    result = stats.kruskal(*groups)
-    sizes = (eta_squared_of_ranks(groups),)
-    return [_effect(data, ("H", result.statistic), (len(groups) - 1.0,), result.pvalue, alpha, sizes)], "scipy"
+    found = stats.kruskal(*groups)
+    yield _Result("H", found.statistic, (len(groups) - 1.0,), found.pvalue, (eta_squared_of_ranks(groups),))
 
 
-def _linear(data: MeasureData, choice: Choice, alpha: float) -> tuple[list[Effect], str]:
+def _linear(data: MeasureData, choice: Choice) -> Iterator[_Result]:
     is_ranked = choice.method is TestMethod.ALIGNED_RANKS
-    effects = []
     for factors in choice.fit.terms.effects:
         fit = fit_aligned(data, choice.fit.terms, factors) if is_ranked else choice.fit
         test = fit.robust_tests[factors] if choice.method is TestMethod.ROBUST_ANOVA else fit.tests[factors]
         # As of a one-way analysis: the size is a share of the sums of squares, whichever way the test weighs the runs.
-        sizes = (partial_eta_squared(fit.tests[factors].f_value, test.freedom),)
-        effects.append(make_effect(data.name, factors, ("F", test.f_value), test.freedom, test.p_value, alpha, sizes))
-    return effects, "statsmodels"
+        size = eta_squared(fit.tests[factors].f_value, test.freedom, is_partial=True)
+        yield _Result("F", test.f_value, test.freedom, test.p_value, (size,), factors)
 
 
-def _paired(data: MeasureData, choice: Choice, alpha: float) -> tuple[list[Effect], str]:
+def _paired_t(data: MeasureData, _choice: Choice) -> Iterator[_Result]:
     differences = paired_differences(data)
-    if choice.method is TestMethod.PAIRED_T:
-        result = stats.ttest_1samp(differences, 0.0)
-        size = paired_d(differences)
-        return [_effect(data, ("t", result.statistic), (float(result.df),), result.pvalue, alpha, _only(size))], "scipy"
-    result = stats.wilcoxon(differences)
-    size = paired_rank_biserial(differences)
-    return [_effect(data, ("W", result.statistic), (), result.pvalue, alpha, _only(size))], "scipy"
+    found = stats.ttest_1samp(differences, 0.0)
+    yield _Result("t", found.statistic, (float(found.df),), found.pvalue, (paired_d(differences),))
 
 
-def _friedman(data: MeasureData, choice: Choice, alpha: float) -> tuple[list[Effect], str]:
-    del choice
+def _wilcoxon(data: MeasureData, _choice: Choice) -> Iterator[_Result]:
+    differences = paired_differences(data)
+    found = stats.wilcoxon(differences)
+    yield _Result("W", found.statistic, (), found.pvalue, (paired_rank_biserial(differences),))
+
+
+def _friedman(data: MeasureData, _choice: Choice) -> Iterator[_Result]:
     wide = data.by_block()
     levels = data.levels(data.factors[0])
-    result = stats.friedmanchisquare(*(wide[level].to_numpy(dtype=np.float64) for level in levels))
-    sizes = (kendalls_w(float(result.statistic), len(wide), len(levels)),)
-    return [_effect(data, ("chi2", result.statistic), (len(levels) - 1.0,), result.pvalue, alpha, sizes)], "scipy"
+    found = stats.friedmanchisquare(*(wide[level].to_numpy(dtype=np.float64) for level in levels))
+    size = kendalls_w(float(found.statistic), len(wide), len(levels))
+    yield _Result("chi2", found.statistic, (len(levels) - 1.0,), found.pvalue, (size,))
 
 
 def mixed_model(data: MeasureData, choice: Choice, response: NDArray[np.float64] | None = None) -> Any:
@@ -238,10 +215,9 @@ def mixed_model(data: MeasureData, choice: Choice, response: NDArray[np.float64]
         return mixedlm(formula, coded_frame(data, response), groups="b").fit(reml=True)
 
 
-def _mixed(data: MeasureData, choice: Choice, alpha: float) -> tuple[list[Effect], str]:
+def _mixed(data: MeasureData, choice: Choice) -> Iterator[_Result]:
     is_ranked = choice.method is TestMethod.MIXED_ALIGNED_RANKS
     of_values = None if is_ranked else mixed_model(data, choice)
-    effects = []
     for factors in choice.fit.terms.effects:
         results = of_values or mixed_model(data, choice, aligned_ranks(data, factors))
         table = results.wald_test_terms(scalar=True).table
@@ -250,41 +226,25 @@ def _mixed(data: MeasureData, choice: Choice, alpha: float) -> tuple[list[Effect
         freedom = (float(row["df_constraint"]), choice.fit.freedom_within(factors))
         f_value = float(row["statistic"]) / freedom[0]
         p_value = float(stats.f.sf(f_value, *freedom))
-        sizes = (partial_eta_squared(f_value, freedom),) if math.isfinite(p_value) else ()
-        effects.append(make_effect(data.name, factors, ("F", f_value), freedom, p_value, alpha, sizes))
-    return effects, "statsmodels"
+        sizes = (eta_squared(f_value, freedom, is_partial=True),) if math.isfinite(p_value) else ()
+        yield _Result("F", f_value, freedom, p_value, sizes, factors)
 
 
-def _effect(
-    data: MeasureData,
-    statistic: tuple[str, float],
-    freedom: tuple[float, ...],
-    p_value: float,
-    alpha: float,
-    sizes: tuple[EffectSize, ...],
-) -> Effect:
-    name, value = statistic
-    return make_effect(data.name, data.factors, (name, float(value)), freedom, float(p_value), alpha, sizes)
-
-
-def _only(size: EffectSize | None) -> tuple[EffectSize, ...]:
-    return () if size is None else (size,)
-
-
-_CARRIED_OUT: Mapping[TestMethod, Callable[[MeasureData, Choice, float], tuple[list[Effect], str]]] = {
-    TestMethod.STUDENT_T: _student,
-    TestMethod.WELCH_T: _student,
-    TestMethod.MANN_WHITNEY: _mann_whitney,
-    TestMethod.PAIRED_T: _paired,
-    TestMethod.WILCOXON: _paired,
-    TestMethod.ANOVA: _anova,
-    TestMethod.WELCH_ANOVA: _anova,
-    TestMethod.KRUSKAL_WALLIS: _kruskal_wallis,
-    TestMethod.FACTORIAL_ANOVA: _linear,
-    TestMethod.ROBUST_ANOVA: _linear,
-    TestMethod.BLOCKED_ANOVA: _linear,
-    TestMethod.ALIGNED_RANKS: _linear,
-    TestMethod.FRIEDMAN: _friedman,
-    TestMethod.MIXED_MODEL: _mixed,
-    TestMethod.MIXED_ALIGNED_RANKS: _mixed,
+#: What computes each test, and the library that does the work.
+_CARRIED_OUT: Mapping[TestMethod, tuple[Callable[[MeasureData, Choice], Iterator[_Result]], str]] = {
+    TestMethod.STUDENT_T: (_student, "scipy"),
+    TestMethod.WELCH_T: (_student, "scipy"),
+    TestMethod.MANN_WHITNEY: (_mann_whitney, "scipy"),
+    TestMethod.PAIRED_T: (_paired_t, "scipy"),
+    TestMethod.WILCOXON: (_wilcoxon, "scipy"),
+    TestMethod.ANOVA: (_anova, "statsmodels"),
+    TestMethod.WELCH_ANOVA: (_anova, "statsmodels"),
+    TestMethod.KRUSKAL_WALLIS: (_kruskal_wallis, "scipy"),
+    TestMethod.FACTORIAL_ANOVA: (_linear, "statsmodels"),
+    TestMethod.ROBUST_ANOVA: (_linear, "statsmodels"),
+    TestMethod.BLOCKED_ANOVA: (_linear, "statsmodels"),
+    TestMethod.ALIGNED_RANKS: (_linear, "statsmodels"),
+    TestMethod.FRIEDMAN: (_friedman, "scipy"),
+    TestMethod.MIXED_MODEL: (_mixed, "statsmodels"),
+    TestMethod.MIXED_ALIGNED_RANKS: (_mixed, "statsmodels"),
 }

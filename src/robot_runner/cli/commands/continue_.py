@@ -55,7 +55,7 @@ def _refuse_unless_it_waits(status: ExperimentStatus) -> None:
     if not status.is_waiting_for_user:
         doing = f"executes {status.current_run}" if status.current_run else "is between two runs"
         raise ExecutionError(
-            f"it does not wait: process {status.holder.pid} on {status.holder.host} {doing}",
+            f"the experiment does not wait: process {status.holder.pid} on {status.holder.host} {doing}",
             where=where,
             fix="Wait until it asks; in AUTO mode it never does.",
         )
@@ -66,8 +66,8 @@ def _wait_until_heard(folder: ExperimentFolder) -> None:
     while folder.control.exists():
         if time.monotonic() > end:
             raise ExecutionError(
-                f"the experiment has not heard it after {_PATIENCE:g} s",
+                f"the experiment has not taken the request after {_PATIENCE:g} s",
                 where=shown_path(folder.root),
-                fix="Press ENTER in its own terminal; it hears this once it listens again.",
+                fix="Press ENTER in its own terminal; the request is taken once the experiment looks again.",
             )
         time.sleep(_LOOK)

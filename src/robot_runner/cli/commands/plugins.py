@@ -71,7 +71,7 @@ def _described(installed: InstalledPlugin) -> _Described:
     except Exception as error:  # noqa: BLE001 - a stranger's class may raise anything when it is looked at
         finding = Finding.error(
             f"plugin {installed.name}",
-            f"it cannot be described: {type(error).__name__}: {error}",
+            f"the plugin cannot be described: {type(error).__name__}: {error}",
             f"Update or remove the package {installed.package}.",
         )
         return _Described(installed, finding=finding)

@@ -66,7 +66,9 @@ def make_plugin(chosen: str, values: Mapping[str, str]) -> tuple[Plugin, str | N
     for name in own:
         if name not in parameters and not takes_any:
             raise PluginError(
-                f"it has no parameter {name!r}", where=kind.__name__, fix=did_you_mean(name, [*parameters, _ROBOT])
+                f"the profiler has no parameter {name!r}",
+                where=kind.__name__,
+                fix=did_you_mean(name, [*parameters, _ROBOT]),
             )
     try:
         plugin = kind(**{name: _value(text) for name, text in own.items()})
@@ -76,7 +78,7 @@ def make_plugin(chosen: str, values: Mapping[str, str]) -> tuple[Plugin, str | N
         raise _raised(kind.__name__, "when it was made", error) from error
     if not hasattr(plugin, "name"):
         fix = "Call super().__init__(name=name) in its __init__."
-        raise PluginError("it has no name", where=kind.__name__, fix=fix)
+        raise PluginError("the profiler has no name", where=kind.__name__, fix=fix)
     return plugin, robot
 
 
@@ -112,7 +114,7 @@ def _imported_file(path: Path) -> ModuleType:
     sys.path.insert(0, str(path.parent.resolve()))  # what it imports beside it is found
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
-        raise PluginError("it cannot be imported", where=str(path), fix="Name a Python file.")
+        raise PluginError("the file cannot be imported", where=str(path), fix="Name a Python file.")
     module = importlib.util.module_from_spec(spec)
     sys.modules[path.stem] = module
     try:
@@ -131,11 +133,13 @@ def _class_in(module: ModuleType, name: str, *, where: str) -> type[Plugin]:
     if not name:
         if len(own) == 1:
             return next(iter(own.values()))
-        found_here = f"it holds {len(own)} profilers" if own else "it holds no class that derives from Profiler"
+        found_here = (
+            f"the module holds {len(own)} profilers" if own else "the module holds no class that derives from Profiler"
+        )
         raise PluginError(found_here, where=where, fix=f"Name one: {where}:{next(iter(own), 'MyProfiler')}.")
     found = getattr(module, name, None)
     if found is None:
-        raise PluginError(f"it has no class {name!r}", where=where, fix=did_you_mean(name, own))
+        raise PluginError(f"the module has no class {name!r}", where=where, fix=did_you_mean(name, own))
     if not (isinstance(found, type) and issubclass(found, Profiler)):
         raise PluginError(f"{name} is no Profiler", where=where, fix="Derive it from robot_runner.plugins.Profiler.")
     return found
@@ -149,7 +153,7 @@ def _value(text: str) -> Any:
 
 
 def _raised(where: str, when: str, error: BaseException) -> PluginError:
-    problem = f"it raised {type(error).__name__} {when}: {error}"
+    problem = f"the code raised {type(error).__name__} {when}: {error}"
     return PluginError(problem, where=where, fix="Mend it, or tell its author; --debug shows the traceback.")
 
 
@@ -198,7 +202,9 @@ def _check(arguments: Namespace) -> None:
     if not 0 < arguments.seconds < float("inf"):
         raise RobotRunnerError(f"--seconds is {arguments.seconds:g}", where="try", fix="Give a number above 0.")
     if arguments.keep is not None and Path(arguments.keep).exists():
-        raise RobotRunnerError("it is there already", where=arguments.keep, fix="Name a folder that does not exist.")
+        raise RobotRunnerError(
+            "the folder to keep is there already", where=arguments.keep, fix="Name a folder that does not exist."
+        )
 
 
 def _kept(trial: Trial, wanted: str | None) -> Path | None:
@@ -214,7 +220,7 @@ def _writing(path: str) -> Iterator[None]:
         yield
     except OSError as error:
         fix = "Name another folder."
-        raise RobotRunnerError(f"it cannot be written: {error.strerror}", where=path, fix=fix) from error
+        raise RobotRunnerError(f"the folder cannot be written: {error.strerror}", where=path, fix=fix) from error
 
 
 def _print(console: UserConsole, plugin: Plugin, trial: Trial, kept: Path | None) -> None:

@@ -130,7 +130,7 @@ def _missing(loaded: LoadedConfig, parameter: Parameter) -> Finding:
 def _malformed(loaded: LoadedConfig, parameter: Parameter, value: object) -> Finding:
     return Finding.error(
         f"{loaded.where}.{parameter.name}",
-        f"it is {value!r}, of type {type(value).__name__}",
+        f"the value is {value!r}, of type {type(value).__name__}",
         f"It must be {parameter.kind.expected}.",
     )
 
@@ -187,7 +187,7 @@ def _listed(loaded: LoadedConfig, findings: list[Finding]) -> Iterable[Plugin]:
     listed = getattr(loaded.config, "plugins", ())
     if not isinstance(listed, list | tuple):
         findings.append(
-            Finding.error(where, f"it is {listed!r}", "Give a list, such as [BasicTurtlebot3(), PsUtil()].")
+            Finding.error(where, f"the value is {listed!r}", "Give a list, such as [BasicTurtlebot3(), PsUtil()].")
         )
         return
     for plugin in listed:
@@ -230,7 +230,7 @@ def _equal_names(loaded: LoadedConfig, plugins: list[Plugin]) -> list[Finding]:
 def _failed_check(where: str, error: Exception) -> Finding:
     if isinstance(error, RobotRunnerError):
         return Finding.error(error.where or where, error.problem, error.fix)
-    problem = f"its check raised {type(error).__name__}: {error}"
+    problem = f"the check raised {type(error).__name__}: {error}"
     return Finding.error(where, problem, "Tell the plugin's author; update or leave out the plugin.")
 
 
@@ -294,7 +294,7 @@ def create_model(loaded: LoadedConfig) -> tuple[RunTableModel | None, list[Findi
     model = created.model if isinstance(created, RunTable) else created
     if isinstance(model, RunTableModel):
         return model, list(model.warnings)
-    problem = f"it returned {_shown(created)}"
+    problem = f"create_run_table returned {_shown(created)}"
     return None, [Finding.error(where, problem, "Return the RunTableModel (`return run_table`).")]
 
 

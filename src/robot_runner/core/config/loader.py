@@ -206,7 +206,7 @@ def raised_in(path: Path, when: str) -> Iterator[None]:
         raise ConfigError.of_findings(_placed(path, error)) from error
     except (Exception, SystemExit) as error:
         raise ConfigError(
-            f"it raised {type(error).__name__} {when}: {error}",
+            f"the config raised {type(error).__name__} {when}: {error}",
             where=place_in(path, error),
             fix=_fix_of(error) or "Mend this line.",
         ) from error
@@ -260,7 +260,9 @@ def execute_source(source: ConfigSource) -> ModuleType:
     """
     spec = importlib.util.spec_from_file_location(_MODULE_NAME, source.path)
     if spec is None or spec.loader is None:
-        raise ConfigError("it cannot be imported", where=str(source.path), fix="Give it a name that ends in .py.")
+        raise ConfigError(
+            "the config cannot be imported", where=str(source.path), fix="Give it a name that ends in .py."
+        )
     module = importlib.util.module_from_spec(spec)
     sys.modules[_MODULE_NAME] = module
     exec(compile(source.text, str(source.path), "exec"), module.__dict__)  # noqa: S102 - a config file is code

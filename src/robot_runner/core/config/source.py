@@ -67,12 +67,12 @@ def read_tree(path: Path) -> tuple[str, ast.Module]:
         return text, ast.parse(text, filename=str(path))
     except SyntaxError as error:
         raise ConfigError(
-            f"it is not Python: {error.msg}: {(error.text or '').strip()!r}",
+            f"the file is not Python: {error.msg}: {(error.text or '').strip()!r}",
             where=f"{path}:{error.lineno or 0}",
             fix="Mend the syntax of this line (or of the one before it).",
         ) from error
     except ValueError as error:
-        raise ConfigError(f"it is not Python: {error}", where=str(path), fix="Name a Python file.") from error
+        raise ConfigError(f"the file is not Python: {error}", where=str(path), fix="Name a Python file.") from error
 
 
 def _read(path: Path) -> str:
@@ -81,12 +81,14 @@ def _read(path: Path) -> str:
     except FileNotFoundError as error:
         raise ConfigError("there is no such file", where=str(path), fix=_other_file(path)) from error
     except IsADirectoryError as error:
-        raise ConfigError("it is a folder", where=str(path), fix="Name the config file in it.") from error
+        raise ConfigError(
+            "the path names a folder, and no config file", where=str(path), fix="Name the config file in it."
+        ) from error
     except UnicodeDecodeError as error:
-        raise ConfigError("it is not text in UTF-8", where=str(path), fix="Name a Python file.") from error
+        raise ConfigError("the file is not text in UTF-8", where=str(path), fix="Name a Python file.") from error
     except OSError as error:
         raise ConfigError(
-            f"it cannot be read: {error.strerror}", where=str(path), fix="Mend its permissions."
+            f"the file cannot be read: {error.strerror}", where=str(path), fix="Mend its permissions."
         ) from error
 
 
@@ -108,13 +110,13 @@ def _config_class(path: Path, tree: ast.Module) -> str:
         return derived[0]
     if derived:
         raise ConfigError(
-            f"it has {len(derived)} config classes: {', '.join(derived)}",
+            f"the file has {len(derived)} config classes: {', '.join(derived)}",
             where=str(path),
             fix=f"Name the one that is to be executed {CONFIG_CLASS}.",
         )
     near = nearest(CONFIG_CLASS, names)
     raise ConfigError(
-        f"it has no class named {CONFIG_CLASS}",
+        f"the file has no class named {CONFIG_CLASS}",
         where=str(path),
         fix=f"Rename the class {near} to {CONFIG_CLASS}."
         if near

@@ -119,7 +119,7 @@ def _matching_treatments(
 def _chosen(factor: Factor, wanted: Any) -> tuple[set[int], list[Any]]:
     """Return the identities of the treatments of `factor` that are wanted, and what is no treatment of it.
 
-    By identity, as combinations hold the factor's own objects: by equality, True would be 1, and some objects have none.
+    By identity, as combinations hold the factor's own objects: True equals 1, and some objects have no equality.
     """
     chosen: set[int] = set()
     unknown = []

@@ -12,11 +12,11 @@ from secrets import randbits
 from typing import TYPE_CHECKING, NamedTuple, overload
 
 from robot_runner.core.design.columns import numbered_run_id
-from robot_runner.core.design.factor import Combination
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
+    from robot_runner.core.design.factor import Combination
     from robot_runner.core.design.run_table_model import RunTableModel
 
 __all__ = ["PlannedRun", "RunOrder", "RunTable", "arranged", "garbage_collection_paused", "planned_runs"]
@@ -97,6 +97,7 @@ class PlannedRun(NamedTuple):
         block: which block it belongs to, from 1; None where the design has no blocks.
 
     Example:
+        >>> from robot_runner.core.design.factor import Combination
         >>> PlannedRun("r_1", 1, Combination({"Task": 0}, ("Video",)), 1).combination["Task"]
         'Video'
     """
@@ -184,8 +185,8 @@ def planned_runs(
 def garbage_collection_paused() -> Iterator[None]:
     """Keep the cyclic garbage collector from running while many rows are made.
 
-    It looks at all objects whenever their number has grown by a quarter: two thirds of the time that a million rows take.
-    Rows refer to nothing that refers back to them, so nothing is missed.
+    It looks at all objects whenever their number has grown by a quarter: two thirds of the time that a million rows
+    take. Rows refer to nothing that refers back to them, so nothing is missed.
     """
     was_enabled = gc.isenabled()
     gc.disable()

@@ -88,11 +88,11 @@ class ProgressManager:
             self._journal = opened.enter_context(Journal(self._folder.journal))
             keep_config(self._experiment)
             write_manifest(self._folder.manifest, self._manifest)
-            recovered.write_schema(self._folder.schema)
             if recovered.is_on_disk:  # reading it took longer than writing it will
                 self._table_written = time.monotonic()
                 self._table_cost = self._table_written - started
             else:
+                recovered.write_schema(self._folder.schema)
                 self._write_table()
             self._resources = opened.pop_all()
         seed, runs = self.seed, self.run_count

@@ -7,6 +7,7 @@ import difflib
 import re
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field
+from operator import is_
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
@@ -124,7 +125,7 @@ def config_changes(experiment: Experiment) -> list[Finding]:
 
 def table_differences(path: Path, plan: RunTable, rows: RunTableRows) -> Iterator[Finding]:
     """Yield each cell in which the run table on disk differs from the plan, and each run that only one of them has."""
-    if list(map(_key, plan)) == list(map(_key, rows.planned)):  # as nearly always, and many times faster
+    if len(plan) == len(rows) and all(map(is_, plan, rows.planned)):  # as nearly always, and many times faster
         return
     planned = {run.run_id: run for run in plan}
     for found in rows.planned:
@@ -135,11 +136,6 @@ def table_differences(path: Path, plan: RunTable, rows: RunTableRows) -> Iterato
             yield from _different_cells(path, run, found, has_repetition=rows.layout.has_repetition)
     for run_id in planned:
         yield Finding.error(f"{path}, run {run_id}", "the table lacks this run of the plan", _TABLE_FIX)
-
-
-def _key(run: PlannedRun) -> tuple[Any, ...]:
-    # By identity, as rows hold the factors' own treatments, some of which have no equality.
-    return (run.run_id, run.repetition, *map(id, run.combination.treatments))
 
 
 def _different_cells(path: Path, run: PlannedRun, found: PlannedRun, *, has_repetition: bool) -> Iterator[Finding]:
@@ -201,7 +197,7 @@ class RecoveredTable:
         failed: why each failed run failed.
         unfinished: the run whose attempt nobody saw the end of, or None.
         findings: what looked odd in the file.
-        is_on_disk: whether the file holds all this, so that it need not be written.
+        is_on_disk: whether the file holds all this, and has a schema, so that neither need be written.
     """
 
     experiment: Experiment
@@ -296,10 +292,10 @@ def recover_table(
     if not folder.run_table.exists():
         recovered = RecoveredTable(experiment, RunTableRows.of_plan(plan, layout))
     else:
-        rows = read_run_table(folder.run_table, layout)
+        rows = read_run_table(folder.run_table, layout, plan)
         if manifest["design"]["source"] == "config" and not accept_changes:
             _refuse(table_differences(folder.run_table, plan, rows))
-        recovered = RecoveredTable(experiment, rows, findings=rows.warnings, is_on_disk=rows.has_file)
+        recovered = RecoveredTable(experiment, rows, findings=rows.warnings, is_on_disk=rows.has_file and bool(schema))
     for column in schema:
         recovered.origins[column.name].update(column.origin.split(", ") if column.origin else ())
     _replay(recovered, folder.journal, has_origins=bool(schema))
@@ -315,28 +311,30 @@ _IS_DONE = b'"status":"done"'  # quotes inside a text are escaped: these stand n
 
 def _replay(recovered: RecoveredTable, journal: Path, *, has_origins: bool) -> None:
     """Take from the journal what the file does not have; measures' origins as well, where no schema tells them."""
-    since_table_written: dict[str, bytes] = {}
-    failed: dict[str, bytes] = {}
+    since_table_written: list[bytes] = []
+    failed: list[bytes] = []
+    attempted: list[str] = []
+    is_open = False
     for line in journal_lines(journal, kinds={"attempt_started", "attempt_finished", "table_written"}):
-        if line.startswith(_TABLE_WRITTEN):
-            since_table_written.clear()
-            continue
-        run_id = _run_of(journal, line)
         if line.startswith(_STARTED):
-            recovered.attempts[run_id] += 1
-            recovered.unfinished = run_id
-            continue
-        recovered.unfinished = None
-        since_table_written[run_id] = line
-        failed.pop(run_id, None)
-        if _IS_DONE not in line:
-            failed[run_id] = line
-        if not has_origins:
-            recovered.take_origins(parsed_record(journal, line))
-    for line in since_table_written.values():
+            attempted.append(_run_of(journal, line))
+            is_open = True
+        elif line.startswith(_TABLE_WRITTEN):
+            since_table_written.clear()
+        else:
+            is_open = False
+            since_table_written.append(line)
+            if _IS_DONE not in line:
+                failed.append(line)
+            if not has_origins:
+                recovered.take_origins(parsed_record(journal, line))
+    recovered.attempts.update(attempted)
+    recovered.unfinished = attempted[-1] if is_open else None
+    last_ends = {_run_of(journal, line): line for line in since_table_written}
+    for line in last_ends.values():
         recovered.take_record(parsed_record(journal, line))
-    recovered.is_on_disk &= not since_table_written and not recovered.rows.count(RunStatus.RUNNING)
-    _settle(recovered, {run_id: parsed_record(journal, line)["failure"] or "" for run_id, line in failed.items()})
+    recovered.is_on_disk &= not last_ends and not recovered.rows.count(RunStatus.RUNNING)
+    _settle(recovered, {_run_of(journal, line): parsed_record(journal, line)["failure"] or "" for line in failed})
 
 
 def _run_of(journal: Path, line: bytes) -> str:

@@ -241,6 +241,6 @@ class OnBoardSampler(Generic[S_co]):
         try:
             after = session.clock_offset()
         except LinkError as error:
-            self._problems.append(f"its clock could not be asked after the run: {error.problem}")
+            self._problems.append(f"the computer's clock could not be asked after the run: {error.problem}")
         else:
             self._clock = ClockRecord(self._clock.host, self._clock.before, after)

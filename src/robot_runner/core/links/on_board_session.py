@@ -210,10 +210,9 @@ class OnBoardSession:
         offered = fields[1].split() if len(fields) > 1 and fields[0] == _VERSION else []
         form = wanted or next((form for form in FORMS if form in offered), None)
         if form is None or form not in offered:
+            lack = f"cannot be sampled by {wanted}" if wanted else "has neither Linux's /proc nor a usable ps"
             raise LinkError(
-                f"the computer cannot be sampled by {wanted}"
-                if wanted
-                else "the computer has neither Linux's /proc nor a usable ps",
+                f"the computer {lack}",
                 where=self.where,
                 fix=f"Choose among what it can: {', '.join(offered)}." if offered else "Install python3 there.",
             )
@@ -256,7 +255,7 @@ class OnBoardSession:
                 return words[1:], at
             if words[0] == "error":
                 raise LinkError(
-                    f"the computer cannot do this: {' '.join(words[1:])}", where=self.where, fix="Look at it by hand."
+                    f"the computer cannot do it: {' '.join(words[1:])}", where=self.where, fix="Look at it by hand."
                 )
         raise LinkError(
             f"the computer did not answer within {patience:g} s", where=self.where, fix="Look at the network."

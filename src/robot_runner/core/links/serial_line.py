@@ -107,7 +107,7 @@ def port_problem(port: str) -> LinkError | None:
     if not stat.S_ISCHR(Path(port).stat().st_mode):
         return LinkError(f"{port!r} is no serial port", where=f"serial port {port}", fix=_choice(port))
     if not os.access(port, os.R_OK | os.W_OK):
-        return LinkError("this user may not open the port", where=f"serial port {port}", fix=_PERMIT)
+        return LinkError("the port may not be opened by this user", where=f"serial port {port}", fix=_PERMIT)
     return None
 
 
@@ -223,7 +223,7 @@ def _open(port: str, baud: int) -> Any:
 def _refusal(port: str, error: Exception) -> LinkError:
     where, number = f"serial port {port}", getattr(error, "errno", None)
     if number in {errno.EACCES, errno.EPERM}:
-        return LinkError("this user may not open the port", where=where, fix=_PERMIT)
+        return LinkError("the port may not be opened by this user", where=where, fix=_PERMIT)
     if number in {errno.EBUSY, errno.EAGAIN} or "exclusively lock" in str(error):
         return LinkError("another program has it open", where=where, fix=_SHARE)
     return LinkError(f"the port cannot be opened: {error}", where=where, fix=_choice(port))

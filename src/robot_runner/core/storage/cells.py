@@ -92,7 +92,7 @@ def quoted(text: str) -> str:
 
 
 def csv_text(rows: Sequence[Sequence[Any]]) -> str:
-    r"""Return rows of a CSV file, with lines that end in `\n`; None is an empty cell, all else is written as its text."""
+    r"""Return rows of a CSV file, with lines that end in `\n`; None is an empty cell, all else its `str()`."""
     written = io.StringIO(newline="")
     csv.writer(written, lineterminator="\n").writerows(rows)
     text = written.getvalue()
@@ -190,7 +190,8 @@ def treatment_position(factor: Factor, text: str, *, decimal_comma: bool = False
 
 def are_stamps(texts: Sequence[str]) -> bool:
     """Return whether all these texts are time stamps as the journal writes them (UTC, ISO 8601, milliseconds)."""
-    return _STAMPS.fullmatch("".join(f"{text}\n" for text in texts)) is not None
+    lines = "\n".join((*texts, ""))
+    return lines.count("\n") == len(texts) and _STAMPS.fullmatch(lines) is not None
 
 
 def checked_measure(name: str, value: Any) -> CellValue:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import islice, repeat
+from itertools import chain, islice, repeat
+from operator import is_
 from typing import TYPE_CHECKING, Any, Protocol
 
 from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS, numbered_run_id
@@ -128,7 +129,7 @@ _ROWS_AT_ONCE = 500  # what fits into a processor's cache; ten times as many tak
 _LONGEST_CELL = 1 << 27  # the module's own limit of 128 KiB is less than what we write
 
 
-def read_run_table(path: Path, layout: TableLayout) -> RunTableRows:
+def read_run_table(path: Path, layout: TableLayout, planned: Sequence[PlannedRun] = ()) -> RunTableRows:
     """Read a run table.
 
     Columns may stand in any order, under the layout's headings (or `ID` and `Status`, as in the paper's Fig. 3), with
@@ -138,6 +139,7 @@ def read_run_table(path: Path, layout: TableLayout) -> RunTableRows:
     Args:
         path: the file.
         layout: the columns that the table is to have, and what their cells are read as.
+        planned: the plan that the table may have been made from: rows that are as planned refer to it.
 
     Returns:
         The rows; their `warnings` tell what looked odd.
@@ -149,7 +151,7 @@ def read_run_table(path: Path, layout: TableLayout) -> RunTableRows:
     with _opened(path) as file, garbage_collection_paused():
         delimiter = delimiter_of(next((line for line in file if line.strip()), ""), layout)
         file.seek(0)
-        return _Reading(layout, findings, decimal_comma=delimiter == ";").read(file, delimiter)
+        return _Reading(layout, findings, planned, decimal_comma=delimiter == ";").read(file, delimiter)
 
 
 class _Lines(Protocol):
@@ -165,8 +167,11 @@ class _Lines(Protocol):
 class _Reading:
     """One file being read: a decoder for each column that the layout can have."""
 
-    def __init__(self, layout: TableLayout, findings: TableFindings, *, decimal_comma: bool) -> None:
+    def __init__(
+        self, layout: TableLayout, findings: TableFindings, planned: Sequence[PlannedRun], *, decimal_comma: bool
+    ) -> None:
         self._layout = layout
+        self._planned = planned
         self._findings = findings
         self._run_ids = RunIdDecoder(findings)
         self._repetitions = RepetitionDecoder(findings)
@@ -228,13 +233,13 @@ class _Reading:
 
         numbers = range(first, first + count)
         treatments = combined(self._layout.factor_names)
-        runs = map(
-            PlannedRun,
-            found.get(RUN_ID) or map(numbered_run_id, numbers),
-            numbers,
-            map(Combination, repeat(factor_places(self._layout.factor_names)), treatments),
-            self._repetitions_of(found, treatments),
-        )
+        run_ids = found.get(RUN_ID) or list(map(numbered_run_id, numbers))
+        repetitions = self._repetitions_of(found, treatments)
+        planned = self._planned[first - 1 : first - 1 + count]
+        runs: Iterable[PlannedRun] = planned
+        if not _are_as_planned(planned, run_ids, treatments, repetitions):
+            combinations = map(Combination, repeat(factor_places(self._layout.factor_names)), treatments)
+            runs = map(PlannedRun, run_ids, numbers, combinations, repetitions)
         return map(
             RunRow,
             runs,
@@ -246,9 +251,9 @@ class _Reading:
 
     def _repetitions_of(
         self, found: Mapping[str, Sequence[Any]], treatments: Sequence[tuple[Any, ...]]
-    ) -> Iterable[int]:
+    ) -> Sequence[int]:
         if not self._layout.has_repetition:  # a column of that name is a factor or a user's own
-            return repeat(1)
+            return [1] * len(treatments)
         return found.get(REPETITION) or self._repetitions.counted(treatments)
 
     def _kept(
@@ -263,7 +268,7 @@ class _Reading:
             for row, text in zip(texts, cells[headings.places[name]], strict=True):
                 if text:
                     row[name] = text
-        for factor in odd if all(factor.name in headings.places for factor in odd) else ():
+        for factor in odd:
             for row, text in zip(texts, cells[headings.places[factor.name]], strict=True):
                 if text in factor.kept:
                     row[factor.name] = text
@@ -315,6 +320,19 @@ class _Reading:
         self._extras = tuple(names)
         for name in names:
             self._decoders.setdefault(name, TextDecoder(name, self._findings, is_stamp=False))
+
+
+def _are_as_planned(
+    runs: Sequence[PlannedRun],
+    run_ids: Sequence[str],
+    treatments: Sequence[tuple[Any, ...]],
+    repetitions: Sequence[int],
+) -> bool:
+    if [run.run_id for run in runs] != list(run_ids) or [run.repetition for run in runs] != list(repetitions):
+        return False
+    # By identity, as rows hold the factors' own treatments, some of which have no equality.
+    planned = chain.from_iterable(run.combination.treatments for run in runs)
+    return all(map(is_, planned, chain.from_iterable(treatments)))
 
 
 def _sharing_empty(rows: list[tuple[Any, ...]]) -> Iterable[tuple[Any, ...]]:

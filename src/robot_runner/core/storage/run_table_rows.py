@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from itertools import islice, repeat
+from itertools import repeat
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
+from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.design.run_table import garbage_collection_paused
 from robot_runner.core.errors import MeasureError, StorageError, did_you_mean
 from robot_runner.core.storage.cells import RunStatus, checked_measure, csv_text
 from robot_runner.core.storage.safe_write import write_beside_and_rename
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.core.design.factor import Combination
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["RunRow", "RunTableRows", "table_text", "write_run_table"]
 
+_ROWS_AT_ONCE = 500  # what fits into a processor's cache
 _NUMBERED = re.compile(r"r_([1-9][0-9]{0,17})")
 
 
@@ -132,8 +133,10 @@ class RunTableRows:
         no_stamps, no_measures = _nothing(self.layout)
         stamps = zip(*(row.stamps for row in self._rows if row.stamps != no_stamps), strict=True)
         measures = zip(*(row.measures for row in self._rows if row.measures != no_measures), strict=True)
-        nothing: dict[str, tuple[Any, ...]] = dict.fromkeys((*self.layout.stamps, *self.layout.measures), ())
-        return nothing | dict(zip(self.layout.stamps, stamps)) | dict(zip(self.layout.measures, measures))
+        found: dict[str, tuple[Any, ...]] = dict.fromkeys((*self.layout.stamps, *self.layout.measures), ())
+        found.update(zip(self.layout.stamps, stamps, strict=False))  # there are no columns where no run has a value
+        found.update(zip(self.layout.measures, measures, strict=False))
+        return found
 
     def run_id(self, place: int) -> str:
         """Return the id of the run at `place`."""
@@ -220,27 +223,30 @@ class RunTableRows:
         row.stamps, row.measures = _nothing(self.layout)
         self._change(row, RunStatus.TODO)
 
-    def cells(self) -> Iterator[list[Any]]:
-        """Yield the cells of each row in the order of the layout, as `csv_text` takes them."""
-        layout = self.layout
-        texts = [_texts_by_treatment(column) for column in layout.factors]
-        places = {name: place for place, name in enumerate(layout.columns)}
-        no_extras = [None] * len(layout.extras)
-        for row in self._rows:
-            run = row.run
-            treatments = [
-                known.get(id(treatment)) or str(treatment)
-                for known, treatment in zip(texts, run.combination.treatments, strict=True)
-            ]
-            cells = [run.run_id, layout.spelling.status_words[row.status], *row.stamps, *treatments]
-            if layout.has_repetition:
-                cells.append(run.repetition)
-            cells += row.measures
-            cells += no_extras
-            if row.kept is not None:
-                for name, text in row.kept.items():
-                    cells[places[name]] = text
-            yield cells
+    def cells(self) -> Iterator[list[Sequence[Any]]]:
+        """Yield the cells of some rows at a time, in the order of the layout, as `csv_text` takes them."""
+        texts = {column.name: _texts_by_treatment(column) for column in self.layout.factors}
+        for start in range(0, len(self), _ROWS_AT_ONCE):
+            rows = self._rows[start : start + _ROWS_AT_ONCE]
+            cells: list[Sequence[Any]] = list(
+                zip(*(self._written(name, rows, texts) for name in self._sources), strict=True)
+            )
+            kept = any(row.kept for row in rows)
+            yield [self._with_kept(row, each) for row, each in zip(rows, cells, strict=True)] if kept else cells
+
+    def _written(self, name: str, rows: Iterable[RunRow], texts: Mapping[str, Mapping[int, str]]) -> Iterable[Any]:
+        values = self._values(name, rows)
+        if name == STATUS:
+            return map(self.layout.spelling.status_words.__getitem__, values)
+        if name in texts:
+            known = texts[name]
+            return [known.get(id(treatment)) or str(treatment) for treatment in values]
+        return values
+
+    def _with_kept(self, row: RunRow, cells: Sequence[Any]) -> Sequence[Any]:
+        """Return the cells of a row with those that are to stand as they were read."""
+        kept = row.kept or {}
+        return [kept.get(name, cell) for name, cell in zip(self._sources, cells, strict=True)]
 
     def _values(self, name: str, rows: Iterable[RunRow]) -> Iterator[Any]:
         attribute, key = self._sources[name]
@@ -291,9 +297,6 @@ def _texts_by_treatment(column: FactorColumn) -> dict[int, str]:
     return {} if factor is None else dict(zip(map(id, factor.treatments), factor.texts, strict=True))
 
 
-_ROWS_AT_ONCE = 500  # what fits into a processor's cache
-
-
 def write_run_table(path: Path, rows: RunTableRows) -> None:
     """Write the run table beside `path` and rename it; the old file is intact until the new one is on the disk.
 
@@ -309,6 +312,4 @@ def table_text(rows: RunTableRows) -> Iterator[str]:
     The columns stand in the order of the layout, see `TableLayout`.
     """
     yield csv_text([rows.layout.headings])
-    cells = rows.cells()
-    while piece := list(islice(cells, _ROWS_AT_ONCE)):
-        yield csv_text(piece)
+    yield from map(csv_text, rows.cells())

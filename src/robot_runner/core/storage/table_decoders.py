@@ -326,7 +326,7 @@ class TextDecoder:
         self._findings = findings
         self._is_stamp = is_stamp
 
-    def read(self, cells: Sequence[str], chunk: RowChunk) -> list[str | None]:
+    def read(self, cells: Sequence[str], chunk: RowChunk) -> Sequence[str | None]:
         """Return text, and say which is no time stamp where all are to be."""
         if not any(cells):
             return [None] * len(cells)
@@ -335,7 +335,7 @@ class TextDecoder:
                 fix = "Write it as in 2026-01-31T12:00:00.250Z."
                 problem = f"{cell!r} is no time stamp"
                 self._findings.warning(problem, fix, line=chunk.lines[place], column=self._name)
-        return [cell or None for cell in cells]
+        return cells if all(cells) else [cell or None for cell in cells]
 
     def _has_odd(self, cells: Sequence[str]) -> bool:
         return self._is_stamp and not are_stamps([cell for cell in cells if cell])

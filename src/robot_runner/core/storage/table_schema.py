@@ -174,9 +174,9 @@ def type_of_values(values: Iterable[Any]) -> str:
     """Return the type of a column that holds these values; `any` where no single one fits, or there are no values."""
     present = [value for value in values if value is not None]
     kinds = set(map(_plain_kind, set(map(type, present))))  # few types among many values
-    if not kinds or not all(math.isfinite(value) for value in present if isinstance(value, float)):
+    if float in kinds and not all(math.isfinite(value) for value in present if isinstance(value, float)):
         return "any"
-    return next((name for name, fitting in _FITTING if kinds <= fitting), "any")
+    return next((name for name, fitting in _FITTING if kinds and kinds <= fitting), "any")
 
 
 _FITTING = (
@@ -207,8 +207,9 @@ def _stamp(name: str, texts: Iterable[str | None]) -> ColumnDescription:
 
 def _factor(column: FactorColumn, rows: RunTableRows) -> ColumnDescription:
     name = column.name
-    # Treatments that are known and in no row count as well: so the type is the same in every order.
-    treatments = (*(column.factor.treatments if column.factor else ()), *rows.values(name))
+    known = column.factor.treatments if column.factor else ()
+    own = set(map(id, known))
+    treatments = [*known, *(value for value in rows.values(name) if id(value) not in own)]
     kind = type_of_values(["None" if treatment is None else treatment for treatment in treatments])
     return ColumnDescription(name=name, role=ColumnRole.FACTOR, type=kind, title=name, description="A factor.")
 

@@ -32,8 +32,7 @@ __all__ = [
 ]
 
 
-# What callbacks read from their context and write into it.
-
+#: What callbacks read from their context, and its name here.
 _ROWS = frozenset({"run_variation", "execute_run"})
 _ATTRIBUTES = {"run_nr": "run_number", "run_dir": "run_folder"}
 _RUN_ID = "__run_id"
@@ -109,8 +108,6 @@ class _Function:
         return self._is_row(node) or (isinstance(node, ast.Name) and node.id in self._rows)
 
 
-# Callbacks: a method named like an event hears it, so that nothing has to be subscribed.
-
 _CONTROLLER = "EventSubscriptionController"
 _OF_ALL = "subscribe_to_multiple_events"
 _OF_FORK = f"{_OF_ALL}_multiple_callbacks"
@@ -123,7 +120,7 @@ class CallbackNames:
 
     Attributes:
         renamed: the new name of a method, by its old one.
-        is_by_name: whether every callback hears its event by its name alone.
+        is_by_name: whether every callback is subscribed by its name alone.
     """
 
     renamed: dict[str, str]
@@ -131,7 +128,7 @@ class CallbackNames:
 
 
 def named_callbacks(session: Session, methods: set[str]) -> CallbackNames:
-    """Name each callback after its event, where each event has one and each callback hears one.
+    """Name each callback after its event, where events and callbacks belong together one to one.
 
     Args:
         session: what the config subscribed when it was loaded.
@@ -147,7 +144,7 @@ def named_callbacks(session: Session, methods: set[str]) -> CallbackNames:
     subscribed = {name for _, name in heard}
     for method in methods & set(EVENTS_BY_CALLBACK):
         if method not in subscribed:
-            renamed[method] = f"_{method}"  # it would hear the event now
+            renamed[method] = f"_{method}"  # its name would subscribe it now
     return CallbackNames(renamed, is_by_name)
 
 

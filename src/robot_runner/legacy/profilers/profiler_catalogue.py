@@ -88,6 +88,15 @@ def _profiler(name: str) -> tuple[str, ...]:
 
 _ROS = "Its place is taken by our system plugin BasicTurtlebot3, which speaks to real and simulated robots."
 
+_OF_NVML = (
+    "NVML_IDs NVML_Query NVML_Static_Query NVML_Dynamic_Query NVML_Field NVML_Sample NVML_Clock NVML_PowerSource "
+    "NVML_Arch NVML_TempThreshold NVML_API_Restriction NVML_Enable_State NVML_Compute_Mode NVML_GPU_Operation_Mode"
+)
+_OF_CODECARBON = (
+    "DataColumns emission_tracker start_emission_tracker stop_emission_tracker add_data_columns populate_data_columns "
+    "add_co2_data_column populate_co2_data"
+)
+
 PLUGINS: tuple[EarlierPlugin, ...] = (
     EarlierPlugin(
         (*_profiler("Ps"), *_profiler("PS")),
@@ -122,24 +131,7 @@ PLUGINS: tuple[EarlierPlugin, ...] = (
     ),
     EarlierPlugin(
         _profiler("NvidiaML"),
-        _names("nvidia", "NvidiaML")
-        | _names(
-            "nvidia",
-            "NVML_IDs",
-            "NVML_Query",
-            "NVML_Static_Query",
-            "NVML_Dynamic_Query",
-            "NVML_Field",
-            "NVML_Sample",
-            "NVML_Clock",
-            "NVML_PowerSource",
-            "NVML_Arch",
-            "NVML_TempThreshold",
-            "NVML_API_Restriction",
-            "NVML_Enable_State",
-            "NVML_Compute_Mode",
-            "NVML_GPU_Operation_Mode",
-        ),
+        _names("nvidia", "NvidiaML", *_OF_NVML.split()),
         (
             _package("pynvml", "Install it: pip install 'robot-runner[nvml]'."),
             _library("nvidia-ml", "Install NVIDIA's driver, and see that `nvidia-smi` works."),
@@ -159,17 +151,7 @@ PLUGINS: tuple[EarlierPlugin, ...] = (
     ),
     EarlierPlugin(
         (*_profiler("CodecarbonWrapper"), "Plugins.CodecarbonWrapper"),
-        _names(
-            "emissions",
-            "DataColumns",
-            "emission_tracker",
-            "start_emission_tracker",
-            "stop_emission_tracker",
-            "add_data_columns",
-            "populate_data_columns",
-            "add_co2_data_column",
-            "populate_co2_data",
-        ),
+        _names("emissions", *_OF_CODECARBON.split()),
         (_package("codecarbon", "Install it: pip install 'robot-runner[codecarbon]'."),),
         ours="CodeCarbon",
     ),

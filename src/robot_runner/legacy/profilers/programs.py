@@ -12,8 +12,8 @@ from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
-from robot_runner.legacy.session import warn_of_run
 from robot_runner.core.sampling.meter_process import ChildProgram
+from robot_runner.legacy.session import warn_of_run
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

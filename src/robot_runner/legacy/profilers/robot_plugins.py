@@ -14,7 +14,7 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.links.connect import connect_robot
 from robot_runner.core.plugin import find_plugin
 from robot_runner.legacy.profilers.programs import Program
-from robot_runner.legacy.session import active_context, warn_of_run
+from robot_runner.legacy.session import current_run, warn_of_run
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -39,7 +39,7 @@ class INA219Profiler:
         """Wait until the card is there; returns the cells of its file.
 
         Raises:
-            LinkError: nobody brings it within an hour.
+            LinkError: the file is not there within an hour.
         """
         deadline = time.monotonic() + _PATIENCE_S
         while not self.path_to_data_file.is_file():
@@ -114,14 +114,7 @@ class TopicSubscriber:
         Raises:
             LinkError: the robot cannot be reached, or has no such topic.
         """
-        context = active_context()
-        if context is None:
-            raise LinkError(
-                "topics can be subscribed to only while a run is executed",
-                where="TopicSubscriber",
-                fix="Subscribe in start_run, start_measurement or launch_mission.",
-            )
-        link = connect_robot(context)
+        link = connect_robot(current_run("TopicSubscriber"))
         return link.subscribe(topic, _type_name(datatype), lambda message: callback(_with_attributes(message)))
 
     def subscribe_to_multiple_topics_on_one_callback(
@@ -219,14 +212,7 @@ class BasicTurtleBot3Ros2(BasicTurtleBot3):
 
 
 def _run() -> RobotRunnerContext:
-    context = active_context()
-    if context is None:
-        raise LinkError(
-            "the robot can be reached only while a run is executed",
-            where="BasicTurtleBot3",
-            fix="Call it in start_run and in the events after it.",
-        )
-    return context
+    return current_run("BasicTurtleBot3")
 
 
 def _samples(path: Path) -> Iterator[tuple[str, str]]:

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from robot_runner.core.errors import LinkError
 from robot_runner.core.links.connect import open_serial_line
 from robot_runner.core.links.serial_line import port_problem
-from robot_runner.legacy.session import active_context
+from robot_runner.legacy.session import current_run
 from robot_runner.meters.watts_up_pro import Recording
-
-if TYPE_CHECKING:
-    from robot_runner.core.events.context import RobotRunnerContext
 
 __all__ = ["WattsUpPro"]
 
@@ -57,7 +53,7 @@ class WattsUpPro:
         """Read for `timeout` seconds; a line of the log holds time, second, W, V and A."""
         self.logfile = logfile
         self.mode(self.EXTERNAL_MODE)
-        recording, clock = self._recording(), _run().clock
+        recording, clock = self._recording(), current_run("WattsUpPro").clock
         begun, start = datetime.now(), clock.now()  # noqa: DTZ005 - its format
         recording.wait(lambda: False, clock, timeout)
         lines = []
@@ -73,15 +69,4 @@ class WattsUpPro:
             Path(logfile).write_text("".join(lines), encoding="ascii")
 
     def _recording(self) -> Recording:
-        return Recording(open_serial_line(_run(), self.port))
-
-
-def _run() -> RobotRunnerContext:
-    context = active_context()
-    if context is None:
-        raise LinkError(
-            "the meter can be read only while a run is executed",
-            where="WattsUpPro",
-            fix="Read it in start_measurement or interact.",
-        )
-    return context
+        return Recording(open_serial_line(current_run("WattsUpPro"), self.port))

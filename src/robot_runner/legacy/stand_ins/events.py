@@ -91,16 +91,16 @@ class EventSubscriptionController:
 
     @staticmethod
     def raise_event(event: Any, context: Any = None) -> Any:
-        """Call whoever hears an event, as the tool itself did; returns what the last one returned."""
+        """Call the callbacks of an event, as the tool itself did; returns what the last one returned."""
         returned = None
-        for each in _heard(current_session(), own_event(event.name)):
+        for each in _subscribed(current_session(), own_event(event.name)):
             returned = each.callback() if context is None else each.callback(context)
         return returned
 
     @staticmethod
     def get_event_callback(event: Any) -> Callable[..., Any] | None:
         """Return the callback of an event, or None."""
-        heard = _heard(current_session(), own_event(event.name))
+        heard = _subscribed(current_session(), own_event(event.name))
         return heard[-1].callback if heard else None
 
 
@@ -130,7 +130,7 @@ def _subscribe(event: Any, callback: Any, place: CodeType) -> None:
                 fix=f"Give a method such as self.{event.name.lower()}.",
             )
     _make_room(session, event, callbacks, place)
-    heard = [each.callback for each in _heard(session, own_event(event.name))]
+    heard = [each.callback for each in _subscribed(session, own_event(event.name))]
     session.subscriptions += [
         EarlierSubscription(own_event(event.name), each, place)
         for each in dict.fromkeys(callbacks)
@@ -140,7 +140,7 @@ def _subscribe(event: Any, callback: Any, place: CodeType) -> None:
 
 def _make_room(session: Session, event: Any, callbacks: list[Any], place: CodeType) -> None:
     """Remove what a config takes over from the one that it derives from; say where both are called now."""
-    for each in _heard(session, own_event(event.name)):
+    for each in _subscribed(session, own_event(event.name)):
         if each.callback in callbacks:
             continue
         if each.place is not place:
@@ -148,13 +148,13 @@ def _make_room(session: Session, event: Any, callbacks: list[Any], place: CodeTy
         else:
             session.warn(
                 "EventSubscriptionController",
-                f"two callbacks hear {event.name}: {_named(each.callback)} and {', '.join(map(_named, callbacks))}; "
-                "the earlier tools called the last alone, and now both are called",
+                f"two callbacks subscribe to {event.name}: {_named(each.callback)} and "
+                f"{', '.join(map(_named, callbacks))}; the earlier tools called the last alone, now both are called",
                 "Subscribe one of them only, if that was not meant.",
             )
 
 
-def _heard(session: Session, event: OwnEvents) -> list[EarlierSubscription]:
+def _subscribed(session: Session, event: OwnEvents) -> list[EarlierSubscription]:
     return [each for each in session.subscriptions if each.event is event]
 
 

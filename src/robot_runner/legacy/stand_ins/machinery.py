@@ -148,7 +148,7 @@ class OutputProcedure:
             sys.stdout.flush()
             line = sys.stdin.readline()
             if not line:
-                raise EOFError(f"nobody answers: {question}")
+                raise EOFError(f"no answer to: {question}")
             choice = line.strip().lower()
         return answers[choice]
 

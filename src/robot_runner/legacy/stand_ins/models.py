@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 __all__ = ["MISSING", "FactorModel", "RunTableModel", "refuse_unknown"]
 
 
-# Arguments that a stand-in does not know: refused with the name that was meant, as a config validator would.
-
-
 def refuse_unknown(where: str, unknown: Iterable[str], known: Iterable[str]) -> None:
     """Refuse arguments that no version of a tool knew.
 
@@ -30,7 +27,7 @@ def refuse_unknown(where: str, unknown: Iterable[str], known: Iterable[str]) -> 
     """
     names = list(known)
     findings = [
-        Finding.error(where, f"it has no argument {name!r}", did_you_mean(name, names)) for name in sorted(unknown)
+        Finding.error(where, f"{where} has no argument {name!r}", did_you_mean(name, names)) for name in sorted(unknown)
     ]
     if findings:
         raise ConfigError.of_findings(findings)

@@ -2,97 +2,35 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING
+from robot_runner.core.doors import open_door
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from robot_runner.meters.battery import Battery
-    from robot_runner.meters.codecarbon import CodeCarbon
-    from robot_runner.meters.command import CommandProfiler
-    from robot_runner.meters.command_meters import EnergiBridge, PowerJoular, Powermetrics
-    from robot_runner.meters.command_output import Aggregate, CommandColumn, TimeColumn, TimeKind, parse_csv
-    from robot_runner.meters.ina219.card import CardRecording, read_card
-    from robot_runner.meters.ina219.profiler import Ina219
-    from robot_runner.meters.linux_thermal import LinuxThermal
-    from robot_runner.meters.network import Network
-    from robot_runner.meters.nvml import Nvml
-    from robot_runner.meters.perf_stat import PerfStat
-    from robot_runner.meters.power_model.power_model import PowerModel
-    from robot_runner.meters.power_model.states import RobotState
-    from robot_runner.meters.psutil import PsUtil
-    from robot_runner.meters.rapl import Rapl
-    from robot_runner.meters.watts_up_pro import WattsUpPro
-    from robot_runner.ros.ros_bag import RosBag
-    from robot_runner.ros.ros_graph import RosGraph
-    from robot_runner.ros.ros_topics import RosTopics
-
-__all__ = [
-    "Aggregate",
-    "Battery",
-    "CardRecording",
-    "CodeCarbon",
-    "CommandColumn",
-    "CommandProfiler",
-    "EnergiBridge",
-    "Ina219",
-    "LinuxThermal",
-    "Network",
-    "Nvml",
-    "PerfStat",
-    "PowerJoular",
-    "PowerModel",
-    "Powermetrics",
-    "PsUtil",
-    "Rapl",
-    "RobotState",
-    "RosBag",
-    "RosGraph",
-    "RosTopics",
-    "TimeColumn",
-    "TimeKind",
-    "WattsUpPro",
-    "parse_csv",
-    "read_card",
-]
-
-_HOMES = {
-    "Aggregate": "robot_runner.meters.command_output",
-    "Battery": "robot_runner.meters.battery",
-    "CardRecording": "robot_runner.meters.ina219.card",
-    "CodeCarbon": "robot_runner.meters.codecarbon",
-    "CommandColumn": "robot_runner.meters.command_output",
-    "CommandProfiler": "robot_runner.meters.command",
-    "EnergiBridge": "robot_runner.meters.command_meters",
-    "Ina219": "robot_runner.meters.ina219.profiler",
-    "LinuxThermal": "robot_runner.meters.linux_thermal",
-    "Network": "robot_runner.meters.network",
-    "Nvml": "robot_runner.meters.nvml",
-    "PerfStat": "robot_runner.meters.perf_stat",
-    "PowerJoular": "robot_runner.meters.command_meters",
-    "PowerModel": "robot_runner.meters.power_model.power_model",
-    "Powermetrics": "robot_runner.meters.command_meters",
-    "PsUtil": "robot_runner.meters.psutil",
-    "Rapl": "robot_runner.meters.rapl",
-    "RobotState": "robot_runner.meters.power_model.states",
-    "RosBag": "robot_runner.ros.ros_bag",
-    "RosGraph": "robot_runner.ros.ros_graph",
-    "RosTopics": "robot_runner.ros.ros_topics",
-    "TimeColumn": "robot_runner.meters.command_output",
-    "TimeKind": "robot_runner.meters.command_output",
-    "WattsUpPro": "robot_runner.meters.watts_up_pro",
-    "parse_csv": "robot_runner.meters.command_output",
-    "read_card": "robot_runner.meters.ina219.card",
-}
-
-
-def __getattr__(name: str) -> object:
-    """Import a name when it is first asked for, so that importing one of the submodules stays cheap."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(import_module(_HOMES[name]), name)
-    globals()[name] = found
-    return found
-
-
-def __dir__() -> list[str]:
-    return __all__
+    from robot_runner.meters.battery import Battery as Battery
+    from robot_runner.meters.codecarbon import CodeCarbon as CodeCarbon
+    from robot_runner.meters.command import CommandProfiler as CommandProfiler
+    from robot_runner.meters.command_meters import EnergiBridge as EnergiBridge
+    from robot_runner.meters.command_meters import PowerJoular as PowerJoular
+    from robot_runner.meters.command_meters import Powermetrics as Powermetrics
+    from robot_runner.meters.command_output import Aggregate as Aggregate
+    from robot_runner.meters.command_output import CommandColumn as CommandColumn
+    from robot_runner.meters.command_output import TimeColumn as TimeColumn
+    from robot_runner.meters.command_output import TimeKind as TimeKind
+    from robot_runner.meters.command_output import parse_csv as parse_csv
+    from robot_runner.meters.ina219.card import CardRecording as CardRecording
+    from robot_runner.meters.ina219.card import read_card as read_card
+    from robot_runner.meters.ina219.profiler import Ina219 as Ina219
+    from robot_runner.meters.linux_thermal import LinuxThermal as LinuxThermal
+    from robot_runner.meters.network import Network as Network
+    from robot_runner.meters.nvml import Nvml as Nvml
+    from robot_runner.meters.perf_stat import PerfStat as PerfStat
+    from robot_runner.meters.power_model.power_model import PowerModel as PowerModel
+    from robot_runner.meters.power_model.states import RobotState as RobotState
+    from robot_runner.meters.psutil import PsUtil as PsUtil
+    from robot_runner.meters.rapl import Rapl as Rapl
+    from robot_runner.meters.watts_up_pro import WattsUpPro as WattsUpPro
+    from robot_runner.ros.ros_bag import RosBag as RosBag
+    from robot_runner.ros.ros_graph import RosGraph as RosGraph
+    from robot_runner.ros.ros_topics import RosTopics as RosTopics
+else:
+    __getattr__, __dir__ = open_door(__name__)

@@ -41,10 +41,14 @@ from robot_runner.core.errors import Finding, RobotRunnerError, did_you_mean
 from robot_runner.core.storage.safe_write import write_beside_and_rename
 from robot_runner.core.words import counted, one_line
 from robot_runner.replication.about import container_commands
-from robot_runner.replication.differences import differing_environment
-from robot_runner.replication.preparing import identical_values, original_settings, prepare_replication
-from robot_runner.replication.source import Source, find_source
-from robot_runner.replication.virtual_environment import make_environment, remaining_differences
+from robot_runner.replication.differences import differing_environment, remaining_differences
+from robot_runner.replication.environment import make_environment
+from robot_runner.replication.replicating import (
+    find_source,
+    identical_values,
+    original_settings,
+    prepare_replication,
+)
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -54,140 +58,14 @@ if TYPE_CHECKING:
     from robot_runner.cli.executing import Execution
     from robot_runner.cli.parser import Parser
     from robot_runner.replication.differences import Difference
-    from robot_runner.replication.preparing import Replication, Sameness
-    from robot_runner.replication.source import Source
+    from robot_runner.replication.replicating import Replication, Sameness, Source
 
-__all__ = ["add_arguments", "execute", "print_container", "print_plan", "print_remaining", "print_verdicts"]
-
-
-# A replication in words: what will be executed and with what differences, and what came of it.
-
-_MOST_LINES = 12
-_STYLES = {"equivalent": "green", "different": "red", "undecided": "yellow"}
-
-
-def print_plan(
-    console: UserConsole, source: Source, differing: Sequence[Difference], deviations: Mapping[str, str], target: Path
-) -> None:
-    """Print what will be executed, and what differs from how it was."""
-    manifest = source.manifest
-    sealed = ("  verified: every file is as it was packed", "green") if source.is_sealed else ("  not sealed", "yellow")
-    console.print(
-        Text(one_line(source.experiment), style="bold").append(sealed[0], f"not bold {sealed[1]}"), soft_wrap=True
-    )
-    settings = original_settings(manifest)
-    facts = [
-        ("Executes", f"config/{(manifest.get('config') or {}).get('file')}, seed {manifest.get('seed')}"),
-        ("As then", ", ".join(f"{name}={text}" for name, text in settings.items() if name not in deviations)),
-        ("Deviates", ", ".join(f"{name}={text}" for name, text in deviations.items())),
-        ("Replaced", _replaced(source)),
-        ("Left out", ", ".join(str(each.get("name")) for each in source.description.get("left_out", ()))),
-        ("Results", f"{shown_path(target)}/"),
-    ]
-    print_facts(console, [(what, one_line(text)) for what, text in facts])  # what a stranger wrote commands no terminal
-    show_findings(source.findings) if source.findings else None
-    _print_differences(console, differing, "This machine differs from the package's:", "package", "here")
-
-
-def print_remaining(console: UserConsole, differing: Sequence[Difference]) -> None:
-    """Print how the environment that was made differs from the package's."""
-    if differing:
-        _print_differences(console, differing, "The environment that was made differs:", "package", "made")
-    else:
-        console.print("It has what the package names: the same versions, and the same files where that is known.")
-
-
-def print_container(console: UserConsole, commands: Sequence[str]) -> None:
-    """Print the commands that build an image and replicate in it."""
-    console.print()
-    console.print("Build the image and replicate in it (docker takes the same words):", style="bold")
-    for command in commands:
-        console.print(f"  {command}", soft_wrap=True)
-
-
-def print_verdicts(console: UserConsole, replication: Replication, target: Path, bound: Sequence[str]) -> None:
-    """Compare the replication with its original; print the verdict on each measure, and write everything to a page.
-
-    Raises:
-        RobotRunnerError: they cannot be compared.
-    """
-    same = identical_values(replication.original, replication.experiment.folder.root)
-    _print_identical(console, same)
-    require_libraries()
-    from robot_runner.analysis.comparison.comparing import compare  # noqa: PLC0415 - slow, and an extra
-    from robot_runner.analysis.comparison.comparison_document import (  # noqa: PLC0415
-        json_of_comparison,
-        write_comparison,
-    )
-
-    comparison = compare(replication.original, replication.experiment.folder.root, bound=list(bound))
-    write_beside_and_rename(target / "comparison.json", lambda file: file.write(json_of_comparison(comparison) + "\n"))
-    write_comparison(comparison, target / "comparison.html")
-    _print_table(console, comparison, same)
-    print_facts(
-        console,
-        [
-            ("Original", shown_path(replication.original)),
-            ("Again", shown_path(replication.experiment.folder.root)),
-            ("All of it", shown_path(target / "comparison.html")),
-        ],
-    )
-
-
-def _replaced(source: Source) -> str:
-    kinds = {str(each.get("what")) for each in source.description.get("replaced", ())}
-    in_config = {str(each.get("name")) for each in source.description.get("replaced", ())}
-    of_config = sorted(name for name in in_config if name.startswith("config/"))
-    told = f" (in {', '.join(of_config)}, too: look whether it works without)" if of_config else ""
-    return f"{', '.join(sorted(kinds))}{told}" if kinds else ""
-
-
-def _print_differences(
-    console: UserConsole, differing: Sequence[Difference], head: str, first: str, second: str
-) -> None:
-    if not differing:
-        return
-    console.print(head, style="bold")
-    shown = [each for each in differing if not each.is_package] + [each for each in differing if each.is_package]
-    rows = [[one_line(text) for text in (each.what, each.original, each.here)] for each in shown[:_MOST_LINES]]
-    headings = ["", first, second]
-    columns = [Column(name, width_of([name, *(row[place] for row in rows)])) for place, name in enumerate(headings)]
-    console.print(f"  {aligned(columns, headings)}", style="dim", soft_wrap=True)
-    for row in rows:
-        console.print(f"  {aligned(columns, row)}", soft_wrap=True)
-    if len(shown) > _MOST_LINES:
-        console.print(f"  and {len(shown) - _MOST_LINES} more", style="dim")
-
-
-def _print_identical(console: UserConsole, same: Mapping[str, Sameness]) -> None:
-    if same and all(each.is_complete for each in same.values()):
-        runs = max(each.runs for each in same.values())
-        text = f"The results are identical: every value of {counted(runs, 'run')}, to the last digit."
-        console.print(text, style="bold green")
-
-
-def _print_table(console: UserConsole, comparison: Comparison, same: Mapping[str, Sameness]) -> None:
-    console.print()
-    widest = max((len(measure.label) for measure in comparison.measures), default=0)
-    for measure in comparison.measures:
-        verdict, why = _verdict(measure, same.get(measure.first_name))
-        print_folded(console, f"  {measure.label:{widest}}  {verdict:10}  ", one_line(why), style=_STYLES[verdict])
-    for note in comparison.notes:
-        print_folded(console, "  ! ", one_line(note), style="bold yellow")
-    console.print()
-
-
-def _verdict(measure: MeasureComparison, same: Sameness | None) -> tuple[str, str]:
-    """Return the verdict and its reason; what is the same in every run needs no statistics."""
-    from robot_runner.analysis.comparison.comparison_document import shown_bound  # noqa: PLC0415 - slow, and an extra
-
-    if same is not None and same.is_complete:
-        return "equivalent", f"Identical in all {counted(same.runs, 'run')}; the bound was {shown_bound(measure)}."
-    return measure.verdict.value, measure.conclusion
-
+__all__ = ["add_arguments", "execute"]
 
 _HERE, _VENV, _CONTAINER = _ENVIRONMENTS = ("here", "venv", "container")
 _DEFAULT_BOUND = "5%"
+_MOST_LINES = 12
+_STYLES = {"equivalent": "green", "different": "red", "undecided": "yellow"}
 
 
 def add_arguments(parser: Parser) -> None:
@@ -231,9 +109,10 @@ def execute(arguments: Namespace) -> int:
     target = Path(arguments.to or f"{_harmless(source.experiment)}_replication").expanduser().resolve()
     source.refuse_target(target)
     robot = deviations.get("robot", original_settings(source.manifest).get("robot", source.manifest.get("robot")))
-    print_plan(output(), source, differing_environment(source.environment, robot=robot), deviations, target)
+    _print_plan(output(), source, differing_environment(source.environment, robot=robot), deviations, target)
     if arguments.environment == _CONTAINER:
-        return _container(source, target)
+        _print_container(output(), source.experiment, _unpacked(source, target))
+        return 0
     _make_sure(arguments)
     root = _unpacked(source, target)
     if arguments.environment == _VENV:
@@ -290,19 +169,17 @@ def _unpacked(source: Source, target: Path) -> Path:
         return source.unpacked_below(target, progress)
 
 
-def _container(source: Source, target: Path) -> int:
-    root = _unpacked(source, target)
-    print_container(output(), container_commands(source.experiment, shlex.quote(shown_path(root))))
-    return 0
-
-
 def _in_own_environment(arguments: Namespace, source: Source, root: Path, target: Path) -> int:
     """Make the environment, and let the program in it take this process's place."""
     output().print("Making the environment of the package ...", style="bold")
     sys.stdout.flush()
     folder = target / "environment"
     program = make_environment(root, folder, source.environment)
-    print_remaining(output(), remaining_differences(folder, source.environment))
+    differing = remaining_differences(folder, source.environment)
+    _print_differences(output(), differing, "The environment that was made differs:", "package", "made")
+    if not differing:
+        same = "the same versions, and the same files where that is known"
+        output().print(f"The environment has what the package lists: {same}.")
     words = [str(program), "replicate", str(root), "--to", str(target), "--environment", _HERE, "--yes"]
     words += [word for each in arguments.set for word in ("--set", each)]
     words += [word for each in arguments.bound or () for word in ("--bound", each)]
@@ -336,7 +213,7 @@ def _tell(arguments: Namespace, replication: Replication, execution: Execution, 
     print_verdict(console, execution.finished, execution.progress)
     if execution.finished.done_count and not execution.finished.todo_count:
         try:
-            print_verdicts(console, replication, target, bound)
+            _print_verdicts(console, replication, target, bound)
         except RobotRunnerError as error:
             show_error(error)
     if execution.finished.todo_count or execution.finished.failed_count:
@@ -345,3 +222,107 @@ def _tell(arguments: Namespace, replication: Replication, execution: Execution, 
         words += ["--environment", arguments.environment] if arguments.environment != _HERE else []
         verdict = "" if not execution.finished.todo_count else "The verdict comes once every run was executed. "
         console.print(f"{verdict}Go on with what is left: {shlex.join(words)}", soft_wrap=True)
+
+
+def _print_plan(
+    console: UserConsole, source: Source, differing: Sequence[Difference], deviations: Mapping[str, str], target: Path
+) -> None:
+    """Print what will be executed, and what differs from how it was."""
+    manifest, settings = source.manifest, original_settings(source.manifest)
+    sealed = ("verified: every file is as it was packed", "green") if source.is_sealed else ("not sealed", "yellow")
+    head = Text(one_line(source.experiment), style="bold").append(f"  {sealed[0]}", f"not bold {sealed[1]}")
+    console.print(head, soft_wrap=True)
+    facts = [
+        ("Executes", f"config/{(manifest.get('config') or {}).get('file')}, seed {manifest.get('seed')}"),
+        ("As then", ", ".join(f"{name}={text}" for name, text in settings.items() if name not in deviations)),
+        ("Deviates", ", ".join(f"{name}={text}" for name, text in deviations.items())),
+        ("Replaced", _replaced(source)),
+        ("Left out", ", ".join(str(each.get("name")) for each in source.description.get("left_out", ()))),
+        ("Results", f"{shown_path(target)}/"),
+    ]
+    print_facts(console, [(what, one_line(text)) for what, text in facts])  # a stranger's text may hold escapes
+    if source.findings:
+        show_findings(source.findings)
+    _print_differences(console, differing, "This machine differs from the package's:", "package", "here")
+
+
+def _print_container(console: UserConsole, experiment: str, root: Path) -> None:
+    """Print the commands that build an image and replicate in it."""
+    console.print()
+    console.print("Build the image and replicate in it (docker takes the same words):", style="bold")
+    for command in container_commands(experiment, shlex.quote(shown_path(root))):
+        console.print(f"  {command}", soft_wrap=True)
+
+
+def _print_verdicts(console: UserConsole, replication: Replication, target: Path, bound: Sequence[str]) -> None:
+    """Compare the replication with its original; print the verdict on each measure, and write everything to a page.
+
+    Raises:
+        RobotRunnerError: they cannot be compared.
+    """
+    same = identical_values(replication.original, replication.experiment.folder.root)
+    if same and all(each.is_complete for each in same.values()):
+        runs = counted(max(each.runs for each in same.values()), "run")
+        console.print(f"The results are identical: every value of {runs}, to the last digit.", style="bold green")
+    require_libraries()
+    from robot_runner.analysis.comparison.comparing import compare  # noqa: PLC0415 - slow, and an extra
+    from robot_runner.analysis.comparison.comparison_document import (  # noqa: PLC0415
+        json_of_comparison,
+        write_comparison,
+    )
+
+    comparison = compare(replication.original, replication.experiment.folder.root, bound=list(bound))
+    write_beside_and_rename(target / "comparison.json", lambda file: file.write(json_of_comparison(comparison) + "\n"))
+    write_comparison(comparison, target / "comparison.html")
+    _print_table(console, comparison, same)
+    paths = {
+        "Original": replication.original,
+        "Again": replication.experiment.folder.root,
+        "All of it": target / "comparison.html",
+    }
+    print_facts(console, [(what, shown_path(path)) for what, path in paths.items()])
+
+
+def _replaced(source: Source) -> str:
+    """Return the kinds of secrets that were replaced; a config may not work without those that were in it."""
+    replaced = source.description.get("replaced", ())
+    names = sorted({str(each.get("name")) for each in replaced if str(each.get("name")).startswith("config/")})
+    advice = f" (in {', '.join(names)}, too: look whether it works without)" if names else ""
+    return ", ".join(sorted({str(each.get("what")) for each in replaced})) + advice
+
+
+def _print_differences(
+    console: UserConsole, differing: Sequence[Difference], head: str, first: str, second: str
+) -> None:
+    if not differing:
+        return
+    console.print(head, style="bold")
+    shown = sorted(differing, key=lambda each: each.is_package)  # the facts first; there may be many packages
+    rows = [[one_line(text) for text in (each.what, each.original, each.here)] for each in shown[:_MOST_LINES]]
+    headings = ["", first, second]
+    columns = [Column(name, width_of([name, *(row[place] for row in rows)])) for place, name in enumerate(headings)]
+    console.print(f"  {aligned(columns, headings)}", style="dim", soft_wrap=True)
+    for row in rows:
+        console.print(f"  {aligned(columns, row)}", soft_wrap=True)
+    if len(shown) > _MOST_LINES:
+        console.print(f"  and {len(shown) - _MOST_LINES} more", style="dim")
+
+
+def _print_table(console: UserConsole, comparison: Comparison, same: Mapping[str, Sameness]) -> None:
+    console.print()
+    widest = max((len(measure.label) for measure in comparison.measures), default=0)
+    for measure in comparison.measures:
+        verdict, why = _verdict(measure, same.get(measure.first_name))
+        print_folded(console, f"  {measure.label:{widest}}  {verdict:10}  ", one_line(why), style=_STYLES[verdict])
+    for note in comparison.notes:
+        print_folded(console, "  ! ", one_line(note), style="bold yellow")
+    console.print()
+
+
+def _verdict(measure: MeasureComparison, same: Sameness | None) -> tuple[str, str]:
+    """Return the verdict and its reason; what is the same in every run needs no statistics."""
+    from robot_runner.analysis.comparison.comparison_document import shown_bound  # noqa: PLC0415 - slow, and an extra
+
+    if same is not None and same.is_complete:
+        return "equivalent", f"Identical in all {counted(same.runs, 'run')}; the bound was {shown_bound(measure)}."
+    return measure.verdict.value, measure.conclusion

@@ -1,4 +1,4 @@
-"""Whether the runs of a replication yielded the very same values: what a deterministic simulation has to do."""
+"""From a package, or an experiment's folder that nobody sealed, to the same experiment, ready to be executed again."""
 
 from __future__ import annotations
 
@@ -17,9 +17,12 @@ from robot_runner.core.storage.run_table_rows import write_run_table
 from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
-from robot_runner.replication.contents import SUMS
-from robot_runner.replication.differences import lacking
+from robot_runner.replication.contents import DESCRIPTION, SUMS
+from robot_runner.replication.differences import missing_modules
+from robot_runner.replication.distributions import canonical
+from robot_runner.replication.opening import open_package, unpack
 from robot_runner.replication.redaction import REDACTED
+from robot_runner.replication.verification import refuse_faults, verify_package
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -27,13 +30,105 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.storage.run_table_rows import RunTableRows
+    from robot_runner.replication.sealing import Progress
 
-__all__ = ["Replication", "Sameness", "identical_values", "original_settings", "prepare_replication"]
+__all__ = [
+    "Replication",
+    "Sameness",
+    "Source",
+    "find_source",
+    "identical_values",
+    "original_settings",
+    "prepare_replication",
+]
 
-
-# From a verified package to an experiment that executes the same runs in the same order from the same seed.
-
+_UNPACKED = "package"
+#: Where the results go is the one setting that a replication never takes from the original.
 _PATH = "results_output_path"
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A package or folder that can be executed again.
+
+    Attributes:
+        path: the zip file or the folder.
+        is_sealed: whether it has checksums, which were found to be right.
+        experiment: the experiment's name.
+        description: of the package; empty where it is not sealed.
+        environment: as the package or the manifest has it.
+        findings: of verification, none of them an error.
+    """
+
+    path: Path
+    is_sealed: bool
+    experiment: str
+    manifest: Mapping[str, Any]
+    description: Mapping[str, Any]
+    environment: Mapping[str, Any]
+    findings: tuple[Finding, ...]
+
+    def refuse_target(self, target: Path) -> None:
+        """Let only a folder pass that is not part of what is replicated.
+
+        Raises:
+            PackageError: it is.
+        """
+        root = self.path.resolve()
+        if target == root or root in target.parents:
+            fix = "Name a folder outside of it with --to."
+            raise PackageError("a replication cannot be written into its original", where=str(target), fix=fix)
+        if target.exists() and not target.is_dir():
+            raise PackageError("this is a file, not a folder", where=str(target), fix="Name another one with --to.")
+
+    def unpacked_below(self, target: Path, progress: Progress) -> Path:
+        """Return the folder that holds the original; a zip file is unpacked below `target`.
+
+        Raises:
+            PackageError: another package is there, what is there was altered, or there is no room.
+            StorageError: it cannot be written.
+        """
+        if self.path.is_dir():
+            return self.path.resolve()
+        root = target / _UNPACKED
+        was_there = root.exists()
+        with open_package(self.path) as package:
+            unpack(package, root, progress)
+        if was_there:
+            with open_package(root) as package:
+                refuse_faults(verify_package(package, progress))
+        return root
+
+
+def find_source(path: Path, progress: Progress) -> Source:
+    """Open and verify what is to be replicated; nothing is written, and nothing of it is executed.
+
+    Raises:
+        PackageError: it is not intact, or is nothing that can be replicated.
+        StorageError: it cannot be read.
+    """
+    if path.is_dir() and not (path / DESCRIPTION).exists():
+        manifest = read_manifest(ExperimentFolder.found_at(path).manifest)
+        problem = "this is an experiment's folder and no package: nothing tells whether it was altered"
+        finding = Finding.warning(str(path), problem, "Seal it: robot-runner pack")
+        name = str(manifest.get("experiment_name", path.name))
+        return Source(path, False, name, manifest, {}, _environment(manifest), (finding,))  # noqa: FBT003
+    with open_package(path) as package:
+        found = verify_package(package, progress)
+    refuse_faults(found)
+    environment = found.environment or _environment(found.manifest)
+    return Source(path, True, found.experiment, found.manifest, found.description, environment, found.findings)  # noqa: FBT003
+
+
+def _environment(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the manifest tells of the environment, in the form that a package has it in."""
+    software = manifest.get("software") or {}
+    packages = {
+        canonical(name): {"name": name, "version": release, "is_needed": True}
+        for name, release in (software.get("packages") or {}).items()
+    }
+    known = {name: manifest.get(name) for name in ("robot", "ros", "host")}
+    return {"python": software.get("python"), "packages": packages, **known}
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +138,7 @@ class Replication:
     Attributes:
         original: the folder of the experiment in the package.
         deviations: what was set by who replicates.
-        findings: what validation had to say.
+        findings: of validation.
     """
 
     experiment: Experiment
@@ -75,7 +170,7 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
     files = ExperimentFolder.found_at(root)
     manifest = read_manifest(files.manifest)
     config = _config(files, manifest)
-    _refuse_lacking(root, manifest)
+    _refuse_missing(root, manifest)
     settings = {**original_settings(manifest), **deviations, _PATH: str(target)}
     _refuse_redacted(settings)
     preparation = prepare(config, settings)
@@ -98,16 +193,16 @@ def _config(files: ExperimentFolder, manifest: Mapping[str, Any]) -> Path:
     name = (manifest.get("config") or {}).get("file")
     path = files.config / str(name)
     if not name or path.parent != files.config or not path.is_file():
-        problem = f"the config {name} is missing" if name else "it holds no config: these results were made elsewhere"
+        problem = f"the config {name} is missing" if name else "there is no config: these results were made elsewhere"
         raise PackageError(problem, where=str(files.config), fix="Ask its authors for it.")
     if "seed" not in manifest:
-        raise PackageError("its manifest has no seed", where=str(files.manifest), fix="Ask its authors for it.")
+        raise PackageError("the manifest has no seed", where=str(files.manifest), fix="Ask its authors for it.")
     return path
 
 
-def _refuse_lacking(root: Path, manifest: Mapping[str, Any]) -> None:
+def _refuse_missing(root: Path, manifest: Mapping[str, Any]) -> None:
     try:
-        findings = lacking(root, manifest)
+        findings = missing_modules(root, manifest)
     except OSError as error:
         raise storage_error(root, "read", error) from error
     if findings:
@@ -115,16 +210,11 @@ def _refuse_lacking(root: Path, manifest: Mapping[str, Any]) -> None:
 
 
 def _refuse_redacted(settings: Mapping[str, str]) -> None:
+    problem = "the value was replaced when the experiment was packed"
     hidden = [name for name, text in settings.items() if REDACTED in text]
-    if hidden:
-        raise PackageError.of_findings(
-            [
-                Finding.error(
-                    f"--set {name}", "its value was replaced when it was packed", f"Give yours: --set {name}=..."
-                )
-                for name in hidden
-            ]
-        )
+    findings = [Finding.error(f"--set {name}", problem, f"Give yours: --set {name}=...") for name in hidden]
+    if findings:
+        raise PackageError.of_findings(findings)
 
 
 def _facts(files: ExperimentFolder, manifest: Mapping[str, Any], deviations: Mapping[str, str]) -> dict[str, Any]:
@@ -157,30 +247,28 @@ def _refuse_other(experiment: Experiment, facts: Mapping[str, Any]) -> None:
 def _settle_table(
     experiment: Experiment, files: ExperimentFolder, manifest: Mapping[str, Any], *, has_deviations: bool
 ) -> list[Finding]:
-    """Make sure that the runs are the original ones; return what is to be said of it."""
+    """Make sure that the runs are the original ones; return a finding where the config plans others."""
     rows = read_run_table(files.run_table, experiment.table_layout())
-    planned = list(experiment.model.plan(manifest["seed"]))
+    plan = experiment.model.plan(manifest["seed"])
     by_hand = (manifest.get("design") or {}).get("source") != "config"
-    is_same = [run.run_id for run in planned] == [rows.run_id(place) for place in range(len(rows))] and not any(
-        table_differences(files.run_table, experiment.model.plan(manifest["seed"]), rows)
-    )
-    if is_same and not by_hand:
-        return []
-    where = str(files.run_table)
-    if has_deviations and not by_hand:
-        problem = "with what is set, the config plans other runs than those of the package"
-        return [Finding.warning(where, problem, "Leave --set out for the same runs.")]
-    _lay_table(experiment, rows)
+    same_ids = [run.run_id for run in plan] == [rows.run_id(place) for place in range(len(rows))]
     if by_hand:
+        _put_table(experiment, rows)
         return []
-    problem = "the config plans other runs here, or in another order: those of the package are executed"
-    return [
-        Finding.warning(where, problem, "Look for what its create_run_table takes from chance or from the machine.")
-    ]
+    if same_ids and not any(table_differences(files.run_table, plan, rows)):
+        return []
+    if has_deviations:
+        problem = "with what is set, the config plans other runs than those of the package"
+        fix = "Leave --set out for the same runs."
+    else:
+        _put_table(experiment, rows)
+        problem = "the config plans other runs here, or in another order: those of the package are executed"
+        fix = "Look for what its create_run_table takes from chance or from the machine."
+    return [Finding.warning(str(files.run_table), problem, fix)]
 
 
-def _lay_table(experiment: Experiment, rows: RunTableRows) -> None:
-    """Put the original's runs where a run table that was written by hand stands, all of them still to be executed."""
+def _put_table(experiment: Experiment, rows: RunTableRows) -> None:
+    """Write the original's runs as if by hand, all of them still to be executed."""
     for place in range(len(rows)):
         rows.clear(rows.run_id(place))
     folder = experiment.folder.root
