@@ -339,3 +339,17 @@ def test_two_orchestrators_on_one_experiment_are_one_too_many(execute: Execute) 
     said = (executed.config.parent / "second.txt").read_text(encoding="utf-8")
     assert "is being executed by process" in said
     assert executed.finished.done_count == 4
+
+
+def test_a_fresh_interpreter_that_cannot_load_the_config_fails_the_run_with_the_reason(execute: Execute) -> None:
+    head = """\
+from pathlib import Path
+from robot_runner import *
+if (Path(__file__).parent / "second").exists(): raise RuntimeError("the camera is busy")
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = "results"
+"""
+    touch = "def before_experiment(self, context): (Path(__file__).parent / 'second').touch()"
+    executed = execute(touch, head=head, run_process="spawn", on_failure="stop")
+    assert "RuntimeError while it was loaded: the camera is busy" in executed.finished.failures[0]

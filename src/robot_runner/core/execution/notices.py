@@ -1,4 +1,4 @@
-"""What the orchestrator tells whoever watches: the terminal, a test, a page."""
+"""The notices that the orchestrator gives to its observer: the terminal, a test, a page."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ class Observer(Protocol):
 
 
 class SilentObserver:
-    """Watches and says nothing."""
+    """Shows nothing."""
 
     refresh_interval: float | None = None
     user_input: int | None = None

@@ -87,7 +87,7 @@ def wait_for_user(control: Path, user_input: int | None, patience: Patience) -> 
     forget_command(control)
     while not patience.interruption.is_requested:
         said = patience.wait(_LISTEN, user_input)
-        if said == b"":  # the end of the input: nobody sits there any more
+        if said == b"":  # the end of the input
             user_input = None
         elif said is not None or take_command(control) is Command.CONTINUE:
             return
@@ -109,8 +109,8 @@ def execute_experiment(
 
     Args:
         experiment: a config that was found to be well formed.
-        observer: is told what happens.
-        findings: what validation had to say; said again at the end.
+        observer: gets a notice of everything that happens.
+        findings: of validation; they are shown again at the end.
         resumption: what to execute again, and whether to go on though something changed.
 
     Raises:

@@ -195,7 +195,7 @@ class RecoveredTable:
         rows: the table, kept up to date.
         attempts: how often each run was tried.
         failed: why each failed run failed.
-        unfinished: the run whose attempt nobody saw the end of, or None.
+        unfinished: the run whose attempt did not come to a recorded end, or None.
         findings: what looked odd in the file.
         is_on_disk: whether the file holds all this, and has a schema, so that neither need be written.
     """
@@ -320,6 +320,7 @@ def _replay(recovered: RecoveredTable, journal: Path, *, has_origins: bool) -> N
             attempted.append(_run_of(journal, line))
             is_open = True
         elif line.startswith(_TABLE_WRITTEN):
+            parsed_record(journal, line)  # what comes before is left out from here on: a damaged line must not do that
             since_table_written.clear()
         else:
             is_open = False

@@ -145,7 +145,7 @@ class RecordWriter:
                 return
 
     def close(self) -> None:
-        """Close this end: who does not report must not keep the pipe open."""
+        """Close this end: a process that does not report must not keep the pipe open."""
         os.close(self.descriptor)
         self.descriptor = -1
 
@@ -246,6 +246,6 @@ class OutcomeBuilder:
         )
 
     def _ended(self, because: str, failures: list[RunFailure]) -> RunFailure:
-        # The run's own record of being told to end knows the callback; the orchestrator knows why.
+        # The run's own record of the stop request knows the callback; the orchestrator knows why.
         first = failures[0] if failures else RunFailure("", self.event)
         return RunFailure(because, first.event or self.event, first.owner, first.traceback)

@@ -69,7 +69,7 @@ class RawFile:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What came of trying a plugin.
+    """The result of trying a plugin.
 
     Attributes:
         findings: of its check, and of the run, errors first.
