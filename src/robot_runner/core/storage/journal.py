@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Journal", "journal_lines", "parsed_record", "read_journal", "utc_now"]
 
+#: `Journal.append` writes the kind first, so that a line's kind is known without parsing it.
+_BEGINNING = '{"kind":"'
+
 _encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), default=str).encode
 
 
@@ -103,7 +106,7 @@ def read_journal(path: Path, *, kinds: Collection[str] | None = None) -> Iterato
 
     Args:
         path: the journal; one that does not exist has no records.
-        kinds: what to keep to; the others are not even parsed, so that a long journal is read quickly.
+        kinds: what to keep to; the others are not parsed, so that a long journal is read quickly.
 
     Raises:
         StorageError: it cannot be read, or a line before the last is no record.
@@ -112,13 +115,19 @@ def read_journal(path: Path, *, kinds: Collection[str] | None = None) -> Iterato
 
 
 def journal_lines(path: Path, *, kinds: Collection[str] | None = None) -> Iterator[bytes]:
-    """Yield the lines of a journal as they stand, for a reader that need not parse each; see `read_journal`."""
-    # `append` writes the kind first.
-    beginnings = tuple(f'{{"kind":"{kind}"'.encode() for kind in kinds) if kinds is not None else b""
+    """Yield the lines of a journal as they stand, for a reader that need not parse each; see `read_journal`.
+
+    Every line is looked at: one that was cut or overwritten, of whatever kind, is refused and not passed over.
+    """
+    beginnings = tuple(f'{_BEGINNING}{kind}"'.encode() for kind in kinds) if kinds is not None else b""
+    beginning = _BEGINNING.encode()
     try:
         with path.open("rb") as file:
             for line in file:
-                if line.startswith(beginnings) and line.endswith(b"\n"):
+                if not (line.startswith(beginning) and line.endswith(b"}\n")):
+                    if line.endswith(b"\n"):  # else it is the last one, torn when power failed
+                        raise _corrupt(path, line)
+                elif line.startswith(beginnings):
                     yield line
     except FileNotFoundError:
         return
