@@ -341,7 +341,7 @@ def test_two_orchestrators_on_one_experiment_are_one_too_many(execute: Execute) 
     assert executed.finished.done_count == 4
 
 
-def test_a_fresh_interpreter_that_cannot_load_the_config_fails_the_run_with_the_reason(execute: Execute) -> None:
+def test_a_fresh_interpreter_that_cannot_load_the_config_leaves_the_reason_in_the_journal(execute: Execute) -> None:
     head = """\
 from pathlib import Path
 from robot_runner import *
@@ -352,4 +352,6 @@ class RobotRunnerConfig(ExperimentConfig):
 """
     touch = "def before_experiment(self, context): (Path(__file__).parent / 'second').touch()"
     executed = execute(touch, head=head, run_process="spawn", on_failure="stop")
-    assert "RuntimeError while it was loaded: the camera is busy" in executed.finished.failures[0]
+    (failure,) = executed.journal("failure")
+    assert "RuntimeError while it was loaded: the camera is busy" in failure["problem"]
+    assert executed.finished.failed_count == 1
