@@ -1,6 +1,6 @@
 """Robot Runner: automatically execute measurement-based experiments on robotics software.
 
-This is the door for who writes an experiment; its names are imported when they are first used.
+The public API for authors of experiments; its names are imported when they are first used.
 """
 
 from __future__ import annotations

@@ -170,7 +170,7 @@ def test_an_experiment_without_phases_has_an_empty_table_of_them(tmp_path):
 def test_a_file_of_phases_without_times_is_refused(tmp_path):
     folder = make_experiment(tmp_path / "e")
     write_phases(folder, "r_1", "number,phase\n1,sleep\n")
-    with pytest.raises(AnalysisError, match="it has no column 'start_s'"):
+    with pytest.raises(AnalysisError, match="the file has no column 'start_s'"):
         load_results(folder.root).phases()
 
 

@@ -248,7 +248,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
             missing = [name for name in _NEEDED if name not in headings]
             if missing:
                 fix = "Write the columns phase, start_s and end_s."
-                raise AnalysisError(f"it has no column {missing[0]!r}", where=str(path), fix=fix)
+                raise AnalysisError(f"the file has no column {missing[0]!r}", where=str(path), fix=fix)
             # The last row of a run that is being executed may be cut off.
             return [row for row in rows if None not in row and None not in row.values()]
     except OSError as error:

@@ -50,7 +50,7 @@ class UserConsole(Console):
         super().__init__(file=stream, width=width, highlight=False, markup=False, emoji=False, soft_wrap=False)
 
     def on_broken_pipe(self) -> None:
-        """Leave it to whoever called: a command may have more to do than to print.
+        """Leave it to the caller: a command may have more to do than to print.
 
         Raises:
             BrokenPipeError: the one that was raised.

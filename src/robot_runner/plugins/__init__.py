@@ -1,4 +1,4 @@
-"""The door for who writes or picks a plugin.
+"""The public API for authors and users of plugins.
 
 Built-in plugins are in `robot_runner.plugins.systems` and `robot_runner.plugins.profilers`; how to test a plugin is in
 `robot_runner.testing`.

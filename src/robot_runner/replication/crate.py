@@ -187,7 +187,7 @@ class _Crate:
         inputs = [name for name in parts if name.startswith("config/") or name == REQUIREMENTS]
         results = [name for name in ("run_table.csv", "journal.jsonl", "manifest.json") if name in parts]
         status = "CompletedActionStatus" if ended and not failed else "FailedActionStatus"
-        error = f"{failed} runs failed." if failed else None if ended else "It did not come to its end."
+        error = f"{failed} runs failed." if failed else None if ended else "The experiment did not come to its end."
         return self._entity(
             _EXPERIMENT,
             "CreateAction",

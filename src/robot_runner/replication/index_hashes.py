@@ -51,9 +51,9 @@ _NO_SHA256 = "the index does not give the SHA-256 of its file"
 _OWN_FOLDER = "pip takes it from a folder of this machine, which others do not have"
 #: Why the index is not asked for what did not come from one.
 _NOT_ASKED = {
-    "local": "it was installed from a folder, and its wheel is not in the package",
-    "url": "it was installed from a URL, and the installer did not keep the hash",
-    "version control": "it was installed from version control, where pip checks no hash",
+    "local": "the package was installed from a folder, and its wheel is not in the package",
+    "url": "the package was installed from a URL, and the installer did not keep the hash",
+    "version control": "the package was installed from version control, where pip checks no hash",
 }
 
 

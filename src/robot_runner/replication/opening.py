@@ -184,7 +184,7 @@ def _blocks_of_entry(path: Path, archive: zipfile.ZipFile, name: str) -> Iterato
             while block := file.read(_BLOCK):
                 left -= len(block)
                 if left < 0:
-                    raise _damaged(path, name, "it is larger than it says")
+                    raise _damaged(path, name, "the file is larger than it says")
                 yield block
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
         raise _damaged(path, name, str(error)) from error
@@ -257,7 +257,7 @@ def _layout_faults(path: Path, entries: list[zipfile.ZipInfo]) -> Iterator[Findi
 
 
 def _fault(path: Path, name: str, problem: str) -> Finding:
-    return Finding.error(f"{path}, {name}", problem, "Do not unpack it; ask whoever made it for the original.")
+    return Finding.error(f"{path}, {name}", problem, "Do not unpack it; ask its author for the original.")
 
 
 def _damaged(path: Path, name: str, problem: str) -> PackageError:

@@ -194,7 +194,7 @@ class Redactor:
 
     @classmethod
     def knowing(cls, secrets: Iterable[str], *, home: Path | None) -> Redactor:
-        """Return one that also replaces these very texts, and the home folder of whoever packs."""
+        """Return one that also replaces these very texts, and the home folder of the user who packs."""
         known = [_literal("password", text, REDACTED) for text in sorted(secrets, key=len, reverse=True)]
         own = [_literal(_HOME_PATH, str(home), "~")] if home and len(home.parts) > 2 else []  # noqa: PLR2004
         return cls((*known, *own, *_patterns()))

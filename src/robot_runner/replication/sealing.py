@@ -137,7 +137,7 @@ class Sealing:
             self._archive.add(file.name, self._blocks(file, redactor.blocks(file.path, counted)), size=file.size)
             self.replaced += [Replaced(file.name, what, count) for what, count in sorted(counted.items())]
         elif not is_kept and (found := _read(file.path, redactor.secrets_in)):
-            why = f"it holds {_in_words(found)}, and nothing in it can be replaced (--keep packs it as it is)"
+            why = f"the file holds {_in_words(found)}, and nothing in it can be replaced (--keep packs it as it is)"
             self.left_out.append(LeftOut(file.name, why))
         else:
             self._archive.add(file.name, self._blocks(file, _unchanged(file.path)), size=file.size)
@@ -165,7 +165,7 @@ class Sealing:
         except OSError as error:
             raise storage_error(Path(distribution.name), "read", error) from error
         if not files or secrets:
-            why = f"it holds {_in_words(secrets)}" if secrets else "its code cannot be found"
+            why = f"the package holds {_in_words(secrets)}" if secrets else "its code cannot be found"
             self.left_out.append(LeftOut(f"wheel of {distribution.name}", why))
             return
         stored = self._archive.add(f"{contents.WHEELS}/{wheel_name(distribution)}", [wheel.getvalue()])

@@ -114,7 +114,7 @@ class GraphLinkKind:
         return self.open(name, clock, namespace)
 
     def open(self, name: RobotName, clock: Clock, namespace: str = "") -> RobotLink:
-        """Open a link outside a run, too; whoever calls closes it.
+        """Open a link outside a run, too; the caller closes it.
 
         Raises:
             LinkError: it cannot be reached.

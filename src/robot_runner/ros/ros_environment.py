@@ -110,7 +110,7 @@ def ros_of_host(host: str, *, config: Path | None = None) -> list[RosEnvironment
     try:
         done = execute(command, timeout=_HOST_SECONDS)
     except (subprocess.TimeoutExpired, OSError) as error:
-        raise _unreached(host, f"it does not answer within {_HOST_SECONDS:g} s") from error
+        raise _unreached(host, f"the host does not answer within {_HOST_SECONDS:g} s") from error
     problem = complaint(done)
     if problem is not None:
         raise _unreached(host, problem)

@@ -82,7 +82,7 @@ EMBEDDED_ROBOT = _EmbeddedRobot()
 
 
 def _simulation(name: RobotName, resources: Resources, seed: int) -> Simulation:
-    """Return the run's one simulation, whoever asks for it first."""
+    """Return the run's one simulation, opened at the first call."""
 
     def opener() -> Simulation:
         try:

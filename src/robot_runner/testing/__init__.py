@@ -1,4 +1,4 @@
-"""The door for who tests a plugin or a config: fakes, a rehearsal of a run, and contracts to inherit.
+"""The public API for tests of plugins and configs: fakes, a rehearsal of a run, and contracts to inherit.
 
 Fakes are real implementations of the links' protocols on a clock that the test moves. A contract is a class of
 tests that holds what every plugin must keep to.

@@ -291,7 +291,7 @@ def rehearse(
 
     Args:
         context: the run's, as `make_context` makes it.
-        plugins: who hears the events; systems before profilers, closing events in reverse.
+        plugins: the subscribers; systems before profilers, closing events in reverse.
         mission: what happens while profilers measure; for a profiler alone, something like
             `lambda: context.clock.sleep(2.0)`.
 

@@ -117,7 +117,7 @@ def test_what_is_wrong_with_the_run_table_refuses_the_plan(
     write_config(table='    def create_run_table(self):\n        return RunTableModel([Factor("A", [])])\n')
     answer = robot_runner("plan", "config.py")
     assert (answer.code, answer.out) == (2, "")
-    assert "it has no treatments" in answer.err
+    assert "the factor has no treatments" in answer.err
 
 
 def test_a_long_table_is_whole_in_a_file_and_abbreviated_on_a_terminal(

@@ -86,7 +86,7 @@ def test_executing_it_again_resumes(robot_runner: Callable, write_config: Callab
     changed = ["--set", "mends=yes"]
     refused = robot_runner("run", "config.py", *changed)
     assert refused.code == 2
-    assert "error: --set mends: it was not set and is set by --set mends=yes\n" in refused.err
+    assert "error: --set mends: the parameter was not set and is set by --set mends=yes\n" in refused.err
     answer = robot_runner("run", "config.py", *changed, "--accept-changes")
     assert answer.code == 0
     assert answer.out.startswith("trial: 4 runs, 2 of them done before, seed 1, results in results/trial\n")

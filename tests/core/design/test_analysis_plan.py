@@ -42,7 +42,7 @@ def test_alpha_lies_between_0_and_1(alpha):
 
 
 def test_a_plan_without_measures_is_refused():
-    with pytest.raises(DesignError, match="it names no measure"):
+    with pytest.raises(DesignError, match="the plan names no measure"):
         AnalysisPlan()
 
 

@@ -74,13 +74,10 @@ def test_a_predicate_cannot_change_a_combination() -> None:
         ({Factor("Load", [1]): 1}, "there is no factor 'Load' → Choose one of: 'Task', 'Speed'."),
         ({"Task": "Vidoe"}, "'Vidoe' is no treatment of factor 'Task' → Did you mean 'Video'?"),
         ({"Speed": "0.1"}, "'0.1' is no treatment of factor 'Speed' → Did you mean 0.1?"),
-        ({}, "it names no factor → Name a factor and its treatments, or remove it."),
+        ({}, "the exclusion names no factor → Name a factor and its treatments, or remove it."),
         (
             "Video",
-            (
-                "it is 'Video', which is of type str → Give a mapping from factors to treatments, or a function of a "
-                "combination."
-            ),
+            ("'Video' is of type str → Give a mapping from factors to treatments, or a function of a combination."),
         ),
         (
             lambda run: run["task"] == "Video",
@@ -118,7 +115,7 @@ def test_all_exclusions_are_looked_at() -> None:
 def test_what_is_no_list_of_exclusions_is_refused(exclusions: Any) -> None:
     kind = type(exclusions).__name__
     assert findings_of(exclusions) == [
-        f"exclude_combinations: it is {exclusions!r}, which is of type {kind} → Give a list of exclusions."
+        f"exclude_combinations: {exclusions!r} is of type {kind} → Give a list of exclusions."
     ]
 
 

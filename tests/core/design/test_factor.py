@@ -123,14 +123,14 @@ def test_a_name_may_hold_blanks_and_letters_of_any_language() -> None:
 @pytest.mark.parametrize(
     ("treatments", "finding"),
     [
-        ([], "it has no treatments → Give at least one."),
+        ([], "the factor has no treatments → Give at least one."),
         ("abc", "the treatments are 'abc', which is of type str → Give a list."),
         (5, "the treatments are 5, which is of type int → Give a list."),
         ({"a": 1}, "the treatments are {'a': 1}, which is of type dict → Give a list."),
         ({"a"}, "the treatments are a set, which has another order in each process → Give a list."),
         (
             itertools.count(),
-            "it has more than 1,000,000 treatments → Give fewer; an endless iterable cannot be planned.",
+            "the factor has more than 1,000,000 treatments → Give fewer; an endless iterable cannot be planned.",
         ),
         (["a", "a"], "treatment 'a' is given twice → Remove one; repetitions=2 executes each combination twice."),
         (

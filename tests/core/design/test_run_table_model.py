@@ -120,8 +120,8 @@ def test_a_factor_may_be_called_repetition_where_there_are_none() -> None:
     ("factors", "finding"),
     [
         ([], "factors: there are none → Give at least one Factor(...)."),
-        (5, "factors: it is 5, which is of type int → Give a list of Factor(...)."),
-        ([TASK, "Speed"], "factors[1]: it is 'Speed', which is of type str → Give a Factor(name, treatments)."),
+        (5, "factors: 5 is of type int → Give a list of Factor(...)."),
+        ([TASK, "Speed"], "factors[1]: 'Speed' is of type str → Give a Factor(name, treatments)."),
         ([TASK, Factor("Task", [1])], "factors[1]: factor 'Task' is given twice → Rename or remove it."),
         (
             [Factor("A", range(100_000)), Factor("B", range(1000))],
@@ -137,18 +137,18 @@ def test_factors_that_make_no_design_are_refused(factors: Any, finding: str) -> 
 
 
 def test_a_single_factor_is_no_list_of_factors() -> None:
-    assert findings_of(TASK)[0].endswith("which is of type Factor → Give a list of Factor(...).")
+    assert findings_of(TASK)[0].endswith("is of type Factor → Give a list of Factor(...).")
 
 
 @pytest.mark.parametrize(
     ("keywords", "finding"),
     [
-        ({"repetitions": 0}, "repetitions: it is 0 → Give a whole number from 1."),
-        ({"repetitions": True}, "repetitions: it is True, which is of type bool → Give a whole number from 1."),
-        ({"repetitions": 2.0}, "repetitions: it is 2.0, which is of type float → Give a whole number from 1."),
-        ({"shuffle": "yes"}, "shuffle: it is 'yes', which is of type str → Give True or False."),
-        ({"seed": -1}, "seed: it is -1, which is of type int → Give a whole number from 0, or leave it out."),
-        ({"seed": "7"}, "seed: it is '7', which is of type str → Give a whole number from 0, or leave it out."),
+        ({"repetitions": 0}, "repetitions: 0 is less than 1 → Give a whole number from 1."),
+        ({"repetitions": True}, "repetitions: True is of type bool → Give a whole number from 1."),
+        ({"repetitions": 2.0}, "repetitions: 2.0 is of type float → Give a whole number from 1."),
+        ({"shuffle": "yes"}, "shuffle: 'yes' is of type str → Give True or False."),
+        ({"seed": -1}, "seed: -1 is of type int → Give a whole number from 0, or leave it out."),
+        ({"seed": "7"}, "seed: '7' is of type str → Give a whole number from 0, or leave it out."),
         ({"blocks": "task"}, "blocks: there is nothing called 'task' to make blocks of → Did you mean 'Task'?"),
         (
             {"blocks": "Repetition"},
@@ -159,10 +159,7 @@ def test_a_single_factor_is_no_list_of_factors() -> None:
         ),
         (
             {"data_columns": "Energy"},
-            (
-                "data_columns: it is 'Energy', which is of type str → Give a list of names, or leave it out for all "
-                "measures."
-            ),
+            ("data_columns: 'Energy' is of type str → Give a list of names, or leave it out for all measures."),
         ),
         ({"data_columns": ["A", "A"]}, "data_columns[1]: column 'A' is given twice → Remove one."),
         (

@@ -201,7 +201,7 @@ def test_without_python_the_shell_samples(host: Callable[..., SshHost], tmp_path
 
 
 def test_a_computer_on_which_nobody_answers_is_an_error(host: Callable[..., SshHost]) -> None:
-    with pytest.raises(LinkError, match="the connection is lost: it ended with code 3: no shell here"):
+    with pytest.raises(LinkError, match="the connection is lost: the loop ended with code 3: no shell here"):
         host(command=["sh", "-c", "echo no shell here >&2; exit 3"]).sample_utilisation(10.0)
 
 

@@ -92,7 +92,7 @@ def test_the_samples_of_a_lost_connection_are_recovered_from_on_board(
     server.cut()
     samples = sampler.stop()
     lost, recovered = sampler.report().problems
-    assert "the connection is lost: it ended with code 255" in lost
+    assert "the connection is lost: the loop ended with code 255" in lost
     assert recovered == f"{len(samples)} samples were recovered over a second connection"
     assert len(samples) >= 25
     assert sampler.report().clock.after is not None
@@ -151,7 +151,7 @@ def test_a_host_whose_key_is_not_known_is_refused_with_a_remedy(tmp_path: Path) 
         other = subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", tmp_path / "other"], check=False)
         assert other.returncode == 0
         server.know((tmp_path / "other.pub").read_text())
-        with pytest.raises(LinkError, match="it ended with code 255: Host key verification failed"):
+        with pytest.raises(LinkError, match="the loop ended with code 255: Host key verification failed"):
             SshHost("robot", SystemClock(), config=server.config).sample_utilisation(10.0)
         (finding,) = ssh_findings("plugin PsUtil", "robot", config=server.config)
         assert "Host key verification failed" in finding.problem

@@ -266,7 +266,7 @@ def test_without_its_config_a_table_goes_by_looks_and_types(tmp_path: Path) -> N
             "Task,Speed\nVid\xe9o,1\n".encode("latin-1"),
             [
                 (
-                    "run_table.csv: it is not UTF-8: 'utf-8' codec can't decode byte 0xe9 in position 14: "
+                    "run_table.csv: the file is not UTF-8: 'utf-8' codec can't decode byte 0xe9 in position 14: "
                     "invalid continuation byte → Save it as CSV with the character set UTF-8."
                 )
             ],

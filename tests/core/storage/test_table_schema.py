@@ -138,8 +138,8 @@ def test_none_as_a_treatment_is_no_missing_value() -> None:
     ("text", "problem"),
     [
         ("{", "Expecting property name enclosed in double quotes"),
-        ("[]", "it has no list of fields"),
-        ('{"fields": 5}', "it has no list of fields"),
+        ("[]", "the file has no list of fields"),
+        ('{"fields": 5}', "the file has no list of fields"),
         ('{"fields": [{"type": "number"}]}', "fields[0] has no name"),
         ('{"fields": [{"name": "A", "robot_runner:role": "odd"}]}', "fields[0] has the unknown role 'odd'"),
     ],
@@ -148,7 +148,7 @@ def test_what_is_no_schema_is_refused(tmp_path: Path, text: str, problem: str) -
     (tmp_path / "schema.json").write_text(text, encoding="utf-8")
     with pytest.raises(StorageError) as caught:
         read_schema(tmp_path / "schema.json")
-    assert caught.value.problem.startswith(f"it is no schema of a run table: {problem}")
+    assert caught.value.problem.startswith(f"the file is no schema of a run table: {problem}")
     assert caught.value.fix == "Restore it from a backup, or delete it: it is written anew."
 
 

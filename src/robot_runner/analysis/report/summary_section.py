@@ -1,4 +1,4 @@
-"""The sections in brief, for who reads nothing else, and on how to replicate the experiment."""
+"""The sections in brief, for readers in a hurry, and on how to replicate the experiment."""
 
 from __future__ import annotations
 

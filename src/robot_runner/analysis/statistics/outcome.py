@@ -279,6 +279,6 @@ class ExperimentStatistics:
         """Return the statistics of one measure.
 
         Raises:
-            KeyError: there is none of that name.
+            KeyError: there is no measure of that name.
         """
         return {each.name: each for each in self.measures}[name]

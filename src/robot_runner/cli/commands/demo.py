@@ -49,7 +49,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def execute(arguments: Namespace) -> int:
-    """Execute the demo in a folder of its own, and show what came of it."""
+    """Execute the demo in a folder of its own, and show its results."""
     findings = link_findings(SIMULATED)
     if findings:  # before anything is written
         raise LinkError.of_findings(findings)

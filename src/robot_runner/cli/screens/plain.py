@@ -1,4 +1,4 @@
-"""Plain lines: for a log, a pipe, and whoever prefers them."""
+"""Plain lines: for a log, a pipe, and those who prefer them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a config file of any dialect to an experiment: the one entry for whoever loads config files.
+"""From a config file of any dialect to an experiment: the one way in which config files are loaded.
 
 Our own dialect is the core's; others are announced in the group `robot_runner.dialects`, each by an object that keeps
 to the protocol `Dialect`.

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["Author", "Experiment", "authors_from_text", "event_manager_for", "experiment_folder", "is_licence"]
 
 
-# Who made an experiment: named in its manifest, in its package, and by whoever cites it.
+# Who made an experiment: named in its manifest, in its package, and in citations.
 
 _ORCID = re.compile(r"(?:https://orcid\.org/)?(\d{4}-\d{4}-\d{4}-\d{3}[\dX])")
 _URL = re.compile(r"https?://[^\s/]+\S*")

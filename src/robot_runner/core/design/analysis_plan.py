@@ -57,7 +57,9 @@ class Hypothesis:
         object.__setattr__(self, "factors", _names(factors))
         findings = [*_text_findings(self), *_names_findings(f"hypothesis {statement!r}", "factors", self.factors)]
         if not self.factors:
-            findings.append(Finding.error(f"hypothesis {statement!r}", "it names no factor", "Give factors=..."))
+            findings.append(
+                Finding.error(f"hypothesis {statement!r}", "the hypothesis names no factor", "Give factors=...")
+            )
         if findings:
             raise DesignError.of_findings(findings)
 
@@ -103,7 +105,7 @@ class AnalysisPlan:
         findings = [*_choice_findings(alpha, correction), *_hypotheses_findings(hypotheses)]
         findings += _names_findings("analysis", "measures", _names(measures))
         if not findings and not (measures or hypotheses):
-            findings.append(Finding.error("analysis", "it names no measure", "Give measures=[...]."))
+            findings.append(Finding.error("analysis", "the plan names no measure", "Give measures=[...]."))
         if findings:
             raise DesignError.of_findings(findings)
         listed = (*_names(measures), *(hypothesis.measure for hypothesis in hypotheses))
@@ -162,7 +164,7 @@ class AnalysisPlan:
                 hypotheses=[Hypothesis(**each) for each in plain.get("hypotheses", ())],
             )
         except (TypeError, ValueError) as error:
-            raise DesignError(f"it is no analysis plan: {error}", where="analysis", fix="Mend it.") from error
+            raise DesignError(f"the text is no analysis plan: {error}", where="analysis", fix="Mend it.") from error
 
 
 def _names(given: object) -> tuple[Any, ...]:

@@ -60,7 +60,7 @@ def apply_exclusions(factors: Sequence[Factor], combinations: Sequence[Combinati
         exclusions: mappings and predicates, see `Exclusion`.
     """
     if not isinstance(exclusions, Sequence) or isinstance(exclusions, str | bytes):
-        problem = f"it is {exclusions!r}, which is of type {type(exclusions).__name__}"
+        problem = f"{exclusions!r} is of type {type(exclusions).__name__}"
         return Exclusions([], (Finding.error(_WHERE, problem, "Give a list of exclusions."),))
     left_out = [False] * len(combinations)
     errors: list[Finding] = []
@@ -88,7 +88,7 @@ def _matching(
         return _matching_treatments(where, factors, combinations, exclusion)
     if callable(exclusion):
         return _matching_predicate(where, combinations, exclusion)
-    problem = f"it is {exclusion!r}, which is of type {type(exclusion).__name__}"
+    problem = f"{exclusion!r} is of type {type(exclusion).__name__}"
     fix = "Give a mapping from factors to treatments, or a function of a combination."
     return _Matching([], (Finding.error(where, problem, fix),))
 
@@ -98,7 +98,7 @@ def _matching_treatments(
 ) -> _Matching:
     if not exclusion:
         fix = "Name a factor and its treatments, or remove it."
-        return _Matching([], (Finding.error(where, "it names no factor", fix),))
+        return _Matching([], (Finding.error(where, "the exclusion names no factor", fix),))
     by_name = {factor.name: factor for factor in factors}
     errors: list[Finding] = []
     flags = [True] * len(combinations)

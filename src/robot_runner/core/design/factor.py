@@ -203,9 +203,9 @@ def _listed(where: str, treatments: object) -> tuple[tuple[Any, ...], list[Findi
         return (), [Finding.error(where, problem, "Give a list.")]
     listed = tuple(islice(treatments, MAX_TREATMENTS + 1))
     if not listed:
-        return (), [Finding.error(where, "it has no treatments", "Give at least one.")]
+        return (), [Finding.error(where, "the factor has no treatments", "Give at least one.")]
     if len(listed) > MAX_TREATMENTS:
-        problem = f"it has more than {MAX_TREATMENTS:,} treatments"
+        problem = f"the factor has more than {MAX_TREATMENTS:,} treatments"
         return (), [Finding.error(where, problem, "Give fewer; an endless iterable cannot be planned.")]
     return listed, []
 

@@ -114,7 +114,7 @@ def _own(factor: Factor, value: Any) -> Any:
 
 def _run_findings(runs: Sequence[ListedRun]) -> Iterator[Finding]:
     if not runs:
-        yield Finding.error("run table", "it has no runs", "List at least one, or exclude fewer.")
+        yield Finding.error("run table", "the run table has no runs", "List at least one, or exclude fewer.")
     for run_id, count in Counter(run.run_id.casefold() for run in runs).items():
         if count > 1:
             yield Finding.error("run table", f"{count} runs have the id {run_id!r}", "Give each an id of its own.")

@@ -51,7 +51,7 @@ def design_findings(
     yield from _repetition_findings(repetitions, known)
     yield from _data_column_findings(data_columns, known, repeated)
     if not isinstance(shuffle, bool):
-        problem = f"it is {shuffle!r}, which is of type {type(shuffle).__name__}"
+        problem = f"{shuffle!r} is of type {type(shuffle).__name__}"
         yield Finding.error("shuffle", problem, "Give True or False.")
     yield from order_findings(seed, blocks, known, repeated)
     yield from _size_findings(known, repeated)
@@ -60,14 +60,14 @@ def design_findings(
 def _factor_findings(factors: object) -> Iterator[Finding]:
     kind = type(factors).__name__
     if not isinstance(factors, Sequence):
-        yield Finding.error("factors", f"it is {factors!r}, which is of type {kind}", "Give a list of Factor(...).")
+        yield Finding.error("factors", f"{factors!r} is of type {kind}", "Give a list of Factor(...).")
         return
     if not factors:
         yield Finding.error("factors", "there are none", "Give at least one Factor(...).")
     seen: set[str] = set()
     for place, factor in enumerate(factors):
         if not isinstance(factor, Factor):
-            problem = f"it is {factor!r}, which is of type {type(factor).__name__}"
+            problem = f"{factor!r} is of type {type(factor).__name__}"
             yield Finding.error(f"factors[{place}]", problem, "Give a Factor(name, treatments).")
         elif factor.name in seen:
             yield Finding.error(f"factors[{place}]", f"factor {factor.name!r} is given twice", "Rename or remove it.")
@@ -77,10 +77,10 @@ def _factor_findings(factors: object) -> Iterator[Finding]:
 
 def _repetition_findings(repetitions: object, factors: Sequence[Factor]) -> Iterator[Finding]:
     if isinstance(repetitions, bool) or not isinstance(repetitions, int):
-        problem = f"it is {repetitions!r}, which is of type {type(repetitions).__name__}"
+        problem = f"{repetitions!r} is of type {type(repetitions).__name__}"
         yield Finding.error("repetitions", problem, "Give a whole number from 1.")
     elif repetitions < 1:
-        yield Finding.error("repetitions", f"it is {repetitions}", "Give a whole number from 1.")
+        yield Finding.error("repetitions", f"{repetitions} is less than 1", "Give a whole number from 1.")
     else:
         for factor in factors:
             yield from name_findings(factor.name, kind="factor", repetitions=repetitions)
@@ -90,7 +90,7 @@ def _data_column_findings(columns: object, factors: Sequence[Factor], repetition
     if columns is None:
         return
     if not isinstance(columns, Sequence) or isinstance(columns, str | bytes):
-        problem = f"it is {columns!r}, which is of type {type(columns).__name__}"
+        problem = f"{columns!r} is of type {type(columns).__name__}"
         yield Finding.error("data_columns", problem, "Give a list of names, or leave it out for all measures.")
         return
     names_of_factors = {factor.name for factor in factors}
@@ -111,7 +111,7 @@ def order_findings(seed: object, blocks: object, factors: Sequence[Factor], repe
     """Say what is wrong with the seed and the blocks."""
     is_seed = seed is None or (isinstance(seed, int) and not isinstance(seed, bool) and seed >= 0)
     if not is_seed:  # random.Random takes -1 for 1, so that two seeds would give one order
-        problem = f"it is {seed!r}, which is of type {type(seed).__name__}"
+        problem = f"{seed!r} is of type {type(seed).__name__}"
         yield Finding.error("seed", problem, "Give a whole number from 0, or leave it out.")
     if blocks is None:
         return

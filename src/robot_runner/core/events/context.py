@@ -102,7 +102,7 @@ class RunBroker(Protocol):
         ...
 
     def share(self, owner: str, values: Mapping[str, object]) -> None:
-        """Pass key-value pairs on to whoever hears the following events."""
+        """Pass key-value pairs on to the subscribers of the following events."""
         ...
 
     def warn(self, owner: str, problem: str, fix: str) -> None:
@@ -209,7 +209,7 @@ class RobotRunnerContext(ExperimentContext):
         self.broker.publish(self.owner, name, value, origin)
 
     def share(self, **values: object) -> None:
-        """Pass key-value pairs on to whoever hears the following events (`plugin_data`), and to the screen.
+        """Pass key-value pairs on to the subscribers of the following events (`plugin_data`), and to the screen.
 
         Values are to be plain: numbers, strings, booleans, None, or lists and mappings of them.
         """

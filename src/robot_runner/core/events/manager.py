@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 
-# The events of an experiment and their order (paper, Fig. 2): the one table that says who hears what where.
+# The events of an experiment and their order (paper, Fig. 2): the one table that says which process each is emitted in.
 
 
 class RobotRunnerEvents(Enum):
@@ -105,7 +105,7 @@ _CLOSING = frozenset(CLOSED_BY.values())
 EVENTS_BY_CALLBACK = {event.callback_name: event for event in RobotRunnerEvents}
 
 
-# Who hears what: a callback is checked against its event when it is subscribed, not in the middle of a run.
+# Subscriptions: a callback is checked against its event when it is subscribed, not in the middle of a run.
 
 Callback = Callable[..., Any]
 
@@ -279,7 +279,7 @@ class Emission:
 
 
 class EventManager:
-    """Knows who hears each event and calls them in order: systems, profilers, config; closing events in reverse.
+    """Knows the subscribers of each event and calls them: systems, profilers, config; closing events in reverse.
 
     Example:
         >>> from robot_runner.core.events.manager import RobotRunnerEvents
@@ -318,7 +318,7 @@ class EventManager:
             self.subscribe(event, method, owner=owner, kind=kind)
 
     def subscribers(self, event: RobotRunnerEvents) -> list[Subscriber]:
-        """Return who hears `event`, in the order in which they are called."""
+        """Return the subscribers of `event`, in the order in which they are called."""
         heard = self._subscribers.get(event, [])
         return heard[::-1] if event.is_closing else heard
 
@@ -329,7 +329,7 @@ class EventManager:
         *,
         but_not: Collection[str] = (),
     ) -> Emission:
-        """Call whoever hears `event`, except for what belongs to the owners in `but_not`.
+        """Call the subscribers of `event`, except those of the owners in `but_not`.
 
         The first callback that raises ends the emission, except for a closing event: then all are called.
         """

@@ -304,7 +304,7 @@ class MeasureBroker:
             self._report("measure", fields)
 
     def share(self, owner: str, values: Mapping[str, object]) -> None:
-        """Pass key-value pairs on to whoever hears the following events."""
+        """Pass key-value pairs on to the subscribers of the following events."""
         with self._lock:
             self._shared.setdefault(owner, {}).update(values)
             self._report("shared", {"owner": owner, "values": dict(values)})

@@ -34,7 +34,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         **described_circumstances(),  # first, so that none of them takes the place of what follows
         "experiment_name": experiment.parameters.experiment_name,
         "config": {"file": experiment.config_path.name, "class": experiment.class_name},
-        # What was set from outside the config file: whoever repeats the experiment has to know.
+        # What was set from outside the config file: a replication has to know.
         "deviations": dict(experiment.overrides),
         "robot": experiment.parameters.robot,
         "design": {

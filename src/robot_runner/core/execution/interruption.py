@@ -81,7 +81,7 @@ class InterruptGate:
 class Interruption:
     """The stop requests that the orchestrator got by signals: Ctrl-C once ends cleanly, twice at once.
 
-    A context manager: while it lasts, the stop signals are counted instead of raised, and wake whoever polls
+    A context manager: while it lasts, the stop signals are counted instead of raised, and wake a poll on
     `descriptor`.
     """
 

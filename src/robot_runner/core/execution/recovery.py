@@ -156,7 +156,7 @@ def _changed_lines(source: Path, before: str, now: str) -> Iterator[Finding]:
         if tag != "equal":
             was = " / ".join(line.strip() for line in old[old_start:old_end])
             is_now = " / ".join(line.strip() for line in new[new_start:new_end])
-            yield Finding.error(f"{source}:{new_start + 1}", f"it was {was!r} and is {is_now!r}", _CONFIG_FIX)
+            yield Finding.error(f"{source}:{new_start + 1}", f"the line was {was!r} and is {is_now!r}", _CONFIG_FIX)
 
 
 def _means_the_same(before: str, now: str) -> bool:
@@ -175,7 +175,7 @@ def _changed_settings(before: Mapping[str, str], now: Mapping[str, str]) -> Iter
     for name in sorted({*before, *now} - {"results_output_path"}):  # by which we have found this folder
         was, is_now = before.get(name), now.get(name)
         if was != is_now:
-            problem = f"it was {_setting(name, was)} and is {_setting(name, is_now)}"
+            problem = f"the parameter was {_setting(name, was)} and is {_setting(name, is_now)}"
             yield Finding.error(f"--set {name}", problem, _CONFIG_FIX)
 
 

@@ -52,7 +52,7 @@ class RobotLinkKind(Protocol):
     def open_robot(
         self, name: RobotName, *, resources: Resources, clock: Clock, seed: int, namespace: str
     ) -> RobotLink:
-        """Open a link to the robot of this namespace; whoever calls closes it with the run.
+        """Open a link to the robot of this namespace; the caller closes it with the run.
 
         Args:
             name: of the robot, with its options.

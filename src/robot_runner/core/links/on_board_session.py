@@ -168,7 +168,7 @@ class OnBoardSession:
             self._process.wait(_LAST_WORDS)
         code = self._process.poll()
         said = self._complaint()
-        ended = "it fell silent" if code is None else f"it ended with code {code}"
+        ended = "the loop fell silent" if code is None else f"the loop ended with code {code}"
         return LinkError(
             f"the connection is lost: {ended}{f': {said}' if said else ''}", where=self.where, fix=self._explain(said)
         )

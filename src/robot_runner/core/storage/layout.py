@@ -102,7 +102,7 @@ class ExperimentFolder:
 
     @property
     def lock(self) -> Path:
-        """Held by whoever executes the experiment."""
+        """Held by the process that executes the experiment."""
         return self.root / ".lock"
 
     @property

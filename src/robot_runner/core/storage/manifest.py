@@ -71,10 +71,10 @@ def read_manifest(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise StorageError(f"it cannot be read: {error}", where=str(path), fix="Restore it from a backup.") from error
     if not isinstance(manifest, dict) or not isinstance(manifest.get("format"), int):
-        raise StorageError("it is no manifest of an experiment", where=str(path), fix="Restore it from a backup.")
+        raise StorageError("the file is no manifest of an experiment", where=str(path), fix="Restore it from a backup.")
     if manifest["format"] > FORMAT:
         raise StorageError(
-            f"it has format {manifest['format']}, newer than {FORMAT}, which this version knows",
+            f"the manifest has format {manifest['format']}, newer than {FORMAT}, which this version knows",
             where=str(path),
             fix="Update robot-runner.",
         )

@@ -350,6 +350,6 @@ def _opened(path: Path) -> Iterator[TextIO]:
             yield file
     except UnicodeDecodeError as error:
         fix = "Save it as CSV with the character set UTF-8."
-        raise StorageError(f"it is not UTF-8: {error}", where=str(path), fix=fix) from error
+        raise StorageError(f"the file is not UTF-8: {error}", where=str(path), fix=fix) from error
     except OSError as error:
         raise storage_error(path, "read", error) from error

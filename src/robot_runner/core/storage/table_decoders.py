@@ -201,7 +201,7 @@ class StatusDecoder:
         self._unknown: set[str] = set()
 
     def read(self, cells: Sequence[str], chunk: RowChunk) -> list[RunStatus]:
-        """Return statuses; a word that is none is an error."""
+        """Return statuses; an unknown word is an error."""
         for word in dict.fromkeys(cells):
             if word not in self._known:
                 self._learn(word)
@@ -219,7 +219,7 @@ class StatusDecoder:
 
 
 class FactorDecoder:
-    """The treatments of one factor; a value that is none of them is kept, with a warning.
+    """The treatments of one factor; an unknown value is kept, with a warning.
 
     Attributes:
         name: the heading.

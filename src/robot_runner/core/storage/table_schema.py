@@ -78,7 +78,7 @@ def read_schema(path: Path) -> tuple[ColumnDescription, ...]:
         raise _no_schema(path, str(error)) from error
     fields = schema.get("fields") if isinstance(schema, dict) else None
     if not isinstance(fields, list):
-        raise _no_schema(path, "it has no list of fields")
+        raise _no_schema(path, "the file has no list of fields")
     return tuple(_description(path, place, each) for place, each in enumerate(fields))
 
 
@@ -119,7 +119,7 @@ def _description(path: Path, place: int, field: object) -> ColumnDescription:
 
 
 def _no_schema(path: Path, reason: str) -> StorageError:
-    problem = f"it is no schema of a run table: {reason}"
+    problem = f"the file is no schema of a run table: {reason}"
     return StorageError(problem, where=str(path), fix="Restore it from a backup, or delete it: it is written anew.")
 
 
