@@ -111,7 +111,7 @@ Callback = Callable[..., Any]
 
 
 class OwnerKind(IntEnum):
-    """Who hears an event, in the order in which they hear it; closing events go the other way."""
+    """The kinds of subscribers, in the order in which they are called; closing events go in reverse."""
 
     SYSTEM = 0
     PROFILER = 1
@@ -265,7 +265,7 @@ class CallbackFailure:
 
 @dataclass(frozen=True, slots=True)
 class Emission:
-    """What came of emitting one event.
+    """The result of emitting one event.
 
     Attributes:
         returned: what each callback returned, with its owner, in the order of the calls.

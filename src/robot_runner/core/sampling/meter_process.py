@@ -206,7 +206,7 @@ class MeterProcess(ChildProgram):
 
     @property
     def records(self) -> list[Record]:
-        """What has come so far, oldest first."""
+        """The output received so far, oldest first."""
         return list(self._records)
 
     def _stop_following(self) -> None:

@@ -41,7 +41,7 @@ __all__ = [
 
 # What is wrong with a run table's file: every problem, with its line and column, up to a sensible number.
 
-#: Whoever saved a table wrongly gets one problem in each row: nobody reads a million.
+#: A table that was saved wrongly has one problem in each row: a million would help no one.
 _MOST = 50
 
 
