@@ -41,9 +41,15 @@ def opened(master_uri):
         yield open_link
 
 
-def own_nodes(uri):
-    """Return the nodes that links are, and not those of the robot's packages."""
-    return [name for name in Master(uri).state().nodes if re.fullmatch(r"/robot_runner_\d+_\d+", name)]
+@pytest.fixture
+def own_nodes(master_uri):
+    """The nodes that links are and that came during the test: a run that another test killed stays at the master."""
+
+    def links():
+        return {name for name in Master(master_uri).state().nodes if re.fullmatch(r"/robot_runner_\d+_\d+", name)}
+
+    before = links()
+    return lambda: links() - before
 
 
 def set_parameter(uri, name, value):
@@ -103,20 +109,20 @@ class TestGraph:
         link.publish("cmd_vel", "geometry_msgs/Twist", {})  # once, as a robot is stopped by a process that is new
         assert heard.wait(60.0)
 
-    def test_nothing_is_left_at_the_master(self, opened, master_uri):
+    def test_nothing_is_left_at_the_master(self, opened, own_nodes):
         link = opened()
         link.publish("lamp", STRING, {"data": "on"})
         link.subscribe("door", STRING, print)
         link.offer("bell", "std_srvs/Trigger", lambda _: {})
-        assert own_nodes(master_uri)
+        assert own_nodes()
         link.close()
-        assert own_nodes(master_uri) == []
+        assert own_nodes() == set()
 
-    def test_one_node_is_all_robots_of_a_process(self, opened, master_uri):
+    def test_one_node_is_all_robots_of_a_process(self, opened, own_nodes):
         alice, bob = opened("alice"), opened("bob")
         alice.publish("lamp", STRING, {})
         bob.publish("lamp", STRING, {})
-        assert len(own_nodes(master_uri)) == 1
+        assert len(own_nodes()) == 1
 
     def test_a_service_that_a_dead_node_left_behind_can_be_offered_and_not_called(self, opened, master_uri):
         with xmlrpc.client.ServerProxy(master_uri) as server:
@@ -251,9 +257,9 @@ class TestProcess:
         assert printed == ""
         assert list(tmp_path.iterdir()) == []
 
-    def test_a_process_that_is_ended_hard_after_closing_leaves_nothing_behind(self, master_uri):
+    def test_a_process_that_is_ended_hard_after_closing_leaves_nothing_behind(self, master_uri, own_nodes):
         execute(master_uri, self.LINK.rstrip() + "; link.close(); os._exit(0)\n")
-        assert own_nodes(master_uri) == []
+        assert own_nodes() == set()
 
     def test_a_run_s_process_cannot_use_the_orchestrator_s_node(self, master_uri):
         printed = execute(
