@@ -14,6 +14,7 @@ from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.quality import MINIMUM_COVERAGE, Column, write_quality, write_samples
+from robot_runner.meters.power_model.components import ComponentSources
 from robot_runner.meters.power_model.fitting import Sources, read_runs
 from robot_runner.meters.power_model.linear_model import LinearModel, read_model
 from robot_runner.meters.power_model.states import RobotState, read_states
@@ -75,11 +76,15 @@ class PowerModel(Profiler):
     Args:
         name: tells several models apart; the class's name if left out.
         model: a file that `robot-runner fit-power-model` has written.
-        coefficients: W for each term: `constant`, `cpu` and `memory` (for each percent), `has_moved`,
-            `motion:<phase>`, `task:<task>`.
+        coefficients: W for each term: `constant`, `cpu`, `memory` and `gpu` (for each percent), `has_moved`,
+            `motion:<phase>`, `task:<task>`, `frequency:<MHz>` (for each core that is busy at it), `cycles` (for each
+            GHz), `network` (for each MB/s).
         function: from what the robot does (`RobotState`) to the power in W; None where it cannot tell.
         utilisation: the plugin that samples CPU and memory; None for none.
         phases: the plugin that records the phases of the mission; None for none.
+        frequency: the plugin that samples the frequency of each core, for models with `frequency:<MHz>` or `cycles`.
+        network: the plugin that counts what goes over the network, for models with `network`.
+        gpu: the plugin that samples the GPUs, for models with `gpu`.
 
     Raises:
         PluginError: none or several of model, coefficients and function are given, or a term is not known.
@@ -97,7 +102,7 @@ class PowerModel(Profiler):
     needs: ClassVar[str] = "A power model (robot-runner fit-power-model), and the plugins whose samples it reads."
     bytes_per_run: int = 60_000  # a line of 35 bytes for each of the 10 samples a second of a mission of 95 s
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - one keyword for each plugin that it may read from
         self,
         *,
         name: str | None = None,
@@ -106,6 +111,9 @@ class PowerModel(Profiler):
         function: PowerFunction | None = None,
         utilisation: str | None = "PsUtil",
         phases: str | None = "BasicTurtlebot3",
+        frequency: str | None = "LinuxThermal",
+        network: str | None = "Network",
+        gpu: str | None = "Nvml",
     ) -> None:
         super().__init__(name=name)
         given = [each for each in (model, coefficients, function) if each is not None]
@@ -116,12 +124,13 @@ class PowerModel(Profiler):
         self.function = function
         self.utilisation = utilisation
         self.phases = phases
+        self.components = ComponentSources(frequency=frequency, network=network, gpu=gpu)
         self._linear = None if coefficients is None else LinearModel(dict(coefficients))
         self._start: float | None = None
         self._window: Window | None = None
 
     @classmethod
-    def fit(
+    def fit(  # noqa: PLR0913 - one keyword for each plugin that it may read from
         cls,
         experiment: Path,
         run_ids: Sequence[str],
@@ -129,6 +138,9 @@ class PowerModel(Profiler):
         power: str = "Ina219",
         utilisation: str | None = "PsUtil",
         phases: str | None = "BasicTurtlebot3",
+        frequency: str | None = None,
+        network: str | None = None,
+        gpu: str | None = None,
         terms: Sequence[str] | None = None,
     ) -> dict[str, Any]:
         """Return what `model` reads: coefficients by least squares from the measured runs of an experiment.
@@ -139,6 +151,9 @@ class PowerModel(Profiler):
             power: the plugin that measured power.
             utilisation: the plugin that sampled CPU and memory; None for none.
             phases: the plugin that recorded the phases; None for none.
+            frequency: the plugin that sampled the frequency of each core; None for none.
+            network: the plugin that counted what went over the network; None for none.
+            gpu: the plugin that sampled the GPUs; None for none.
             terms: the terms of the model; None for all that were seen.
 
         Raises:
@@ -152,7 +167,8 @@ class PowerModel(Profiler):
             raise AnalysisError(
                 f"fitting needs {error.name}, which is not installed", where=cls.__name__, fix=fix
             ) from error
-        sources = Sources(power, utilisation, phases)
+        components = ComponentSources(frequency=frequency, network=network, gpu=gpu)
+        sources = Sources(power, utilisation, phases, components)
         runs, left_out = read_runs(experiment, sources, run_ids)
         chosen = terms_of(runs, sources) if terms is None else terms
         fitted = fit_model(runs, chosen, experiment=experiment.name, sources=sources, left_out=left_out)
@@ -166,7 +182,9 @@ class PowerModel(Profiler):
         except PluginError as error:
             return [Finding.error(where, f"{error.where}: {error.problem}", error.fix)]
         names = [plugin.name for plugin in circumstances.plugins]
-        wanted = [each for each in self._sources(linear) if each is not None and names and each not in names]
+        parts = self._components(linear)
+        sources = (*self._sources(linear), parts.frequency, parts.network, parts.gpu)
+        wanted = [each for each in sources if each is not None and names and each not in names]
         return [
             Finding.error(
                 where, f"the model reads the samples of {each!r}, which is not among the plugins", _add(each, names)
@@ -203,7 +221,10 @@ class PowerModel(Profiler):
         try:
             linear = self._read()
             utilisation, phases = self._sources(linear)
-            states = read_states(context.run_path, window, utilisation=utilisation, phases=phases)
+            components = self._components(linear, context.run_path)
+            states = read_states(
+                context.run_path, window, utilisation=utilisation, phases=phases, components=components
+            )
             estimate = _Estimate(states, [self._power(linear, state) for state in states], window)
         except (AnalysisError, PluginError) as error:
             context.warn(f"nothing was estimated: {error.where}: {error.problem}", fix=error.fix)
@@ -226,7 +247,7 @@ class PowerModel(Profiler):
         text = json.dumps(linear.as_json(), indent=2, ensure_ascii=False) + "\n"
         (context.raw_data_folder / "model.json").write_text(text, encoding="utf-8")
         for doubt in linear.doubts(estimate.states):
-            context.warn(doubt, fix="Fit the model on runs in which the robot does what it does here.")
+            context.doubt(doubt, fix="Fit the model on runs in which the robot does what it does here.")
 
     def _read(self) -> LinearModel | None:
         """Return the linear model, or None where a function stands for it."""
@@ -237,8 +258,23 @@ class PowerModel(Profiler):
         if linear is None:
             return self.utilisation, self.phases
         return (
-            self.utilisation if linear.needs("cpu", "memory") else None,
+            self.utilisation if linear.needs("cpu", "memory", "frequency", "cycles") else None,
             self.phases if linear.needs("has_moved", "motion", "task") else None,
+        )
+
+    def _components(self, linear: LinearModel | None, run_folder: Path | None = None) -> ComponentSources:
+        """Return the plugins that are needed for the computer's parts; a function gets what there is in a run."""
+
+        def needed(plugin: str | None, *terms: str) -> str | None:
+            if linear is not None:
+                return plugin if linear.needs(*terms) else None
+            is_there = plugin and run_folder and (run_folder / plugin / "samples.csv").is_file()
+            return plugin if is_there else None
+
+        return ComponentSources(
+            frequency=needed(self.components.frequency, "frequency", "cycles"),
+            network=needed(self.components.network, "network"),
+            gpu=needed(self.components.gpu, "gpu"),
         )
 
     def _power(self, linear: LinearModel | None, state: RobotState) -> float | None:
