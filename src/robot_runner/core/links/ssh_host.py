@@ -41,8 +41,8 @@ _INSTALL = "Install the OpenSSH client (Debian, Ubuntu: sudo apt install openssh
 #: What ssh says, above its last line, of a host whose key is another one than before.
 _CHANGED_KEY = "remote host identification has changed"
 _MAYBE_AN_ATTACK = (
-    "This may be an attack: somebody may stand between you and {host}. Find out why its key changed; only if that has a "
-    "good reason, such as a system that was installed anew, have ssh forget the old one: {forget}."
+    "This may be an attack: somebody may stand between you and {host}. Find out why its key changed; only if that has "
+    "a good reason, such as a system that was installed anew, have ssh forget the old one: {forget}."
 )
 _REMEDIES = (
     ("permission denied", "Give it this machine's key: ssh-copy-id {host}."),
