@@ -24,7 +24,7 @@ from robot_runner.replication.redaction import Redactor, is_binary
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from robot_runner.core.config.experiment import Author
+    from robot_runner.core.config.authors import Author
     from robot_runner.core.storage.table_schema import ColumnDescription
     from robot_runner.replication.about import About
     from robot_runner.replication.distributions import InstalledDistribution

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
     from robot_runner.core.links.robot import Message
     from robot_runner.ros.dds_graph import Endpoint
-    from robot_runner.ros.dds_link import DdsSettings
     from robot_runner.ros.dds_reception import RawSample, WireType
+    from robot_runner.ros.graph_addresses import DdsSettings
     from robot_runner.ros.graph_transport import Reception
 
 __all__ = ["DdsTransport"]

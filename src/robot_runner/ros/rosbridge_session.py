@@ -17,7 +17,7 @@ from robot_runner.ros.rosbridge_frames import FrameReader, as_json, closed_reaso
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from robot_runner.ros.rosbridge_link import RosbridgeAddress
+    from robot_runner.ros.graph_addresses import RosbridgeAddress
 
 __all__ = ["Reply", "Session"]
 

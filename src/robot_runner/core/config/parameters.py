@@ -12,15 +12,14 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
-from robot_runner.core.config.experiment import Author, authors_from_text, is_licence
+from robot_runner.core.config.authors import Author, authors_from_text, is_licence
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from robot_runner.core.design.run_table import RunTable
-    from robot_runner.core.design.run_table_model import RunTableModel
+    from robot_runner.core.design.run_table_model import RunTable, RunTableModel
     from robot_runner.core.plugin import Plugin
 
 __all__ = [
