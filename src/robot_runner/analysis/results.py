@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.analysis.export import ExportContent, export_results
+from robot_runner.analysis.exporting import ExportContent, export_results
 from robot_runner.analysis.run_frame import History, RunFrame, column_descriptions, read_history, read_run_frame
 from robot_runner.analysis.sample_files import (
     PhaseSpans,

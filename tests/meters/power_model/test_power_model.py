@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from robot_runner.core.errors import AnalysisError, PluginError
 from robot_runner.core.events.measure import Origin
-from robot_runner.meters.power_model.linear_model import LinearModel, read_model
+from robot_runner.meters.power_model.linear_power_model import LinearModel, read_model
 from robot_runner.meters.power_model.states import read_states
 from robot_runner.plugins import Circumstances, Window
 from robot_runner.plugins.profilers import Ina219, PowerModel, PsUtil, RobotState

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.legacy.experiment import EarlierExperiment
+    from robot_runner.legacy.earlier_experiment import EarlierExperiment
     from robot_runner.legacy.session import Session
 
 __all__ = ["Conversion", "check_conversion", "check_neighbours", "convert", "differences"]

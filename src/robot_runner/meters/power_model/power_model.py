@@ -15,7 +15,7 @@ from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.quality import MINIMUM_COVERAGE, Column, write_quality, write_samples
 from robot_runner.core.sampling.series import Window
 from robot_runner.meters.power_model.fitting import Sources, read_runs
-from robot_runner.meters.power_model.linear_model import LinearModel, read_model
+from robot_runner.meters.power_model.linear_power_model import LinearModel, read_model
 from robot_runner.meters.power_model.states import RobotState, read_states
 
 if TYPE_CHECKING:
