@@ -12,7 +12,7 @@ from robot_runner.cli.console import shown_path
 from robot_runner.cli.parser import add_set, add_target
 from robot_runner.cli.planning import folder_of_target
 from robot_runner.core.errors import ExecutionError
-from robot_runner.core.execution.status import ExperimentStatus, read_status
+from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status
 from robot_runner.core.storage.lock import Command, send_command
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 from robot_runner.core.config.parameters import RunProcess
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.keeper import Keeper
-from robot_runner.core.execution.run import execute_run
+from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.task import FINISHED, RecordReader
 from robot_runner.core.execution.worker import be_run, become_interpreter
 from robot_runner.core.storage.layout import LazyLog
