@@ -165,7 +165,7 @@ class Sealing:
         except OSError as error:
             raise storage_error(Path(distribution.name), "read", error) from error
         if not files or secrets:
-            why = f"the package holds {_in_words(secrets)}" if secrets else "its code cannot be found"
+            why = f"the package holds {_in_words(secrets)}" if secrets else "the package's code cannot be found"
             self.left_out.append(LeftOut(f"wheel of {distribution.name}", why))
             return
         stored = self._archive.add(f"{contents.WHEELS}/{wheel_name(distribution)}", [wheel.getvalue()])

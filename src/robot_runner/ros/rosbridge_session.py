@@ -233,7 +233,7 @@ class Session:
         except send_errors() as error:
             self._lose(closed_reason(error))
         finally:
-            self._lose("it closed the connection")
+            self._lose("the server closed the connection")
 
     def _take(self, operation: dict[str, Any]) -> None:
         match operation["op"]:

@@ -208,5 +208,5 @@ class _Supervision:
         if self._because:
             return self._because
         if self._keeper.was_killed or not self._builder.is_finished:
-            return self._keeper.death() or "its process exited with code 0 before the run had ended"
+            return self._keeper.death() or "the run's process exited with code 0 before the run had ended"
         return ""

@@ -168,7 +168,7 @@ class _Converting:
         config = classes_of(self._tree).get(self._recognised.dialect.class_name)
         if config is None:
             raise ConfigError(
-                f"its class {self._recognised.dialect.class_name} is not in this file",
+                f"the class {self._recognised.dialect.class_name} is not in this file",
                 where=str(self._recognised.path),
                 fix="Convert the file that has it.",
             )

@@ -93,7 +93,7 @@ class BasicTurtlebot3(System):
         if circumstances.robot is None:
             yield Finding.error(
                 f"plugin {self.name}",
-                "it operates a robot, and the experiment names none",
+                "the plugin operates a robot, and the experiment names none",
                 "Name it in the config: robot = 'simulated'. Or: --set robot=simulated.",
             )
         yield from self._check_namespace(circumstances)
@@ -165,7 +165,7 @@ class BasicTurtlebot3(System):
             if isinstance(other, BasicTurtlebot3) and other.namespace.strip("/") == own:
                 yield Finding.error(
                     f"plugin {self.name}",
-                    f"it operates the robot of the namespace '/{own}', and so does {other.name!r}",
+                    f"the plugin operates the robot of the namespace '/{own}', and so does {other.name!r}",
                     f"Give each its robot's namespace, as in {type(self).__name__}(namespace='/alice').",
                 )
 
