@@ -162,7 +162,7 @@ class Results:
 
         Columns: `run_id`, `event` (ordered categorical), `at` (datetime64, UTC), `clock_s` (s on the run's clock) and
         `since_start_s` (s since the event `start_measurement`); the last two are missing for `before_run` and
-        `continue`, which are not heard on the run's clock.
+        `continue`, which take place outside the run and its clock.
 
         Raises:
             AnalysisError: there is no such run.

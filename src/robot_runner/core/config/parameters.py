@@ -314,7 +314,7 @@ class Parameters(StaticParameters):
 class ExperimentConfig(StaticParameters):
     """An experiment: its static parameters, its run table, its plugins, and what happens at its events.
 
-    A method that is named like an event hears it: `before_experiment`, `before_run`, `start_run`,
+    A method that is named like an event is called at it: `before_experiment`, `before_run`, `start_run`,
     `start_measurement`, `launch_mission`, `stop_measurement`, `stop_run`, `populate_run_data`,
     `continue_experiment`, `after_experiment`. Deriving from this class gives the parameters their types and
     defaults; a class named `RobotRunnerConfig` that derives from nothing works as well.

@@ -113,7 +113,9 @@ def _read_quality(path: Path) -> dict[str, Any]:
         quality: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         coverage = quality["samples"]["coverage"] if quality["window"] else 0.0
     except (OSError, ValueError, KeyError, TypeError) as error:
-        problem = "there is no such file" if isinstance(error, OSError) else f"it tells of no measured window: {error}"
+        problem = (
+            "there is no such file" if isinstance(error, OSError) else f"the file tells of no measured window: {error}"
+        )
         raise AnalysisError(problem, where=str(path), fix=fix) from error
     if coverage < MINIMUM_COVERAGE:
         problem = f"the power samples cover {coverage:.0f} % of the measured window"
