@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from robot_runner.meters.power_model.linear_model import Linearity
+from robot_runner.meters.power_model.linear_power_model import Linearity
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
