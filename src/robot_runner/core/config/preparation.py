@@ -104,7 +104,7 @@ def prepare(
     model, model_findings = create_model(loaded)
     findings += [*parameter_findings, *plugin_findings, *model_findings]
     events = _subscribe(loaded, plugins, findings)
-    columns = _columns(model, plugins, parameters.phases if parameters else (), findings)
+    columns = _columns(model, plugins, parameters, findings)
     if parameters is not None:
         findings += [*check_analysis(parameters, model, columns), *check_threads(loaded, parameters)]
     if is_for_here:
@@ -150,12 +150,13 @@ def _subscribe(loaded: LoadedConfig, plugins: tuple[Plugin, ...], findings: list
 
 
 def _columns(
-    model: RunTableModel | None, plugins: tuple[Plugin, ...], phases: Sequence[str], findings: list[Finding]
+    model: RunTableModel | None, plugins: tuple[Plugin, ...], parameters: Parameters | None, findings: list[Finding]
 ) -> MeasureColumns:
+    phases = parameters.phases if parameters is not None else ()
     measures = {plugin.name: with_phases(plugin.measures, phases) for plugin in plugins}
     columns, column_findings = resolve_columns(model.data_columns if model else None, measures)
     findings += column_findings
-    return columns
+    return columns.with_quality() if parameters is not None and parameters.quality_columns else columns
 
 
 def _experiment(

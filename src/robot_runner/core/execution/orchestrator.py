@@ -174,7 +174,7 @@ class _Orchestrator:
         for attempts_left in reversed(range(self._parameters.attempts)):
             task = self._progress.begin(run)
             self._notice(AttemptStarted(task))
-            outcome = self._attempt(task)
+            outcome = self._attempt(task, has_attempts_left=attempts_left > 0)
             is_last = attempts_left == 0 or outcome.status is not AttemptStatus.FAILED
             self._progress.record_outcome(task, outcome, is_last=is_last)
             self._notice(AttemptFinished(task, outcome, is_last))
@@ -185,8 +185,13 @@ class _Orchestrator:
         )
         return outcome.status is not AttemptStatus.INTERRUPTED and not self._stopped_by_policy
 
-    def _attempt(self, task: RunTask) -> RunOutcome:
-        builder = OutcomeBuilder(task.run_id, self._experiment.columns)
+    def _attempt(self, task: RunTask, *, has_attempts_left: bool) -> RunOutcome:
+        builder = OutcomeBuilder(
+            task.run_id,
+            self._experiment.columns,
+            on_bad_value=self._parameters.on_bad_value,
+            has_attempts_left=has_attempts_left,
+        )
 
         def report(kind: str, fields: dict[str, Any]) -> None:
             self._progress.record(task, kind, fields)

@@ -259,7 +259,12 @@ class ProgressManager:
 
 def _plain(outcome: RunOutcome) -> dict[str, Any]:
     measures = {
-        name: {"value": measure.value, "owner": measure.owner, "origin": measure.origin.value}
+        name: {
+            "value": measure.value,
+            "owner": measure.owner,
+            "origin": measure.origin.value,
+            **({"doubts": list(measure.doubts)} if measure.doubts else {}),
+        }
         for name, measure in outcome.measures.items()
     }
     return {

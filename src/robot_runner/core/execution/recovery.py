@@ -8,6 +8,7 @@ import re
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from operator import is_
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
@@ -210,6 +211,7 @@ class RecoveredTable:
     origins: defaultdict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
     _kinds: set[tuple[str, Any]] = field(default_factory=set)
     doubts: defaultdict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
+    reasons: defaultdict[str, dict[str, tuple[str, ...]]] = field(default_factory=lambda: defaultdict(dict))
 
     def take_outcome(self, run_id: str, outcome: RunOutcome) -> bool:
         """Bring the row of a run up to date with how its attempt ended; returns whether a type or origin is new."""
@@ -217,6 +219,7 @@ class RecoveredTable:
             self.origins[measure.name].add(measure.origin.value)
         for finding in outcome.findings:
             self.doubts[finding.where.partition(", ")[2]].add(f"{run_id}: {finding.problem}")
+        self._take_reasons(run_id, {name: measure.doubts for name, measure in outcome.measures.items()})
         values = {name: measure.value for name, measure in outcome.measures.items()}
         self._record(run_id, outcome.status.value, outcome.stamps, values)
         kinds: set[tuple[str, Any]] = {(name, type(value)) for name, value in values.items() if value is not None}
@@ -228,6 +231,8 @@ class RecoveredTable:
     def take_record(self, record: Mapping[str, Any]) -> None:
         """Bring the row of a run up to date with how the journal says that its attempt ended."""
         self.take_origins(record)
+        told = {name: tuple(measure.get("doubts", ())) for name, measure in record["measures"].items()}
+        self._take_reasons(record["run"], told)
         values = {name: measure["value"] for name, measure in record["measures"].items()}
         self._record(record["run"], record["status"], record["stamps"], values)
 
@@ -235,6 +240,14 @@ class RecoveredTable:
         """Remember where the measures of an attempt came from, as the journal says."""
         for name, measure in record["measures"].items():
             self.origins[name].add(measure["origin"])
+
+    def _take_reasons(self, run_id: str, doubts: Mapping[str, tuple[str, ...]]) -> None:
+        """Remember what makes the values of a run doubtful or missing; what was said of an earlier attempt is over."""
+        for by_run in self.reasons.values():
+            by_run.pop(run_id, None)
+        for name, reasons in doubts.items():
+            if reasons:
+                self.reasons[name][run_id] = reasons
 
     def write_schema(self, path: Path) -> None:
         """Write the run table's schema as far as it is known."""
@@ -263,6 +276,7 @@ class RecoveredTable:
                 owner=column.owner,
                 origin=", ".join(sorted(self.origins[column.name])) or None,
                 findings=tuple(sorted(self.doubts[column.owner])),
+                doubts=MappingProxyType(dict(self.reasons[column.name])),
             )
             for column in self.experiment.columns.in_table
         }
@@ -298,6 +312,8 @@ def recover_table(
         recovered = RecoveredTable(experiment, rows, findings=rows.warnings, is_on_disk=rows.has_file and bool(schema))
     for column in schema:
         recovered.origins[column.name].update(column.origin.split(", ") if column.origin else ())
+        recovered.reasons[column.name].update(column.doubts)
+        recovered.doubts[column.owner].update(column.findings)
     _replay(recovered, folder.journal, has_origins=bool(schema))
     return recovered
 
