@@ -202,9 +202,10 @@ class _Explaining:
             return f"in the order of {design['source']}, which was written by hand"
         blocks = f" within blocks of {design['blocks']}" if design.get("blocks") else ""
         seed = self._manifest.get("seed")
-        return (
+        planned = (
             f"randomised{blocks} from seed {seed}" if design.get("shuffle") else f"in the order of the config{blocks}"
         )
+        return f"changed by hand in run_table.csv; planned: {planned}" if design.get("is_reordered") else planned
 
     def _host(self) -> str:
         host = self._manifest.get("host") or {}

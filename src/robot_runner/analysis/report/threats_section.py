@@ -129,6 +129,9 @@ def _order(material: Material) -> Threats:
             "Runs were executed in the order in which they were written; what changes with time may pass for an effect."
         )
         yield "The order was not randomised", text, Tone.WARNING
+    if design.get("is_reordered"):
+        text = "The rows of run_table.csv were put into another order by hand, and runs were executed in that order."
+        yield "The order was changed by hand", text, Tone.WARNING
 
 
 def _unfinished(material: Material) -> Threats:
@@ -168,6 +171,11 @@ def _circumstances(material: Material) -> Threats:
     deviations: dict[str, object] = dict(material.manifest("deviations", default={}))
     for execution in executions:
         deviations |= execution.get("deviations") or {}
+    changed: list[dict[str, str]] = [each for each in material.manifest("table_deviations", default=[]) if each["run"]]
+    if changed:
+        cells = (f"{each['column']} of {each['run']} from {each['was']!r} to {each['is']!r}" for each in changed)
+        text = f"Cells of runs that were executed were changed in run_table.csv: {listed(cells, shown=20)}."
+        yield "Results were changed by hand", text, Tone.BAD
     if deviations:
         shown = listed((f"{name} = {value}" for name, value in deviations.items()), shown=20)
         text = f"Set on the command line, against what the config says: {shown}."

@@ -9,14 +9,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.errors import ExecutionError, Finding
-from robot_runner.core.execution.circumstances import keep_config, manifest_of, note_clock, resumed_manifest
-from robot_runner.core.execution.recovery import (
-    RecoveredTable,
-    Resumption,
-    config_changes,
-    recover_table,
-    selected_places,
+from robot_runner.core.execution.circumstances import (
+    keep_config,
+    manifest_of,
+    note_clock,
+    restored_manifest,
+    resumed_manifest,
 )
+from robot_runner.core.execution.recovery import config_changes, selected_places
+from robot_runner.core.execution.table_recovery import recover_table, texts_of
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome, RunTask, seed_of_run
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import Journal, utc_now
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.execution.recovered_table import RecoveredTable
+    from robot_runner.core.execution.recovery import Resumption
 
 __all__ = ["PendingRun", "ProgressManager"]
 
@@ -79,13 +82,14 @@ class ProgressManager:
             opened.enter_context(ExperimentLock(self._folder.lock))
             self._manifest = self._load_manifest()
             started = time.monotonic()
-            recovered = recover_table(self._experiment, self._manifest, accept_changes=self._resumption.accept_changes)
+            recovered = recover_table(self._experiment, self._manifest, self._resumption)
             self._selected = selected_places(recovered.rows, self._resumption)
             self._take(recovered)
             if recovered.unfinished is not None:  # the orchestrator died: what the run printed is still its log
                 keep_log(self._folder, recovered.unfinished)
                 self._left_behind.add(recovered.unfinished)
             self._journal = opened.enter_context(Journal(self._folder.journal))
+            self._keep_deviations(recovered)
             keep_config(self._experiment)
             write_manifest(self._folder.manifest, self._manifest)
             if recovered.is_on_disk:  # reading it took longer than writing it will
@@ -95,8 +99,15 @@ class ProgressManager:
                 recovered.write_schema(self._folder.schema)
                 self._write_table()
             self._resources = opened.pop_all()
-        seed, runs = self.seed, self.run_count
-        self.note("experiment_started", flush=True, name=self._manifest["experiment_name"], seed=seed, runs=runs)
+        manifest = self._manifest
+        self.note(
+            "experiment_started",
+            flush=True,
+            name=manifest["experiment_name"],
+            seed=self.seed,
+            runs=self.run_count,
+            design=manifest["design"]["source"],
+        )
         return self
 
     def __exit__(self, *raised: object) -> None:
@@ -163,9 +174,16 @@ class ProgressManager:
         self._left_behind.add(run.run_id)
         self._rows.record(run.run_id, status=RunStatus.RUNNING)
         self._failed.pop(run.run_id, None)
-        self.note("attempt_started", run=run.run_id, attempt=self._attempts[run.run_id])
+        task = self.task_of(run)
+        self.note(
+            "attempt_started",
+            run=run.run_id,
+            attempt=task.attempt,
+            combination=texts_of(task.combination),
+            repetition=task.repetition,
+        )
         self._refresh_table()
-        return self.task_of(run)
+        return task
 
     def record(self, task: RunTask, kind: str, fields: dict[str, Any]) -> None:
         """Keep what a run reports while it is executed."""
@@ -219,7 +237,20 @@ class ProgressManager:
         except OSError as error:
             raise storage_error(self._folder.root, "made", error) from error
 
+    def _keep_deviations(self, recovered: RecoveredTable) -> None:
+        """Record what was changed by hand: in the journal, and for readers of the manifest."""
+        for each in recovered.deviations:
+            fields = {"run": each.run, "column": each.column, "was": each.was, "is": each.is_now}
+            self._journal.append("deviation", flush=True, **fields)
+            self._manifest.setdefault("table_deviations", []).append({"at": utc_now(), **fields})
+            if not each.run:
+                self._manifest["design"]["is_reordered"] = True
+
     def _load_manifest(self) -> dict[str, Any]:
+        lost = restored_manifest(self._experiment)
+        if lost is not None:
+            self._findings.append(lost.finding)
+            return lost.manifest
         if self._folder.manifest.exists():
             if not self._resumption.accept_changes and (changes := config_changes(self._experiment)):
                 raise ExecutionError.of_findings(changes)
@@ -249,9 +280,9 @@ class ProgressManager:
 
     def _write_table(self) -> None:
         started = time.monotonic()
-        write_run_table(self._folder.run_table, self._rows)
+        digest = write_run_table(self._folder.run_table, self._rows)
         # After the rename: a run that is in the table and not yet known to be is taken from the journal once more.
-        self._journal.append("table_written")
+        self._journal.append("table_written", sha256=digest)
         self._table_written = time.monotonic()
         self._table_cost = self._table_written - started
         self._table_is_stale = False
