@@ -55,9 +55,7 @@ class CodeCarbon(Profiler):
     """
 
     measures: Sequence[Measure] = (
-        Measure(
-            "Energy", "J", "Energy of processor, GPU and memory while its tracker ran, estimated by CodeCarbon."
-        ),
+        Measure("Energy", "J", "Energy of processor, GPU and memory while its tracker ran, estimated by CodeCarbon."),
         Measure("Emissions", "kg", "Greenhouse gases as CO2 equivalent while its tracker ran, by CodeCarbon."),
         Measure("CPUEnergy", "J", "Energy of the processor while its tracker ran, estimated by CodeCarbon."),
         Measure("MemoryEnergy", "J", "Energy of the memory while its tracker ran, estimated by CodeCarbon."),

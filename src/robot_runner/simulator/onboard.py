@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -152,10 +153,10 @@ class OnboardComputer:
             + by_task[self._tasks.numbers(first, last)]
             + parameters.cpu_moving * (speeds > MOVING_WHEEL_SPEED)
         )
-        total = np.concatenate([[0.0], np.cumsum(by_step[1:])])[ends - first]
-        spans = np.diff(ends)
-        mean: Floats = np.divide(np.diff(total), spans, out=np.full(len(spans), np.nan), where=spans > 0)
-        return mean
+        # Each sum for itself: one over all would be rounded in another way where sampling began earlier.
+        pairs = pairwise((ends - first).tolist())
+        means = [by_step[sooner + 1 : later + 1].mean() if later > sooner else math.nan for sooner, later in pairs]
+        return np.array(means)
 
     def _memory(self, ends: npt.NDArray[np.int64]) -> Floats:
         parameters = self._parameters

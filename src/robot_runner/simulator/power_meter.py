@@ -238,5 +238,3 @@ class Ina219Meter:
 
 def _register(values: npt.NDArray[np.float64], low: int, high: int) -> npt.NDArray[np.int64]:
     return np.clip(np.rint(values), low, high).astype(np.int64)
-
-
