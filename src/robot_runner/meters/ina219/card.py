@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.serial_line import Chunk
-from robot_runner.meters.ina219.frames import FrameDecoder, Hello, SampleStream
+from robot_runner.meters.ina219.frames import FrameDecoder, Hello
+from robot_runner.meters.ina219.sample_stream import SampleStream
 from robot_runner.meters.ina219.registers import evaluate_registers
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 from robot_runner.core.events.window import Window
-from robot_runner.meters.ina219.frames import SampleStream
+from robot_runner.meters.ina219.sample_stream import SampleStream
 from robot_runner.meters.ina219.registers import evaluate_registers
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.window import Window
     from robot_runner.core.sampling.quality import SampleQuality
-    from robot_runner.meters.ina219.frames import SampleStream
+    from robot_runner.meters.ina219.sample_stream import SampleStream
 
 __all__ = [
     "BUS_VOLT_PER_STEP",
