@@ -29,7 +29,7 @@ _STAMPS = 1 << 32
 _BACKWARDS = 1 << 31
 #: The device's clock cannot run ahead of ours by this much, s; a restart after more than 36 min looks so.
 _IMPLAUSIBLE_LEAD = 60.0
-#: Up to where the device's clock is mended by the arrivals, in parts of one: however wrong it is, the arrivals are right.
+#: Up to where the device's clock is mended by the arrivals, in parts of one: however wrong it is, they are right.
 _LARGEST_SKEW = 0.5
 
 
@@ -146,7 +146,7 @@ class SampleStream:
             self.bytes += len(chunk.data)
             before = self.counts
             self._add(self._decoder.feed(chunk.data), chunk.received_at)
-            self._note_counts(before, len(chunk.data))
+            self._note_counts(before, chunk.data)
 
     def finish(self) -> None:
         """Decode what is held back; call it once nothing more will arrive."""
@@ -154,7 +154,7 @@ class SampleStream:
         frames = self._decoder.finish()
         if len(self):
             self._add(frames, self._received[-1])
-        self._note_counts(before, 0)
+        self._note_counts(before, b"")
 
     def times(self) -> array[float]:
         """Return the middle of what each sample averages, s on the run's clock, never falling.
@@ -199,11 +199,13 @@ class SampleStream:
         if count:
             self._troubles.append((len(self), trouble, count))
 
-    def _note_counts(self, before: DecoderCounts, size: int) -> None:
+    def _note_counts(self, before: DecoderCounts, data: bytes) -> None:
         now = self.counts
         self._note(Trouble.CORRUPT, now.corrupt - before.corrupt)
-        self._note(Trouble.DROPPED, now.dropped_bytes - before.dropped_bytes)
+        if self._has_arrivals:  # a recording has zeros behind each mark's end, and behind its last frame
+            self._note(Trouble.DROPPED, now.dropped_bytes - before.dropped_bytes)
         self._note(Trouble.FOREIGN, now.foreign_versions - before.foreign_versions)
+        size = len(data) if self._has_arrivals else len(data.strip(b"\0"))
         self.bytes_since_frame = 0 if now.frames > before.frames else self.bytes_since_frame + size
 
     def _add_sample(self, sample: SampleFrame, received_at: float) -> None:
