@@ -196,13 +196,15 @@ class History:
         events: `run_id`, `event`, `at`, `clock_s`, `since_start_s`; of the last attempt at each run.
         published: `run_id`, `measure`, `value`, `owner`, `origin`; of the last attempt at each run.
         odd: `run_id`, `attempt`, `owner`, `problem`, `fix`.
-        starts: when each run's measurement began, s on the run's clock.
+        windows: when each run's measured window (its mission) began and ended, s on the run's clock.
+        starts: when that began; where it is not known, when the run's measurement did.
     """
 
     attempts: pd.DataFrame
     events: pd.DataFrame
     published: pd.DataFrame
     odd: pd.DataFrame
+    windows: Mapping[str, tuple[float, float]]
     starts: Mapping[str, float]
 
 
@@ -212,19 +214,26 @@ def read_history(journal: Path) -> History:
     Raises:
         StorageError: it cannot be read.
     """
-    kinds = ("attempt_started", "attempt_finished", "event", "finding")
+    kinds = ("attempt_started", "attempt_finished", "event", "finding", "window")
     records: dict[str, list[dict[str, Any]]] = {kind: [] for kind in kinds}
     for record in read_journal(journal, kinds=kinds):
         records[record["kind"]].append(record)
     attempts = _attempts(records["attempt_started"], records["attempt_finished"])
     last = dict(zip(attempts["run_id"], attempts["attempt"], strict=True))
     of_last = [each for each in records["event"] if "run" in each and each["attempt"] == last.get(each["run"])]
-    starts = {each["run"]: float(each["clock"]) for each in of_last if each["event"] == START and "clock" in each}
+    measured = {each["run"]: float(each["clock"]) for each in of_last if each["event"] == START and "clock" in each}
+    windows = {
+        each["run"]: (float(each["start"]), float(each["end"]))
+        for each in records["window"]
+        if each["attempt"] == last.get(each["run"])
+    }
+    starts = {**measured, **{run: start for run, (start, _) in windows.items()}}
     return History(
         attempts,
         _events(of_last, starts),
         _published([each for each in records["attempt_finished"] if each["attempt"] == last.get(each["run"])]),
         _odd(records["finding"]),
+        windows,
         starts,
     )
 

@@ -111,7 +111,8 @@ class BasicTurtlebot3(System):
     def launch_mission(self, context: RobotRunnerContext) -> None:
         """Execute the mission.
 
-        Its phases go to `phases.csv` and, as they begin, to the other plugins; its way goes to `trajectory.csv`.
+        Its phases go to `phases.csv` and, as they begin, to the other plugins; its way goes to `trajectory.csv`. They
+        are phases of the run, too: `sleep`, `forward`, `task` and `rotate`, for which the config's `phases` may ask.
         """
         task, robot = self._task_of(context), self._reached_robot()
 
@@ -127,7 +128,7 @@ class BasicTurtlebot3(System):
                 (context.raw_data_folder / "phases.csv").open("w", encoding="ascii", newline="")
             )
             performer = Performer(self.mission, task, robot, context.clock, PhaseLog(file))
-            self._performance = performer.perform(announce)
+            self._performance = performer.perform(announce, context.phase)
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Stop the robot and leave it."""
@@ -139,7 +140,7 @@ class BasicTurtlebot3(System):
         """Publish duration, distance and pose error; no values where the mission did not take place."""
         performance = self._performance
         if performance is None:
-            context.warn("the mission did not take place", fix="Look at the run's log.")
+            context.doubt("the mission did not take place", fix="Look at the run's log.")
             for measure in self.measures:
                 context.publish(measure.name, None)
             return
