@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from robot_runner.core.plugin import Circumstances
     from robot_runner.core.sampling.periodic import Sampling
 
-__all__ = ["Meter", "PolledProfiler", "reach_findings"]
+__all__ = ["Meter", "PolledProfiler", "Sampler", "reach_findings"]
 
 
 _FIX = f"Name it in the config: robot = {SIMULATED!r}. Or: --set robot={SIMULATED}."
@@ -63,6 +63,18 @@ class Meter(Protocol[R_co]):
         ...
 
 
+class Sampler(Protocol[R]):
+    """What takes readings from its start to its stop, such as a `PeriodicSampler`."""
+
+    def start(self) -> None:
+        """Begin to take readings."""
+        ...
+
+    def stop(self) -> Sampling[R]:
+        """End it and return what was read; a second call returns the same."""
+        ...
+
+
 class PolledProfiler(Profiler, Generic[R]):
     """Reads a meter of this machine at a fixed rate from the start of the measurement to its end.
 
@@ -85,7 +97,7 @@ class PolledProfiler(Profiler, Generic[R]):
             raise PluginError(f"rate_hz is {rate_hz!r}", where=self.name, fix="Give rate_hz a number above 0.")
         self.rate_hz = rate_hz
         self._meter: Meter[R] | None = None
-        self._sampler: PeriodicSampler[R] | None = None
+        self._sampler: Sampler[R] | None = None
         self._sampling: Sampling[R] | None = None
         self._is_written = False
 
@@ -120,10 +132,14 @@ class PolledProfiler(Profiler, Generic[R]):
         self._sampler = self._sampling = None
         self._is_written = False
 
+    def sampler(self, context: RobotRunnerContext) -> Sampler[R]:
+        """Return what takes the readings: the opened meter's `read`, called at the rate in a thread of the run."""
+        self._meter = self.open(context)
+        return PeriodicSampler(self._meter.read, rate=self.rate_hz, clock=machine_clock(context))
+
     def start_measurement(self, context: RobotRunnerContext) -> None:
         """Open the meter and begin to read it."""
-        self._meter = self.open(context)
-        self._sampler = PeriodicSampler(self._meter.read, rate=self.rate_hz, clock=machine_clock(context))
+        self._sampler = self.sampler(context)
         self._sampler.start()
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
