@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-# NVIDIA Jetson Orin NX developer kit, JetPack 6: hwmon driver ina3221 with the labels of the device tree. in4 to in6 are
+# NVIDIA Jetson Orin NX developer kit, JetPack 6: hwmon driver ina3221, labels of the device tree. in4 to in6 are
 # the voltages of the shunts (uV), and curr4 is the sum that the driver adds.
 JETSON_ORIN = {
     "name": "ina3221",

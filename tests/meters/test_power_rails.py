@@ -262,7 +262,7 @@ def test_a_sensor_that_is_stuck_is_noticed(tmp_path, tree, clock):
 
 def test_files_that_fail_for_a_moment_are_counted_and_bridged(tmp_path, tree, clock):
     folder = tree.hwmon(rail_trees.INA226)
-    clock.at(12.0, lambda: (folder / "power1_input").unlink())
+    clock.at(12.0, (folder / "power1_input").unlink)
     clock.at(12.1, lambda: write(folder / "power1_input", 7600000))
     context = measured(tmp_path, tree, clock)
     assert context.measures["Energy"] == pytest.approx(76.0)
@@ -271,7 +271,7 @@ def test_files_that_fail_for_a_moment_are_counted_and_bridged(tmp_path, tree, cl
 
 def test_a_sensor_that_vanishes_costs_the_values_and_not_the_run(tmp_path, tree, clock):
     folder = tree.hwmon(rail_trees.INA226)
-    clock.at(13.0, lambda: (folder / "power1_input").unlink())
+    clock.at(13.0, (folder / "power1_input").unlink)
     context = measured(tmp_path, tree, clock)
     assert set(context.measures.values()) == {None}
 
