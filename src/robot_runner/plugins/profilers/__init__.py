@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from robot_runner.meters.psutil import PsUtil as PsUtil
     from robot_runner.meters.rapl import Rapl as Rapl
     from robot_runner.meters.scpi import Scpi as Scpi
+    from robot_runner.meters.smart_plug import SmartPlug as SmartPlug
     from robot_runner.meters.watts_up_pro import WattsUpPro as WattsUpPro
     from robot_runner.ros.ros_bag import RosBag as RosBag
     from robot_runner.ros.ros_graph import RosGraph as RosGraph
