@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from robot_runner.core.events.measure import Measure
+from robot_runner.core.events.measure import Measure, Over
 from robot_runner.core.sampling.quality import Column
-from robot_runner.core.sampling.series import Series, cut, energy, mean
-from robot_runner.meters.counters import fall_count, increase
+from robot_runner.core.sampling.series import Series, cut, energy, growth, mean
+from robot_runner.meters.counters import fall_count, unwrapped
 from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:
@@ -50,10 +51,15 @@ class ElectricalReading(NamedTuple):
 Readings = tuple[ElectricalReading, ...]
 
 _MEASURES = (
-    ("Energy", "J", "Energy{of} over the measured window: by the meter's counter if fine enough, else power x time."),
-    ("MeanPower", "W", "Mean power{of} over the measured window: Energy divided by its duration."),
-    ("MeanVoltage", "V", "Voltage{of}, mean over the measured window."),
-    ("MeanCurrent", "A", "Current{of}, mean over the measured window."),
+    Measure(
+        "Energy",
+        "J",
+        "Energy{of} over the measured window: by the meter's counter if fine enough, else power x time.",
+        over=Over.SUM,
+    ),
+    Measure("MeanPower", "W", "Mean power{of} over the measured window: Energy / its duration.", over=Over.MEAN),
+    Measure("MeanVoltage", "V", "Voltage{of}, mean over the measured window.", over=Over.MEAN),
+    Measure("MeanCurrent", "A", "Current{of}, mean over the measured window.", over=Over.MEAN),
 )
 
 
@@ -66,12 +72,11 @@ def electrical_measures(channels: Sequence[str]) -> tuple[Measure, ...]:
         >>> electrical_measures(["VDD_IN"])[0].name
         'Energy'
     """
-    if len(channels) == 1:
-        return tuple(Measure(name, unit, text.format(of="")) for name, unit, text in _MEASURES)
+    suffixed = [(f"_{channel}", f" of {channel}") for channel in channels] if len(channels) > 1 else [("", "")]
     return tuple(
-        Measure(f"{name}_{channel}", unit, text.format(of=f" of {channel}"))
-        for channel in channels
-        for name, unit, text in _MEASURES
+        replace(measure, name=measure.name + suffix, description=measure.description.format(of=of))
+        for suffix, of in suffixed
+        for measure in _MEASURES
     )
 
 
@@ -153,7 +158,8 @@ class ElectricalProfiler(PolledProfiler[Readings]):
         return integral, "power" if integral is not None else ""
 
     def _counted(self, sampling: Sampling[Readings], place: int) -> float | None:
-        return increase(_series(sampling, place, "joules"), sampling.window)
+        counter = _series(sampling, place, "joules")
+        return growth(Series(counter.times, unwrapped(counter.values)), sampling.window)
 
     def _integral(self, sampling: Sampling[Readings], place: int) -> float | None:
         return energy(_series(sampling, place, "power"), sampling.window, reach=5 / self.rate_hz)

@@ -114,8 +114,8 @@ class _Tasmota:
         fields = _fields(told, "StatusSNS", "ENERGY")
         single = {name: _of_channel(value, channel) for name, value in fields.items()}
         joules = _number(single, "Total", unit=_KILOWATT_HOUR)
-        electric = [_number(single, name) for name in ("Power", "Voltage", "Current")]
-        return _required(ElectricalReading(*electric, joules), told)
+        power, voltage, current = (_number(single, name) for name in ("Power", "Voltage", "Current"))
+        return _required(ElectricalReading(power, voltage, current, joules), told)
 
 
 def _of_channel(value: Any, channel: int) -> Any:
@@ -151,10 +151,10 @@ class _ShellyFirst:
         # The counter of an energy meter (EM, 3EM) counts watt-hours, that of a plug watt-minutes.
         unit = _WATT_HOUR if status.get("emeters") else _WATT_MINUTE
         joules = _number(fields, "total", unit=unit)
-        electric = [_number(fields, name) for name in ("power", "voltage", "current")]
+        power, voltage, current = (_number(fields, name) for name in ("power", "voltage", "current"))
         if fields.get("is_valid") is False:
             raise ValueError("the plug says that its reading is not valid")
-        return _required(ElectricalReading(*electric, joules), meters)
+        return _required(ElectricalReading(power, voltage, current, joules), meters)
 
 
 def _plain(body: bytes) -> float:
@@ -189,8 +189,8 @@ class _ShellyLater:
             raise ValueError(f"the plug refuses: {str(told['error'])[:80]}")
         fields = _fields(told, "result") or told
         joules = _number(_fields(fields, "aenergy"), "total", unit=_WATT_HOUR)
-        electric = [_number(fields, name) for name in ("apower", "voltage", "current")]
-        return _required(ElectricalReading(*electric, joules), told)
+        power, voltage, current = (_number(fields, name) for name in ("apower", "voltage", "current"))
+        return _required(ElectricalReading(power, voltage, current, joules), told)
 
 
 #: The kinds of plug, by the name that a config gives them.

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_host
 from robot_runner.core.links.host import LOCAL, FileHost, RemoteHost, ReportingSampler, SamplingReport
 from robot_runner.core.links.local_host import LocalHost
 from robot_runner.core.links.measured_machine import machine_clock, simulation_findings
 from robot_runner.core.links.ssh_host import SshHost, ssh_findings
 from robot_runner.core.sampling.periodic import Sampling
-from robot_runner.core.sampling.series import Window
 from robot_runner.meters.electrical import ElectricalProfiler
 from robot_runner.meters.sysfs_rails import choose_rails, find_rails
 
@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.links.host import FileSample, FileSampler
     from robot_runner.core.plugin import Circumstances
-    from robot_runner.meters.electrical import ElectricalReading, Readings
+    from robot_runner.meters.electrical import Readings
+    from robot_runner.meters.polled import Sampler
     from robot_runner.meters.sysfs_rails import Rail
 
 __all__ = ["PowerRails", "RailSampler"]
@@ -33,8 +34,37 @@ __all__ = ["PowerRails", "RailSampler"]
 _CLOCK_SHARE = 0.01
 
 
+class _LocalRails:
+    """The files of some rails of this machine."""
+
+    def __init__(self, host: FileHost, rails: Sequence[Rail]) -> None:
+        self._host = host
+        self._rails = rails
+        self._paths = _paths(rails)
+
+    def read(self) -> Readings:
+        return _understood(self._rails, self._paths, self._host.read_files(self._paths))
+
+    def close(self) -> None:
+        """Do nothing: the files are opened anew for each reading."""
+
+
+def _paths(rails: Sequence[Rail]) -> list[str]:
+    return list(dict.fromkeys(file.path for rail in rails for file in rail.files.values()))
+
+
+def _understood(rails: Sequence[Rail], paths: Sequence[str], lines: Sequence[str | None]) -> Readings:
+    """Return what each rail says.
+
+    Raises:
+        ValueError: a file could not be read, or holds no number.
+    """
+    by_path = dict(zip(paths, lines, strict=True))
+    return tuple(rail.read(by_path) for rail in rails)
+
+
 class RailSampler:
-    """Has a computer read the files of some rails.
+    """Has another computer read the files of some rails, and fetches what it read.
 
     Args:
         host: the computer.
@@ -46,7 +76,7 @@ class RailSampler:
     def __init__(self, host: FileHost, rails: Sequence[Rail], *, rate: float, clock: Clock) -> None:
         self._host = host
         self._rails = rails
-        self._paths = list(dict.fromkeys(file.path for rail in rails for file in rail.files.values()))
+        self._paths = _paths(rails)
         self._rate = rate
         self._clock = clock
         self._files: FileSampler | None = None
@@ -62,25 +92,29 @@ class RailSampler:
         self._files = self._host.sample_files(self._rate, self._paths)
         self._start = self._clock.now()
 
+    def take_now(self) -> None:
+        """Do nothing: the other computer reads on its own, and the edges lie between two of its readings."""
+
     def stop(self) -> Sampling[Readings]:
         """Fetch what was sampled; a second call returns the same."""
         if self._sampling is None:
             window = Window(self._start, self._clock.now())
             samples = self._files.stop() if self._files is not None else ()
-            self._sampling = self._understood(samples, window)
+            self._sampling = self._sampled(samples, window)
         return self._sampling
 
     def report(self) -> SamplingReport:
         """Return what the computer says of its sampling; to be asked after `stop`."""
         return self._files.report() if isinstance(self._files, ReportingSampler) else SamplingReport(rate=self._rate)
 
-    def _understood(self, samples: Sequence[FileSample], window: Window) -> Sampling[Readings]:
-        times, readings, failures = [], [], []
+    def _sampled(self, samples: Sequence[FileSample], window: Window) -> Sampling[Readings]:
+        times, readings, failed_at, first_failure = [], [], [], ""
         for sample in samples:
             try:
-                readings.append(self._read(sample.lines))
+                readings.append(_understood(self._rails, self._paths, sample.lines))
             except ValueError as error:
-                failures.append(str(error))
+                failed_at.append(sample.time)
+                first_failure = first_failure or str(error)
             else:
                 times.append(sample.time)
         report = self.report()
@@ -89,14 +123,11 @@ class RailSampler:
             readings,
             window,
             report.rate,
-            failures=len(failures),
-            first_failure=next(iter(failures), ""),
+            failed_at=failed_at,
+            first_failure=first_failure,
             cpu_seconds=report.cpu_seconds or 0.0,
+            sampled_seconds=window.duration,
         )
-
-    def _read(self, lines: Sequence[str | None]) -> tuple[ElectricalReading, ...]:
-        by_path = dict(zip(self._paths, lines, strict=True))
-        return tuple(rail.read(by_path) for rail in self._rails)
 
 
 class PowerRails(ElectricalProfiler):
@@ -173,8 +204,14 @@ class PowerRails(ElectricalProfiler):
             host.connect()
         self._rails = choose_rails(find_rails(host, self.root), self.rails, where=self.name)
 
-    def sampler(self, context: RobotRunnerContext) -> RailSampler:
-        """Return what has the computer read the rails."""
+    def open(self, context: RobotRunnerContext) -> _LocalRails:
+        """Return the rails of this machine."""
+        return _LocalRails(self._connected(context), self._rails)
+
+    def sampler(self, context: RobotRunnerContext) -> Sampler[Readings]:
+        """Return what has the computer read the rails: this machine a reading at a time, another one on its own."""
+        if self.host == LOCAL:
+            return super().sampler(context)
         return RailSampler(self._connected(context), self._rails, rate=self.rate_hz, clock=machine_clock(context))
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
