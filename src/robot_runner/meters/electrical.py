@@ -166,7 +166,7 @@ class ElectricalProfiler(PolledProfiler[Readings]):
 
     def _is_trusted(self, sampling: Sampling[Readings], place: int, counted: float) -> bool:
         is_fine = self._blur(sampling, counted) <= _FINE * counted
-        return counted > 0 and is_fine and not fall_count(_series(sampling, place, "joules").values)
+        return counted > 0 and is_fine and not _falls(sampling, place)
 
     def _blur(self, sampling: Sampling[Readings], joules: float) -> float:
         """Return how far a counter may be behind at one edge of a window in which so many joules were used, J."""
@@ -175,8 +175,7 @@ class ElectricalProfiler(PolledProfiler[Readings]):
 
     def _channel_doubts(self, sampling: Sampling[Readings], place: int) -> Iterator[str]:
         counted, integral = self._counted(sampling, place), self._integral(sampling, place)
-        falls = fall_count(_series(sampling, place, "joules").values)
-        if falls:
+        if falls := _falls(sampling, place):
             yield f"the energy counter{{of}} was set back{'' if falls == 1 else f' {falls} times'}"
         elif counted is not None and integral is not None:
             blur = 2 * self._blur(sampling, integral)
@@ -201,10 +200,14 @@ def _series(sampling: Sampling[Readings], place: int, quantity: str) -> Series:
     return Series(times, [told[time] for time in times])
 
 
+def _falls(sampling: Sampling[Readings], place: int) -> int:
+    return fall_count(_series(sampling.within(), place, "joules").values)
+
+
 def _stuck(sampling: Sampling[Readings], place: int) -> Iterator[str]:
-    pairs = list(zip(sampling.times, (readings[place] for readings in sampling.readings), strict=True))
-    within = [pair for pair in pairs if sampling.window.start <= pair[0] <= sampling.window.end]
-    stretches = [[time for time, _ in group] for _, group in groupby(within, key=lambda pair: pair[1][:4])]
+    within = sampling.within()
+    pairs = zip(within.times, (readings[place][:4] for readings in within.readings), strict=True)
+    stretches = [[time for time, _ in group] for _, group in groupby(pairs, key=lambda pair: pair[1])]
     longest = max(stretches, key=len, default=[])
     span = longest[-1] - longest[0] if longest else 0.0
     if len(longest) >= _STUCK_READINGS and span >= _STUCK_SHARE * sampling.window.duration:

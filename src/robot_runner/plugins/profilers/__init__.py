@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from robot_runner.meters.power_model.power_model import PowerModel as PowerModel
     from robot_runner.meters.power_model.states import RobotState as RobotState
     from robot_runner.meters.power_rails import PowerRails as PowerRails
+    from robot_runner.meters.prometheus import Prometheus as Prometheus
+    from robot_runner.meters.prometheus import ScrapedMetric as ScrapedMetric
     from robot_runner.meters.psutil import PsUtil as PsUtil
     from robot_runner.meters.rapl import Rapl as Rapl
     from robot_runner.meters.scpi import Scpi as Scpi
