@@ -22,8 +22,6 @@ __all__ = ["ElectricalProfiler", "ElectricalReading", "electrical_measures"]
 #: What a counter's step and its seldom renewal may hide at one edge of the window, as a share of its increase: with
 #: both edges, the energy is off by 1 % at most.
 _FINE = 0.005
-#: How far the counter and the integral of power may be apart before both are doubted, as a share of their mean.
-_DISAGREEMENT = 0.05
 #: A stretch of equal readings is doubted where it is this long, and fills this share of the window. A converter of ten
 #: bits and more shows its own noise in one of three quantities far sooner.
 _STUCK_READINGS, _STUCK_SHARE = 30, 0.2
@@ -91,10 +89,12 @@ class ElectricalProfiler(PolledProfiler[Readings]):
     Attributes:
         counter_step: the smallest step of the meter's energy counters, J.
         counter_period: how much time may go by until the meter brings its energy counters up to date, s.
+        disagreement: how far a counter and the integral of power may be apart before they are doubted, as a share.
     """
 
     counter_step: float = 0.0
     counter_period: float = 0.0
+    disagreement: float = 0.05
 
     def __init__(self, *, name: str | None, rate_hz: float, channels: Sequence[str] = ("",)) -> None:
         super().__init__(name=name, rate_hz=rate_hz)
@@ -179,7 +179,7 @@ class ElectricalProfiler(PolledProfiler[Readings]):
             yield f"the energy counter{{of}} was set back{'' if falls == 1 else f' {falls} times'}"
         elif counted is not None and integral is not None:
             blur = 2 * self._blur(sampling, integral)
-            if abs(counted - integral) > max(_DISAGREEMENT * (abs(counted) + abs(integral)) / 2, blur):
+            if abs(counted - integral) > max(self.disagreement * (abs(counted) + abs(integral)) / 2, blur):
                 yield f"the energy counter{{of}} rose by {counted:.4g} J, and its power amounts to {integral:.4g} J"
         if counted is not None and integral is None and (blur := self._blur(sampling, counted)) > _FINE * counted:
             yield f"the energy counter{{of}} rose by {counted:.4g} J, and may be behind by {blur:.3g} J at either end"
