@@ -36,6 +36,10 @@ class ElectricalReading(NamedTuple):
         current: A.
         joules: the meter's own energy counter, J.
         time: when it was measured, s on the clock of the sampling; None for the moment at which it was read.
+
+    Example:
+        >>> ElectricalReading(power=7.5, voltage=12.0).current is None
+        True
     """
 
     power: float | None = None
@@ -81,6 +85,10 @@ def electrical_measures(channels: Sequence[str]) -> tuple[Measure, ...]:
 class ElectricalProfiler(PolledProfiler[Readings]):
     """Reads an electrical meter; a subclass opens it, and says which channels it has.
 
+    It measures energy, mean power, mean voltage and mean current of each channel, as far as the readings tell them.
+    Energy is that of the meter's own counter where it is fine enough, else the integral of power; where power is not
+    told, but voltage and current are, the subclass multiplies them.
+
     Args:
         name: tells several instances apart; the class's name if left out.
         rate_hz: readings a second, Hz.
@@ -90,16 +98,30 @@ class ElectricalProfiler(PolledProfiler[Readings]):
         counter_step: the smallest step of the meter's energy counters, J.
         counter_period: how much time may go by until the meter brings its energy counters up to date, s.
         disagreement: how far a counter and the integral of power may be apart before they are doubted, as a share.
+
+    Example:
+        >>> class Steady:
+        ...     def read(self):
+        ...         return (ElectricalReading(power=7.5, voltage=12.0),)
+        ...     def close(self):
+        ...         pass
+        >>> class Supply(ElectricalProfiler):
+        ...     def open(self, context):
+        ...         return Steady()
+        >>> [measure.name for measure in Supply().measures]
+        ['Energy', 'MeanPower', 'MeanVoltage', 'MeanCurrent']
     """
+
+    measures: Sequence[Measure] = electrical_measures(("",))
 
     counter_step: float = 0.0
     counter_period: float = 0.0
     disagreement: float = 0.05
 
-    def __init__(self, *, name: str | None, rate_hz: float, channels: Sequence[str] = ("",)) -> None:
+    def __init__(self, *, name: str | None = None, rate_hz: float = 10.0, channels: Sequence[str] = ("",)) -> None:
         super().__init__(name=name, rate_hz=rate_hz)
         self.channels = tuple(channels)
-        self.measures: Sequence[Measure] = electrical_measures(self.channels)
+        self.measures = electrical_measures(self.channels)
 
     def columns(self, sampling: Sampling[Readings]) -> Sequence[Column]:
         """Return what each channel said, and the meter's own stamps where it has some; without what it never told."""

@@ -85,7 +85,7 @@ class PolledProfiler(Profiler, Generic[R]):
     """Reads a meter of this machine at a fixed rate from the start of the measurement to its end.
 
     A subclass says how the meter is opened and what its readings amount to. A reading that fails costs a sample; a
-    meter that cannot be opened fails the run, before the robot moves.
+    meter that cannot be opened fails the run, before the robot moves. `docs/polled-meter.md` shows how to write one.
 
     Args:
         name: tells several instances apart; the class's name if left out.
@@ -93,11 +93,23 @@ class PolledProfiler(Profiler, Generic[R]):
 
     Raises:
         PluginError: the rate is not positive.
+
+    Example:
+        >>> class Fan:
+        ...     def read(self):
+        ...         return 1200.0
+        ...     def close(self):
+        ...         pass
+        >>> class FanSpeed(PolledProfiler[float]):
+        ...     def open(self, context):
+        ...         return Fan()
+        >>> FanSpeed(rate_hz=5.0).rate_hz
+        5.0
     """
 
     origin: Origin = Origin.MEASURED
 
-    def __init__(self, *, name: str | None, rate_hz: float) -> None:
+    def __init__(self, *, name: str | None = None, rate_hz: float = 10.0) -> None:
         super().__init__(name=name)
         if not (math.isfinite(rate_hz) and rate_hz > 0):
             raise PluginError(f"rate_hz is {rate_hz!r}", where=self.name, fix="Give rate_hz a number above 0.")
