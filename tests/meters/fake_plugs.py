@@ -14,6 +14,7 @@ from urllib.parse import parse_qs, urlsplit
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
 
 class FakePlug:
@@ -168,7 +169,16 @@ class PlugOnMqtt:
         is_mute: whether it hears and does not answer.
     """
 
-    def __init__(self, plug: FakePlug, kind: str, topic: str, port: int, *, password: str | None = None) -> None:
+    def __init__(
+        self,
+        plug: FakePlug,
+        kind: str,
+        topic: str,
+        port: int,
+        *,
+        password: str | None = None,
+        certificate: Path | None = None,
+    ) -> None:
         import paho.mqtt.client as paho
 
         self.plug, self.kind, self.topic = plug, kind, topic
@@ -178,6 +188,8 @@ class PlugOnMqtt:
         self._client = paho.Client(paho.CallbackAPIVersion.VERSION2)
         if password is not None:
             self._client.username_pw_set("robot", password)
+        if certificate is not None:
+            self._client.tls_set(ca_certs=str(certificate))
         self._client.on_connect = lambda client, *_: client.subscribe(asked)
         self._client.on_subscribe = lambda *_: self._is_ready.set()
         self._client.on_message = self._hear

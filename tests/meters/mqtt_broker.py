@@ -20,14 +20,15 @@ _DEADLINE = 30.0
 
 
 class Broker:
-    """A mosquitto that lets everybody in, or the user `robot` with a password.
+    """A mosquitto that lets everybody in, or the user `robot` with a password; with a certificate, over TLS.
 
     Attributes:
         url: as a plug's config names it.
+        certificate: what is to be trusted.
         port: on loopback.
     """
 
-    def __init__(self, folder: Path, *, password: str | None = None) -> None:
+    def __init__(self, folder: Path, *, password: str | None = None, is_tls: bool = False) -> None:
         found = shutil.which("mosquitto", path=_SEARCHED)
         if found is None:
             pytest.skip("mosquitto is not installed (Debian, Ubuntu: sudo apt install mosquitto)")
@@ -43,10 +44,24 @@ class Broker:
             users.touch(mode=0o600)
             subprocess.run(["mosquitto_passwd", "-b", users, "robot", password], check=True, timeout=_DEADLINE)
             lines.append(f"password_file {users}")
+        self.certificate = folder / "certificate.pem"
+        if is_tls:
+            self._certify(folder / "key.pem")
+            self.url = self.url.replace("mqtt:", "mqtts:")
+            lines += [f"certfile {self.certificate}", f"keyfile {folder / 'key.pem'}"]
         config = folder / "mosquitto.conf"
         config.write_text("\n".join(lines) + "\n")
         self._command = [found, "-c", str(config)]
         self.start()
+
+    def _certify(self, key: Path) -> None:
+        openssl = shutil.which("openssl")
+        if openssl is None:
+            pytest.skip("openssl is not installed (Debian, Ubuntu: sudo apt install openssl)")
+        subject = ["-subj", "/CN=127.0.0.1", "-addext", "subjectAltName=IP:127.0.0.1"]
+        files = ["-keyout", key, "-out", self.certificate]
+        command = [openssl, "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", *subject, *files]
+        subprocess.run(command, check=True, capture_output=True, timeout=_DEADLINE)
 
     def start(self) -> None:
         """Start it, or start it again."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gc
 import json
 import logging
 import time
@@ -265,6 +266,23 @@ def test_a_broker_takes_the_password_from_a_file(tmp_path, plug, closed_broker):
     finally:
         device.stop()
     assert context.measures["MeanPower"] == pytest.approx(42.5)
+
+
+# paho leaves the socket of a handshake that failed to the collector of garbage.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_broker_over_tls_is_trusted_by_its_certificate_alone(tmp_path, plug, monkeypatch):
+    pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
+    broker = Broker(tmp_path, is_tls=True)
+    device = PlugOnMqtt(plug, "tasmota", "charger", broker.port, certificate=broker.certificate)
+    plugin = SmartPlug("tasmota", broker=broker.url, topic="charger")
+    try:
+        assert "certificate verify failed" in only_finding(plugin).problem
+        gc.collect()
+        monkeypatch.setenv("SSL_CERT_FILE", str(broker.certificate))
+        assert list(plugin.check(Circumstances())) == []
+    finally:
+        device.stop()
+        broker.stop()
 
 
 @pytest.mark.parametrize("password", [None, "wrong"])
