@@ -166,7 +166,7 @@ class PlugOnMqtt:
     """A plug that is connected to a broker, and answers there as its maker's document says.
 
     Attributes:
-        is_mute: whether it hears and does not answer.
+        is_mute: whether it receives questions and does not answer.
     """
 
     def __init__(
@@ -192,12 +192,12 @@ class PlugOnMqtt:
             self._client.tls_set(ca_certs=str(certificate))
         self._client.on_connect = lambda client, *_: client.subscribe(asked)
         self._client.on_subscribe = lambda *_: self._is_ready.set()
-        self._client.on_message = self._hear
+        self._client.on_message = self._receive
         self._client.connect("127.0.0.1", port)
         self._client.loop_start()
         assert self._is_ready.wait(20)
 
-    def _hear(self, client, _data, message) -> None:
+    def _receive(self, client, _data, message) -> None:
         if self.is_mute:
             return
         if self.kind == "tasmota":

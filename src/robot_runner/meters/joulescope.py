@@ -109,9 +109,9 @@ class _Instrument:
         count = round(rate / (_STATISTICS_PER_READING * self._plugin.rate_hz))
         for topic, value in {**settings, "s/stats/scnt": count, "s/stats/ctrl": "on" if is_first else 1}.items():
             self._driver.publish(f"{self.path}/{topic}", value)
-        self._driver.subscribe(f"{self.path}/s/stats/value", "pub", self._hear)
+        self._driver.subscribe(f"{self.path}/s/stats/value", "pub", self._receive)
 
-    def _hear(self, topic: str, value: Mapping[str, Any]) -> None:
+    def _receive(self, topic: str, value: Mapping[str, Any]) -> None:
         """Take the statistics of a moment; called in a thread of the driver."""
         del topic
         signals = value["signals"]

@@ -67,9 +67,9 @@ class MqttRequests:
             self._client.username_pw_set(user, password)
         if broker.startswith("mqtts:"):
             self._client.tls_set()
-        self._client.on_connect = self._hear_connection
-        self._client.on_subscribe = self._hear_subscription
-        self._client.on_message = self._hear_message
+        self._client.on_connect = self._connected
+        self._client.on_subscribe = self._noted_subscription
+        self._client.on_message = self._received
         try:
             self._connect()
         except LinkError:
@@ -145,18 +145,18 @@ class MqttRequests:
                 return False
         return True
 
-    def _hear_connection(self, client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+    def _connected(self, client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         if reason.is_failure:
             self._refusal = str(reason)
             return
         for topic in self._exchange.answers:
             client.subscribe(topic)
 
-    def _hear_subscription(self, _client: Any, _data: Any, _id: int, reasons: Any, _properties: Any) -> None:
+    def _noted_subscription(self, _client: Any, _data: Any, _id: int, reasons: Any, _properties: Any) -> None:
         refused = [str(reason) for reason in reasons if reason.is_failure]
         self._refusal = refused[0] if refused else self._refusal
         self._subscribed += 1
 
-    def _hear_message(self, _client: Any, _data: Any, message: Any) -> None:
+    def _received(self, _client: Any, _data: Any, message: Any) -> None:
         if not message.retain:  # what a broker has kept tells of an earlier moment
             self._answers[message.topic] = bytes(message.payload)
