@@ -124,6 +124,21 @@ def test_alike_chips_are_told_apart_by_their_address_on_the_bus(tree):
     assert list(found(tree)) == ["ina226@1-0040", "ina226@1-0041"]
 
 
+def test_rails_of_one_label_on_one_chip_are_told_apart_by_their_number(tree):
+    labels = {"power1_label": "total", "power1_input": "1000000", "power2_label": "total", "power2_input": "2000000"}
+    tree.hwmon({"name": "corsairpsu", **labels})
+    rails = found(tree)
+    assert {name: reading(rail).power for name, rail in rails.items()} == pytest.approx(
+        {"total@hwmon0:power1": 1.0, "total@hwmon0:power2": 2.0}
+    )
+
+
+def test_a_scale_that_is_no_number_is_told(tree):
+    tree.iio({**rail_trees.INA226_IIO, "in_power2_scale": "lots"})
+    with pytest.raises(LinkError, match="in_power2_scale says 'lots'"):
+        found(tree)
+
+
 # What check says.
 
 
@@ -300,6 +315,39 @@ def test_a_jetson_is_read_over_ssh(tmp_path, tree, server):
     assert any(kind == "clock" for kind, _ in context.broker.records)
     facts = json.loads((context.raw_data_folder / "quality.json").read_text())
     assert facts["host"] == "robot"
+
+
+def test_a_connection_that_was_cut_is_told_and_its_samples_recovered(tmp_path, tree, server):
+    tree.hwmon(rail_trees.INA226)
+    plugin, clock = PowerRails(root=tree.root, host="robot", ssh_config=server.config), SystemClock()
+    context = make_context(tmp_path, plugin, robot=None, clock=clock)
+
+    def mission() -> None:
+        clock.sleep(1.0)
+        server.cut()
+
+    rehearse(context, plugin, mission=mission)
+    context.resources.close()
+    assert any("recovered over a second connection" in problem for problem in problems(context))
+    assert context.measures["MeanPower"] == pytest.approx(7.6)
+
+
+def test_each_phase_of_a_mission_has_its_energy(tmp_path, tree, clock):
+    folder = tree.hwmon(rail_trees.INA226)
+    plugin = PowerRails(root=tree.root)
+    context = make_context(tmp_path, plugin, robot=None, clock=clock, phases=["drive"])
+
+    def mission() -> None:
+        clock.sleep(2.0)
+        write(folder / "power1_input", 10_000_000)
+        with context.phase("drive"):
+            clock.sleep(5.0)
+        write(folder / "power1_input", 7_600_000)
+        clock.sleep(3.0)
+
+    rehearse(context, plugin, mission=mission)
+    assert context.measures["Energy.drive"] == pytest.approx(50.0, rel=0.01)
+    assert context.measures["Energy"] == pytest.approx(50.0 + 5 * 7.6, rel=0.01)
 
 
 def test_a_computer_that_cannot_be_reached_is_told_without_asking_for_rails(tree, server):

@@ -96,12 +96,12 @@ def find_rails(host: FileHost, root: str = "/sys") -> list[Rail]:
         root: where its sysfs is.
 
     Raises:
-        LinkError: the computer cannot be reached.
+        LinkError: the computer cannot be reached, or the scale of a channel is no number.
     """
     hwmon = _files_of(host, f"{root}/class/hwmon/hwmon*", ("name", "*_input", "*_average", "*_label"))
     iio = _files_of(host, f"{root}/bus/iio/devices/iio:device*", ("name", "in_*", "rail_name_*"))
     addresses = _addresses(host, root)
-    found: list[tuple[str, str, str, Mapping[str, RailFile]]] = []
+    found: list[tuple[Sequence[str], str, Mapping[str, RailFile]]] = []
     for devices, rails_of in ((hwmon, _hwmon_rails), (iio, _iio_rails)):
         for folder, lines in devices.items():
             device = folder.rpartition("/")[2]
@@ -109,12 +109,15 @@ def find_rails(host: FileHost, root: str = "/sys") -> list[Rail]:
             rails = rails_of(folder, chip, lines)
             for fallback, label, files in rails:
                 name = label or (chip if len(rails) == 1 else f"{chip}:{fallback}")
-                found.append((name, addresses.get(device, device), chip, files))
-    names = [name for name, *_ in found]
-    return [
-        Rail(name if names.count(name) == 1 else f"{name}@{address}", chip, files)
-        for name, address, chip, files in found
-    ]
+                placed = f"{name}@{addresses.get(device, device)}"
+                found.append(((name, placed, f"{placed}:{fallback}"), chip, files))
+    taken = [name for names, *_ in found for name in names]
+    return [Rail(_first_unique(names, taken), chip, files) for names, chip, files in found]
+
+
+def _first_unique(names: Sequence[str], taken: Sequence[str]) -> str:
+    """Return the shortest of a rail's names that no other rail has."""
+    return next((name for name in names if taken.count(name) == 1), names[-1])
 
 
 def choose_rails(rails: Sequence[Rail], names: Sequence[str] | None, *, where: str) -> list[Rail]:
@@ -187,6 +190,8 @@ def _hwmon_rails(folder: str, chip: str, lines: Mapping[str, str]) -> list[_Foun
         for place in sorted(place for place in files if place[0] == kind):
             label = labels.get(place, "")
             key = _rail_key(chip, label, place[1])
+            if key in rails and _HWMON[kind][0] in rails[key][2]:  # another rail of the same label
+                key = f"{key}#{place[1]}"
             fallback, known, quantities = rails.setdefault(key, (f"{kind}{place[1]}", label, {}))
             quantities[_HWMON[kind][0]] = files[place]
             rails[key] = fallback, known or label, quantities
@@ -232,7 +237,11 @@ def _iio_file(path: str, kind: str, match: re.Match[str], unit: float, lines: Ma
         return RailFile(path, unit)
 
     def setting(what: str, otherwise: float) -> float:
-        own, shared = lines.get(f"in_{kind}{match[2]}_{what}"), lines.get(f"in_{kind}_{what}")
-        return float(own or shared or otherwise)
+        name = next((name for name in (f"in_{kind}{match[2]}_{what}", f"in_{kind}_{what}") if lines.get(name)), None)
+        try:
+            return float(lines[name]) if name else otherwise
+        except ValueError as error:
+            fix = "Look at the sensor's files there."
+            raise LinkError(f"{name} says {lines[name or '']!r}, which is no number", where=path, fix=fix) from error
 
     return RailFile(path, setting("scale", 1.0) * unit, setting("offset", 0.0))
