@@ -197,6 +197,7 @@ class History:
         published: `run_id`, `measure`, `value`, `owner`, `origin`; of the last attempt at each run.
         odd: `run_id`, `attempt`, `owner`, `problem`, `fix`.
         starts: when each run's measurement began, s on the run's clock.
+        readers: who read the treatment of each factor in runs that were done; None where that was not recorded.
     """
 
     attempts: pd.DataFrame
@@ -204,6 +205,7 @@ class History:
     published: pd.DataFrame
     odd: pd.DataFrame
     starts: Mapping[str, float]
+    readers: Mapping[str, tuple[str, ...]] | None = None
 
 
 def read_history(journal: Path) -> History:
@@ -226,6 +228,7 @@ def read_history(journal: Path) -> History:
         _published([each for each in records["attempt_finished"] if each["attempt"] == last.get(each["run"])]),
         _odd(records["finding"]),
         starts,
+        _readers(records["attempt_finished"]),
     )
 
 
@@ -274,6 +277,17 @@ def _published(finished: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     ]
     frame = pd.DataFrame(rows, columns=["run_id", "measure", "value", "owner", "origin"])
     return frame.astype({"run_id": "str", "value": "object"})
+
+
+def _readers(finished: Sequence[Mapping[str, Any]]) -> Mapping[str, tuple[str, ...]] | None:
+    told = [each.get("readers") for each in finished if each["status"] == "done"]
+    if not told or not all(isinstance(each, dict) for each in told):
+        return None
+    readers: dict[str, dict[str, None]] = {}
+    for each in told:
+        for factor, owners in (each or {}).items():
+            readers.setdefault(factor, {}).update(dict.fromkeys(owners))
+    return {factor: tuple(owners) for factor, owners in readers.items()}
 
 
 def _odd(findings: Sequence[Mapping[str, Any]]) -> pd.DataFrame:

@@ -51,5 +51,6 @@ if TYPE_CHECKING:
     from robot_runner.core.sampling.series import integrate as integrate
     from robot_runner.core.sampling.series import mean as mean
     from robot_runner.core.sampling.series import mean_of_intervals as mean_of_intervals
+    from robot_runner.core.treatments import treatment as treatment
 else:
     __getattr__, __dir__ = open_door(__name__)

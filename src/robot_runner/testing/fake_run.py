@@ -14,6 +14,7 @@ from robot_runner.core.events.manager import CLOSED_BY, EventManager, OwnerKind,
 from robot_runner.core.events.measure import CONFIG_OWNER, MeasureBroker, resolve_columns
 from robot_runner.core.links.connect import SIMULATED, open_clock
 from robot_runner.core.plugin import System
+from robot_runner.core.treatments import bind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -208,6 +209,8 @@ def make_context(
         ('config', 'Video')
     """
     resources = Resources()
+    for plugin in plugins:
+        bind(plugin, combination or {})
     if links is not None:
         links.plant(resources)
     elif clock is None and robot is not None:

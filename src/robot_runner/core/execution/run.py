@@ -15,6 +15,7 @@ from robot_runner.core.events.measure import CONFIG_OWNER, MeasureBroker, Origin
 from robot_runner.core.execution.interruption import InterruptGate, RunInterrupted
 from robot_runner.core.links.connect import is_simulated, open_clock
 from robot_runner.core.storage.journal import utc_now
+from robot_runner.core.treatments import WatchedCombination
 
 if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
@@ -52,7 +53,9 @@ def run_contexts(
                 run_number=task.run_number,
                 run_count=task.run_count,
                 attempt=task.attempt,
-                combination=task.combination,
+                combination=WatchedCombination(
+                    task.combination, lambda factor: report("read", {"owner": owner, "factor": factor})
+                ),
                 repetition=task.repetition,
                 run_seed=task.run_seed,
                 run_path=run_path,
