@@ -5,6 +5,7 @@ import shutil
 import socket
 import subprocess
 import sys
+import time
 from contextlib import closing
 from pathlib import Path
 
@@ -110,7 +111,7 @@ def test_a_counter_of_32_bits_is_followed_exactly_however_often_it_goes_round(st
     counts = [start]
     for step in steps:
         counts.append((counts[-1] + step) % 2**32)
-    assert counted(counts) == sum(steps)
+    assert counted(counts)[-1] == sum(steps)
 
 
 def test_raw_counters_are_kept(measure, tmp_path):
@@ -168,7 +169,13 @@ needs_loopback = pytest.mark.skipif(not Path("/sys/class/net/lo").exists(), reas
 def test_real_datagrams_are_counted_by_the_kernel(tmp_path):
     plugin = Network(interfaces=["lo"], rate_hz=50.0)
     context = make_context(tmp_path, plugin, robot=None, clock=SystemClock())
-    rehearse(context, plugin, mission=lambda: _send(100, 1000))
+
+    def mission():
+        for act in (lambda: None, lambda: _send(100, 1000)):  # the edges of the mission are quiet
+            act()
+            time.sleep(0.1)
+
+    rehearse(context, plugin, mission=mission)
     # Each is counted with its headers, 28 bytes, and others may use the loopback too.
     assert context.measures["PacketsSent"] >= 100
     assert context.measures["Sent"] >= 102_800

@@ -15,7 +15,7 @@ from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.plugin_checks import gather_plugins
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.errors import ConfigError, StorageError, did_you_mean
-from robot_runner.core.events.measure import resolve_columns
+from robot_runner.core.events.measure import resolve_columns, with_phases
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
@@ -96,8 +96,10 @@ def plan_of(config: Path, overrides: Mapping[str, str]) -> Plan:
     if model is None:
         raise ConfigError.of_findings(findings)
     plugins, _ = gather_plugins(loaded, model)
+    parameters, _ = read_parameters(loaded)
+    phases = parameters.phases if parameters is not None else ()
     columns, column_findings = resolve_columns(
-        model.data_columns, {plugin.name: tuple(plugin.measures) for plugin in plugins}
+        model.data_columns, {plugin.name: with_phases(plugin.measures, phases) for plugin in plugins}
     )
     refused = [finding for finding in column_findings if finding.is_error]
     if refused:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from robot_runner.core.errors import PluginError, nearest
+from robot_runner.core.errors import Finding, PluginError, nearest
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -28,6 +28,7 @@ __all__ = [
     "is_waiting",
     "parameters_guarded",
     "treatment",
+    "unread",
     "values_of",
 ]
 
@@ -65,13 +66,13 @@ class Treatment:
 
     # Python would take it for true, for unequal to everything, and for its own name in a text: each a wrong value.
 
-    def __bool__(self) -> bool:
+    def __bool__(self) -> bool:  # noqa: PLE0304 - it has none
         self._refuse()
 
     def __eq__(self, other: object) -> bool:
         self._refuse()
 
-    def __str__(self) -> str:
+    def __str__(self) -> str:  # noqa: PLE0307 - it has none
         self._refuse()
 
     __hash__ = object.__hash__
@@ -179,12 +180,18 @@ class Bindable:
     """
 
     def __new__(cls, *positional: Any, **keywords: Any) -> Self:
+        """Make an instance, and have it wait where one of the arguments is `treatment(...)`.
+
+        Raises:
+            PluginError: a treatment stands inside another value, or for the name.
+            TypeError: something is bound that is no parameter.
+        """
         make: Any = super().__new__
         made: Self = make(cls) if make is object.__new__ else make(cls, *positional, **keywords)
         binding = _Binding.of(cls, positional, keywords)
         if binding is not None:
             vars(made).update({_BINDING: binding, _WAITING: True})
-            object.__setattr__(made, "__class__", _waiting_kind(cls))
+            object.__setattr__(made, "__class__", _waiting_kind(cls))  # type: ignore[arg-type] # classes can be hashed
         return made
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -194,8 +201,9 @@ class Bindable:
             PluginError: the code of a config sets a parameter.
         """
         combination = _guarded.get()
-        if combination is not None and name in _parameters(type(self)) and _is_set_from_outside(type(self), name):
-            raise _vain(type(self).__name__, name, value, combination)
+        kind: Any = type(self)
+        if combination is not None and name in _parameters(kind) and _is_set_from_outside(kind, name):
+            raise _vain(kind.__name__, name, value, combination)
         super().__setattr__(name, value)
 
 
@@ -376,8 +384,23 @@ class WatchedCombination(Mapping[str, Any]):
         self._read(*self._combination)
         return str(self._combination)
 
+    @property
+    def unread(self) -> frozenset[str]:
+        """The factors whose treatments were not read so far."""
+        return frozenset(self._unread)
+
     def _read(self, *factors: str) -> None:
         for factor in factors:
             if factor in self._unread:
                 self._unread.discard(factor)
                 self._told(factor)
+
+
+def unread(run_id: str, factor: str) -> Finding:
+    """Return the finding that nobody looked at the treatment that a factor had in a run."""
+    return Finding.warning(
+        f"{run_id}, factor {factor!r}",
+        f"no callback and no plugin looked at {factor}: its treatments may never have been applied",
+        f"Bind it to a parameter of a plugin, as in BasicTurtlebot3(speed=treatment({factor!r})), or read "
+        f"context.combination[{factor!r}] in a callback, which may also tell the person who applies it by hand.",
+    )

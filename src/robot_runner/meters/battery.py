@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_robot, is_simulation
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.quality import Column, quality_of, report_quality, write_samples
-from robot_runner.core.sampling.series import Series, Window, cut, energy, mean
+from robot_runner.core.sampling.series import Series, cut, energy, mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.events.window import Window
 from robot_runner.core.links.measured_machine import clock_details, machine_clock, simulation_findings
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.quality import write_quality
-from robot_runner.core.sampling.series import Window
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.events.window import Window
 from robot_runner.core.links.measured_machine import clock_details, machine_clock
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.meter_process import Ending, MeterProcess, Record
 from robot_runner.core.sampling.quality import Column, quality_of, report_quality, write_samples
-from robot_runner.core.sampling.series import Window
 from robot_runner.meters.command_output import CommandColumn, Parse, Row, TimeColumn, parse_csv, row_times
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from robot_runner.core.sampling.series import Series, cut, mean_of_intervals
 
 if TYPE_CHECKING:
     from robot_runner.core.events.measure import Measure
-    from robot_runner.core.sampling.series import Window
+    from robot_runner.core.events.window import Window
 
 __all__ = ["Aggregate", "CommandColumn", "Parse", "Row", "TimeColumn", "TimeKind", "parse_csv", "row_times"]
 

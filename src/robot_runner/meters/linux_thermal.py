@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
-from robot_runner.core.events.measure import Measure
+from robot_runner.core.events.measure import Measure, Over
 from robot_runner.core.links.measured_machine import simulation_findings
 from robot_runner.core.sampling.quality import Column
-from robot_runner.core.sampling.series import Series, mean
+from robot_runner.core.sampling.series import Series, cut, mean
 from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:
@@ -132,10 +132,27 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
     """
 
     measures: Sequence[Measure] = (
-        Measure("MaxTemperature", "°C", "Temperature of the hottest zone, maximum over the measured window."),
-        Measure("MeanTemperature", "°C", "Temperature of the hottest zone, mean over the measured window."),
-        Measure("MeanFrequency", "Hz", "Frequency of the processor, mean over its cores and the measured window."),
-        Measure("Throttled", "%", "Share of the samples in which the processor was held back, or had just been."),
+        Measure(
+            "MaxTemperature",
+            "°C",
+            "Temperature of the hottest zone, maximum over the measured window.",
+            over=Over.MAXIMUM,
+        ),
+        Measure(
+            "MeanTemperature", "°C", "Temperature of the hottest zone, mean over the measured window.", over=Over.MEAN
+        ),
+        Measure(
+            "MeanFrequency",
+            "Hz",
+            "Frequency of the processor, mean over its cores and the measured window.",
+            over=Over.MEAN,
+        ),
+        Measure(
+            "Throttled",
+            "%",
+            "Share of the samples in which the processor was held back, or had just been.",
+            over=Over.MEAN,
+        ),
     )
     needs: ClassVar[str] = "Linux with thermal zones or cpufreq in /sys."
     bytes_per_run: int = 10_000  # 2 readings a second of 40 bytes for a mission of 95 s
@@ -201,17 +218,19 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
 
     def values(self, sampling: Sampling[ThermalReading]) -> Mapping[str, float | None]:
         """Return the means and the maximum, and how much of the time the processor was held back."""
-        temperature = _series(sampling, "temperature")
-        held_back = _held_back(sampling.readings)
+        reach = 5 / self.rate_hz
+        temperature = cut(_series(sampling, "temperature"), sampling.window, reach=reach)
+        held_back = _held_back(sampling.within().readings)
         return {
             "MaxTemperature": max(temperature.values, default=None),
             "MeanTemperature": mean(temperature),
-            "MeanFrequency": mean(_series(sampling, "frequency")),
+            "MeanFrequency": mean(cut(_series(sampling, "frequency"), sampling.window, reach=reach)),
             "Throttled": 100.0 * sum(held_back) / len(held_back) if held_back else None,
         }
 
     def doubts(self, sampling: Sampling[ThermalReading]) -> Iterable[str]:
         """Yield that the processor was held back or starved of voltage."""
+        sampling = sampling.within()
         held_back = _held_back(sampling.readings)
         if any(held_back):
             hottest = max(_series(sampling, "temperature").values, default=None)

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
-from robot_runner.core.events.measure import Measure
+from robot_runner.core.events.measure import Measure, Over
 from robot_runner.core.links.measured_machine import machine_clock, simulation_findings
 from robot_runner.core.sampling.meter_process import MeterProcess
 from robot_runner.core.sampling.quality import Column
+from robot_runner.core.sampling.series import Series, growth
 from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:
@@ -37,21 +38,22 @@ _STARTUP = 5.0
 Counters = tuple[int, ...]
 
 
-def counted(counts: Sequence[int]) -> int:
-    """Return what a counter has counted since its first reading, also where it began at 0 again.
+def counted(counts: Sequence[int]) -> list[int]:
+    """Return what a counter had counted since its first reading at each, also where it began at 0 again.
 
     A fall from below 2^32 to far below it is a counter of 32 bits that went round; any other fall is an interface that
     was set up anew and counts from 0.
 
     Example:
         >>> counted([2**32 - 10, 5, 20]), counted([900, 7])
-        (30, 7)
+        ([0, 15, 30], [0, 7])
     """
-    total = 0
+    total, totals = 0, [0] if counts else []
     for sooner, later in pairwise(counts):
         went_round = later < sooner < _WORD and sooner - later > _WORD // 2
         total += later - sooner if later >= sooner else later + (_WORD - sooner if went_round else 0)
-    return total
+        totals.append(total)
+    return totals
 
 
 class _Interfaces:
@@ -86,11 +88,11 @@ class Network(PolledProfiler[Counters]):
     """
 
     measures: Sequence[Measure] = (
-        Measure("Received", "B", "Bytes received over the measured window, all interfaces together."),
-        Measure("Sent", "B", "Bytes sent over the measured window, all interfaces together."),
-        Measure("PacketsReceived", "1", "Packets received over the measured window."),
-        Measure("PacketsSent", "1", "Packets sent over the measured window."),
-        Measure("PacketsDropped", "1", "Packets that the interfaces dropped over the measured window."),
+        Measure("Received", "B", "Bytes received over the measured window, all interfaces together.", over=Over.SUM),
+        Measure("Sent", "B", "Bytes sent over the measured window, all interfaces together.", over=Over.SUM),
+        Measure("PacketsReceived", "1", "Packets received over the measured window.", over=Over.SUM),
+        Measure("PacketsSent", "1", "Packets sent over the measured window.", over=Over.SUM),
+        Measure("PacketsDropped", "1", "Packets that the interfaces dropped over the measured window.", over=Over.SUM),
     )
     needs: ClassVar[str] = "Linux; for capture=True also tshark, and the right to capture."
 
@@ -168,7 +170,10 @@ class Network(PolledProfiler[Counters]):
         """Return what all interfaces together have counted."""
         totals = dict.fromkeys(_COUNTERS, 0)
         for place, counts in enumerate(self._counts(sampling)):
-            totals[_COUNTERS[place % len(_COUNTERS)]] += counted(counts)
+            grown = growth(Series(sampling.times, counted(counts)), sampling.window)
+            if grown is None:
+                return {}
+            totals[_COUNTERS[place % len(_COUNTERS)]] += round(grown)
         return {
             "Received": totals["rx_bytes"],
             "Sent": totals["tx_bytes"],

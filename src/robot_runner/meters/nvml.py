@@ -8,10 +8,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
-from robot_runner.core.events.measure import Measure
+from robot_runner.core.events.measure import Measure, Over
 from robot_runner.core.links.measured_machine import simulation_findings
 from robot_runner.core.sampling.quality import Column
-from robot_runner.core.sampling.series import Series, cut, energy, mean
+from robot_runner.core.sampling.series import Series, cut, energy, growth, mean
 from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:
@@ -121,10 +121,17 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
     """
 
     measures: Sequence[Measure] = (
-        Measure("Energy", "J", "Energy of the GPUs over the measured window, by their counters or their power."),
-        Measure("MeanPower", "W", "Energy divided by the duration of the measured window."),
-        Measure("GPU", "%", "GPU utilisation, mean over the GPUs and the measured window."),
-        Measure("GPUMemory", "%", "Memory of the GPUs in use, mean over the GPUs and the measured window."),
+        Measure(
+            "Energy",
+            "J",
+            "Energy of the GPUs over the measured window, by their counters or their power.",
+            over=Over.SUM,
+        ),
+        Measure("MeanPower", "W", "Energy divided by the duration of the measured window.", over=Over.MEAN),
+        Measure("GPU", "%", "GPU utilisation, mean over the GPUs and the measured window.", over=Over.MEAN),
+        Measure(
+            "GPUMemory", "%", "Memory of the GPUs in use, mean over the GPUs and the measured window.", over=Over.MEAN
+        ),
     )
     needs: ClassVar[str] = "An NVIDIA GPU with its driver, and robot-runner[nvml]."
     bytes_per_run: int = 70_000  # 10 readings a second of 70 bytes for one GPU and a mission of 95 s
@@ -193,8 +200,7 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
     def _energy(self, sampling: Sampling[tuple[GpuReading, ...]], place: int) -> float | None:
         counter = _series(sampling, place, "joules")
         if len(counter) > 1 and counter.values[-1] >= counter.values[0]:
-            span = counter.times[-1] - counter.times[0]
-            return (counter.values[-1] - counter.values[0]) * sampling.window.duration / span if span else None
+            return growth(counter, sampling.window)
         return energy(_series(sampling, place, "power"), sampling.window, reach=5 / self.rate_hz)
 
     def _mean(self, sampling: Sampling[tuple[GpuReading, ...]], place: int, quantity: str) -> float | None:

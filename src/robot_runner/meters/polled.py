@@ -10,6 +10,7 @@ from robot_runner.core.events.measure import Origin
 from robot_runner.core.links.connect import SIMULATED
 from robot_runner.core.links.measured_machine import clock_details, machine_clock
 from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.evaluation import publish_measures
 from robot_runner.core.sampling.periodic import PeriodicSampler
 from robot_runner.core.sampling.quality import Column, report_quality, write_samples
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.events.window import Window
     from robot_runner.core.plugin import Circumstances
     from robot_runner.core.sampling.periodic import Sampling
 
@@ -102,7 +104,10 @@ class PolledProfiler(Profiler, Generic[R]):
         raise NotImplementedError
 
     def values(self, sampling: Sampling[R]) -> Mapping[str, float | None]:
-        """Return the value of each measure; what is left out is missing."""
+        """Return the value of each measure over `sampling.window`; what is left out is missing.
+
+        There are readings on both sides of the window: `cut` interpolates what they tell of its edges.
+        """
         raise NotImplementedError
 
     def doubts(self, sampling: Sampling[R]) -> Iterable[str]:
@@ -125,6 +130,7 @@ class PolledProfiler(Profiler, Generic[R]):
         self._meter = self.open(context)
         self._sampler = PeriodicSampler(self._meter.read, rate=self.rate_hz, clock=machine_clock(context))
         self._sampler.start()
+        context.times.at_edges(self._sampler.take_now)
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
         """Take the last reading and close the meter."""
@@ -145,15 +151,18 @@ class PolledProfiler(Profiler, Generic[R]):
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish the measures; no value where too little was read."""
-        values: Mapping[str, float | None] = {}
-        if self._sampling is None:
-            context.warn("nothing was measured: the measurement was never started")
+        clock = machine_clock(context)
+        window, sampling = context.times.window(clock), self._sampling
+        if sampling is None or window is None:
+            context.doubt("nothing was measured: the measurement was never started")
         else:
-            quality, window = self._sampling.quality(), self._sampling.window
+            measured = sampling.over(window)
             details = {**clock_details(context), "rate_hz": self.rate_hz, **self.details()}
-            if report_quality(context, quality, window, details=details):
-                values = self.values(self._sampling)
-            for problem in self.doubts(self._sampling):
-                context.warn(problem)
-        for measure in self.measures:
-            context.publish(measure.name, values.get(measure.name), origin=self.origin)
+            report_quality(context, measured.quality(), window, sampled=sampling.window, details=details)
+            for problem in self.doubts(measured):
+                context.doubt(problem)
+        publish_measures(context, self.measures, self._evaluated, origin=self.origin, clock=clock)
+
+    def _evaluated(self, window: Window) -> Mapping[str, float | None]:
+        sampling = self._sampling.over(window) if self._sampling is not None else None
+        return self.values(sampling) if sampling is not None and sampling.quality().is_sufficient else {}

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import LinkError, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_host
 from robot_runner.core.links.host import (
     LOCAL,
@@ -22,7 +23,6 @@ from robot_runner.core.links.measured_machine import host_findings, machine_cloc
 from robot_runner.core.links.on_board_session import FORMS
 from robot_runner.core.links.utilisation import Selection, Utilisation
 from robot_runner.core.plugin import Profiler
-from robot_runner.core.sampling.series import Window
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

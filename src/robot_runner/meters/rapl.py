@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
-from robot_runner.core.events.measure import Measure
+from robot_runner.core.events.measure import Measure, Over
 from robot_runner.core.links.measured_machine import simulation_findings
 from robot_runner.core.sampling.quality import Column
+from robot_runner.core.sampling.series import Series, growth
 from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:
@@ -150,8 +151,13 @@ class Rapl(PolledProfiler[Counters]):
     """
 
     measures: Sequence[Measure] = (
-        Measure("Energy", "J", "Energy of all processor packages over the measured window, by their own counters."),
-        Measure("MeanPower", "W", "Energy divided by the duration of the measured window."),
+        Measure(
+            "Energy",
+            "J",
+            "Energy of all processor packages over the measured window, by their own counters.",
+            over=Over.SUM,
+        ),
+        Measure("MeanPower", "W", "Energy divided by the duration of the measured window.", over=Over.MEAN),
     )
     needs: ClassVar[str] = "Linux on an Intel or AMD machine, and the right to read /sys/class/powercap."
     bytes_per_run: int = 40_000  # 10 readings a second of 40 bytes for a mission of 95 s
@@ -201,14 +207,12 @@ class Rapl(PolledProfiler[Counters]):
         """Return the energy of each kind of domain, and the mean power of the packages."""
         by_kind = dict.fromkeys(("package", *self.domains), 0.0)
         for domain, counts in zip(self._domains, zip(*sampling.readings, strict=True), strict=True):
-            by_kind[domain.kind] += unwrapped(counts, domain.wraps_at)[-1] * _MICRO
-        span, whole = sampling.times[-1] - sampling.times[0], sampling.window.duration
-        if not span:
-            return {}
-        # Readings stand a moment inside the edges of the window: what lies between counts at mean power.
-        joules = {kind: energy * whole / span for kind, energy in by_kind.items()}
-        others = {_measure_of(kind).name: joules[kind] for kind in self.domains}
-        return {"Energy": joules["package"], "MeanPower": joules["package"] / whole, **others}
+            counted = growth(Series(sampling.times, unwrapped(counts, domain.wraps_at)), sampling.window)
+            if counted is None:
+                return {}
+            by_kind[domain.kind] += counted * _MICRO
+        others = {_measure_of(kind).name: by_kind[kind] for kind in self.domains}
+        return {"Energy": by_kind["package"], "MeanPower": by_kind["package"] / sampling.window.duration, **others}
 
     def details(self) -> Mapping[str, Any]:
         """Return which domains were read, and where their counters begin at 0 again."""
@@ -219,4 +223,5 @@ def _measure_of(kind: str) -> Measure:
     what = {"core": "the cores", "uncore": "the graphics unit", "dram": "the memory", "psys": "the whole platform"}[
         kind
     ]
-    return Measure(f"{kind.capitalize()}Energy", "J", f"Energy of {what} over the measured window, by its own counter.")
+    told = f"Energy of {what} over the measured window, by its own counter."
+    return Measure(f"{kind.capitalize()}Energy", "J", told, over=Over.SUM)

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import is_simulated, open_serial_line
 from robot_runner.core.links.serial_line import port_problem
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.quality import Column, quality_of, report_quality, write_samples
-from robot_runner.core.sampling.series import Series, Window, mean_of_intervals
+from robot_runner.core.sampling.series import Series, mean_of_intervals
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence

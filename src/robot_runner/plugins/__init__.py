@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext as RobotRunnerContext
     from robot_runner.core.events.measure import Measure as Measure
     from robot_runner.core.events.measure import Origin as Origin
+    from robot_runner.core.events.measure import Over as Over
+    from robot_runner.core.events.window import Phase as Phase
+    from robot_runner.core.events.window import Window as Window
     from robot_runner.core.links.connect import connect_host as connect_host
     from robot_runner.core.links.connect import connect_robot as connect_robot
     from robot_runner.core.links.connect import open_serial_line as open_serial_line
@@ -34,6 +37,8 @@ if TYPE_CHECKING:
     from robot_runner.core.plugin import System as System
     from robot_runner.core.sampling.device_clock import ClockMap as ClockMap
     from robot_runner.core.sampling.device_clock import fit_clock as fit_clock
+    from robot_runner.core.sampling.evaluation import note_own_window as note_own_window
+    from robot_runner.core.sampling.evaluation import publish_measures as publish_measures
     from robot_runner.core.sampling.periodic import PeriodicSampler as PeriodicSampler
     from robot_runner.core.sampling.periodic import Sampling as Sampling
     from robot_runner.core.sampling.quality import Column as Column
@@ -44,7 +49,6 @@ if TYPE_CHECKING:
     from robot_runner.core.sampling.quality import write_quality as write_quality
     from robot_runner.core.sampling.quality import write_samples as write_samples
     from robot_runner.core.sampling.series import Series as Series
-    from robot_runner.core.sampling.series import Window as Window
     from robot_runner.core.sampling.series import cut as cut
     from robot_runner.core.sampling.series import energy as energy
     from robot_runner.core.sampling.series import energy_from_mean_power as energy_from_mean_power

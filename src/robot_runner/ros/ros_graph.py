@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_host, connect_robot, is_simulated, is_simulation
 from robot_runner.core.links.host import (
     LOCAL,
@@ -23,7 +24,6 @@ from robot_runner.core.links.measured_machine import host_findings, machine_cloc
 from robot_runner.core.links.robot import RobotName
 from robot_runner.core.links.utilisation import Selection, Utilisation
 from robot_runner.core.plugin import Profiler
-from robot_runner.core.sampling.series import Window
 from robot_runner.ros.ros1_link import master_of
 from robot_runner.ros.topic_statistics import robot_findings
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_robot, is_simulation
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.quality import write_quality, write_samples
-from robot_runner.core.sampling.series import Window
 from robot_runner.ros.topic_statistics import (
     DROPPED,
     HeaderReader,

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.core.events.context import Clock
+    from robot_runner.core.events.window import Window
     from robot_runner.core.links.robot import RawMessage, RobotLink
     from robot_runner.core.plugin import Circumstances
     from robot_runner.core.sampling.quality import SampleQuality
-    from robot_runner.core.sampling.series import Window
 
 __all__ = [
     "DROPPED",

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.events.context import Resources, RobotRunnerContext
 from robot_runner.core.events.manager import CLOSED_BY, EventManager, OwnerKind, RobotRunnerEvents
-from robot_runner.core.events.measure import CONFIG_OWNER, MeasureBroker, resolve_columns
+from robot_runner.core.events.measure import CONFIG_OWNER, MeasureBroker, resolve_columns, with_phases
+from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.links.connect import SIMULATED, open_clock
 from robot_runner.core.plugin import System
-from robot_runner.core.treatments import bind
+from robot_runner.core.treatments import WatchedCombination, bind, factors_of, unread
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -111,7 +112,7 @@ class RecordingBroker(MeasureBroker):
     """The broker of a real run, which also keeps what it would report.
 
     Attributes:
-        records: what happened, oldest first, each with its kind (`measure`, `refused`, `shared`, `finding`).
+        records: what happened, oldest first, each with its kind (`measure`, `finding`, `window`, ...).
 
     Example:
         >>> from robot_runner.core.events.measure import Measure, Origin
@@ -124,7 +125,11 @@ class RecordingBroker(MeasureBroker):
     def __init__(self, measures_by_plugin: Mapping[str, Sequence[Measure]], *, run_id: str = "r_1") -> None:
         columns, _ = resolve_columns(None, measures_by_plugin)
         self.records: list[tuple[str, dict[str, Any]]] = []
-        super().__init__(run_id, columns, lambda kind, fields: self.records.append((kind, fields)))
+        super().__init__(run_id, columns, self.report)
+
+    def report(self, kind: str, fields: dict[str, Any]) -> None:
+        """Keep a record."""
+        self.records.append((kind, fields))
 
     @property
     def values(self) -> dict[str, MeasureValue]:
@@ -184,6 +189,7 @@ def make_context(
     clock: Clock | None = None,
     combination: Mapping[str, Any] | None = None,
     run_seed: int = 1,
+    phases: Sequence[str] = (),
 ) -> RobotRunnerContext:
     """Return the context of a run for the first of `plugins`; `context_for` makes those of the others.
 
@@ -198,6 +204,7 @@ def make_context(
         clock: the run's clock; left out, a `FakeClock` where `links` are given, else that of the robot.
         combination: the treatment of each factor.
         run_seed: the seed of the run.
+        phases: the phases for which measures are published, too.
 
     Raises:
         LinkError: `robot` cannot be reached.
@@ -215,6 +222,8 @@ def make_context(
         links.plant(resources)
     elif clock is None and robot is not None:
         clock = open_clock(robot, resources, seed=run_seed)
+    clock = clock or FakeClock()
+    broker = RecordingBroker({plugin.name: with_phases(plugin.measures, phases) for plugin in plugins})
     return RobotRunnerContext(
         experiment_name="test",
         experiment_folder=folder,
@@ -223,14 +232,15 @@ def make_context(
         run_number=1,
         run_count=1,
         attempt=1,
-        combination=combination or {},
+        combination=WatchedCombination(combination or {}, lambda _: None),
         repetition=1,
         run_seed=run_seed,
         run_path=folder / "runs" / "r_1",
-        clock=clock or FakeClock(),
+        clock=clock,
         resources=resources,
         owner=plugins[0].name if plugins else CONFIG_OWNER,
-        broker=RecordingBroker({plugin.name: plugin.measures for plugin in plugins}),
+        times=MissionTimes(clock, broker.report, phases),
+        broker=broker,
     )
 
 
@@ -251,6 +261,7 @@ class Rehearsal:
     """
 
     def __init__(self, context: RobotRunnerContext, *plugins: Plugin) -> None:
+        self._times = context.times
         self._contexts = {plugin.name: context_for(plugin, context) for plugin in plugins}
         self._systems = [plugin for plugin in plugins if isinstance(plugin, System)]
         self._manager = EventManager()
@@ -259,7 +270,14 @@ class Rehearsal:
             self._manager.subscribe_methods(plugin, owner=plugin.name, kind=kind)
 
     def emit(self, event: RobotRunnerEvents) -> None:
-        """Emit one event and raise what a callback raised."""
+        """Emit one event and raise what a callback raised.
+
+        The mission begins with `launch_mission`, and has ended when the measurement is stopped.
+        """
+        if event is RobotRunnerEvents.LAUNCH_MISSION:
+            self._times.begin()
+        elif event is RobotRunnerEvents.STOP_MEASUREMENT:
+            self._times.end()
         emission = self._manager.emit(event, self._contexts.__getitem__)
         for failure in emission.failures:
             raise failure.error
@@ -311,4 +329,9 @@ def rehearse(
         {'Mass': 1.0}
     """
     Rehearsal(context, *plugins).execute(mission)
+    if isinstance(context.combination, WatchedCombination):
+        bound = {factor for plugin in plugins for factor in factors_of(plugin).values()}
+        for factor in sorted(context.combination.unread - bound):
+            finding = unread(context.run_id, factor)
+            context.warn(finding.problem, fix=finding.fix)
     return context.measures

@@ -52,6 +52,7 @@ def context_of(robot, resources, folder=Path()):
         clock=open_clock(robot if robot == "simulated" else None, resources, 5),
         resources=resources,
         owner="test",
+        times=None,
         broker=None,
     )
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_runner.core.events.window import Window
 from robot_runner.core.sampling.series import (
     Series,
-    Window,
     cut,
     energy,
     energy_from_mean_power,

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.window import MissionTimes, Window
 from robot_runner.core.sampling import periodic
 from robot_runner.core.sampling.periodic import PeriodicSampler
 from robot_runner.simulator.simulated_clock import SimulatedClock
@@ -145,3 +146,49 @@ def test_a_quantity_is_picked_from_the_readings():
     sampler.start()
     clock.sleep(2.0)
     assert sampler.stop().series(lambda reading: reading["amperes"]).values == [0.0, 1.0, 2.0]
+
+
+def test_readings_at_the_edges_make_a_short_mission_known_however_slow_the_rate():
+    counter = iter(range(1000))
+    clock = SystemClock()
+    sampler = PeriodicSampler(lambda: next(counter), rate=0.01, clock=clock)
+    times = MissionTimes(clock)
+    times.at_edges(sampler.take_now)
+    sampler.start()
+    times.begin()
+    time.sleep(0.02)
+    times.end()
+    sampling = sampler.stop().over(times.window())
+    before, after = sampling.times[1], sampling.times[2]
+    assert before <= times.window().start <= times.window().end <= after
+    assert sampling.quality().is_sufficient
+    assert sampling.quality().warnings() == ()
+
+
+def test_an_edge_does_not_wait_for_a_meter_that_hangs(monkeypatch):
+    monkeypatch.setattr(periodic, "_FIRST_PATIENCE", 0.05)
+    monkeypatch.setattr(periodic, "_PATIENCE", 0.05)
+    never = threading.Event()
+    sampler = PeriodicSampler(lambda: never.wait(30), rate=10.0, clock=SystemClock())
+    sampler.start()
+    sampler.take_now()  # returns: else this test hangs until its timeout
+    sampler.stop()
+    never.set()
+
+
+def test_only_failures_of_the_window_count():
+    clock = FakeClock()
+    broken = [2.0, 7.0]
+
+    def read():
+        if clock.now() in broken:
+            raise OSError("torn")
+        return 1.0
+
+    sampler = PeriodicSampler(read, rate=1.0, clock=clock)
+    sampler.start()
+    clock.sleep(10.0)
+    sampling = sampler.stop()
+    assert sampling.failures == 2
+    assert sampling.over(Window(5.0, 10.0)).failures == 1
+    assert sampling.over(Window(3.0, 6.0)).failures == 0

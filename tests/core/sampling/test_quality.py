@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_runner.core.events.window import Window
 from robot_runner.core.sampling.quality import jitter_of, quality_of
-from robot_runner.core.sampling.series import Window
 
 EVEN = [number / 10 for number in range(101)]
 

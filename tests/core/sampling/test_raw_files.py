@@ -6,8 +6,8 @@ from array import array
 
 import pytest
 
+from robot_runner.core.events.window import Window
 from robot_runner.core.sampling.quality import Column, quality_of, write_quality, write_samples
-from robot_runner.core.sampling.series import Window
 
 
 def test_columns_come_back_as_they_were_written(tmp_path):

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import json
 
+from robot_runner.core.events.window import Window
 from robot_runner.core.sampling.quality import quality_of, report_quality
-from robot_runner.core.sampling.series import Window
 from robot_runner.plugins import Measure, Profiler
 from robot_runner.testing import make_context
 

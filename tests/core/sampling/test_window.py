@@ -5,7 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.core.errors import PluginError
-from robot_runner.core.sampling.series import Series, Window, cut
+from robot_runner.core.events.window import Window
+from robot_runner.core.sampling.series import Series, cut
 
 RAMP = Series([0.0, 1.0, 2.0, 3.0], [0.0, 10.0, 20.0, 30.0])
 

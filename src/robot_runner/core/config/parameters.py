@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 from robot_runner.core.config.experiment import Author, authors_from_text, is_licence
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.errors import ConfigError
+from robot_runner.core.events.window import is_phase_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -200,6 +201,14 @@ _LICENCE = Kind('an SPDX identifier such as "CC-BY-4.0", a URL', is_licence)
 _TEXT = Kind("a text", _is_text)
 
 
+_PHASES = Kind(
+    "a list of the names of phases: letters, digits, '_' and '-'",
+    lambda value: isinstance(value, list | tuple) and all(map(is_phase_name, value)),
+    lambda text: [name.strip() for name in text.split(",")],
+    lambda value: tuple(dict.fromkeys(value)),
+)
+
+
 @_declared
 class StaticParameters:
     """What can be set in a config, beside what the experiment does and measures."""
@@ -234,6 +243,9 @@ class StaticParameters:
         'The ROS distribution that the experiment needs, such as "noetic"; `any` or None where it does not matter.',
         replace(_ROS_DISTRIBUTION, type_name="str | None"),
         None,
+    )
+    phases: Sequence[str] = _declare(
+        "The phases of the mission for which measures are published, too, each as `<measure>.<phase>`.", _PHASES, ()
     )
     on_failure: FailurePolicy = _declare(
         "What follows a run that failed: CONTINUE with the next one, or STOP the experiment.",
@@ -291,6 +303,7 @@ class Parameters(StaticParameters):
     required_ros_version: int | str | None
     required_ros_distro: str | None
     authors: tuple[Author, ...]
+    phases: tuple[str, ...]
 
     def __init__(self, **values: Any) -> None:
         vars(self).update(values)

@@ -23,7 +23,7 @@ from robot_runner.core.config.loader import LoadedConfig, load_config
 from robot_runner.core.config.plugin_checks import check_plugins, gather_plugins
 from robot_runner.core.errors import ConfigError, Finding, LinkError
 from robot_runner.core.events.manager import EventManager
-from robot_runner.core.events.measure import MeasureColumns, resolve_columns
+from robot_runner.core.events.measure import MeasureColumns, resolve_columns, with_phases
 from robot_runner.core.links.connect import found_robot, link_findings, looks_for_robot
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def prepare(
     plugins, plugin_findings = gather_plugins(loaded, model)
     findings += [*parameter_findings, *plugin_findings, *model_findings]
     events = _subscribe(loaded, plugins, findings)
-    columns = _columns(model, plugins, findings)
+    columns = _columns(model, plugins, parameters.phases if parameters else (), findings)
     if parameters is not None:
         findings += [*check_analysis(parameters, model, columns), *check_threads(loaded, parameters)]
     if is_for_here:
@@ -148,8 +148,10 @@ def _subscribe(loaded: LoadedConfig, plugins: tuple[Plugin, ...], findings: list
         return EventManager()
 
 
-def _columns(model: RunTableModel | None, plugins: tuple[Plugin, ...], findings: list[Finding]) -> MeasureColumns:
-    measures = {plugin.name: tuple(plugin.measures) for plugin in plugins}
+def _columns(
+    model: RunTableModel | None, plugins: tuple[Plugin, ...], phases: Sequence[str], findings: list[Finding]
+) -> MeasureColumns:
+    measures = {plugin.name: with_phases(plugin.measures, phases) for plugin in plugins}
     columns, column_findings = resolve_columns(model.data_columns if model else None, measures)
     findings += column_findings
     return columns

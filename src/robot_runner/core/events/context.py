@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast, runtime_checkabl
 from robot_runner.core.events.measure import MeasureValue, Origin, PublishedMeasure
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
+    from contextlib import AbstractContextManager
     from pathlib import Path
 
     from robot_runner.core.errors import Finding
+    from robot_runner.core.events.window import MissionTimes, Phase, Window
 
 __all__ = ["Clock", "Closable", "ExperimentContext", "Resources", "RobotRunnerContext", "RunBroker", "SystemClock"]
 
@@ -109,6 +111,10 @@ class RunBroker(Protocol):
         """Record a warning finding about this run."""
         ...
 
+    def doubt(self, owner: str, problem: str, fix: str, measures: Sequence[str]) -> None:
+        """Record a warning finding that makes values of this run doubtful."""
+        ...
+
     def note_clock(self, owner: str, facts: Mapping[str, object]) -> None:
         """Keep how another computer's clock stood to the run's."""
         ...
@@ -161,6 +167,7 @@ class RobotRunnerContext(ExperimentContext):
         clock: the clock to sleep on; on a simulated robot it is the simulation's.
         resources: links and devices that the run's plugins share.
         owner: who this context was made for: a plugin's name, or `config`.
+        times: when the mission and its phases began and ended.
         run_path: where the run's folder is once something is kept in it; ask for `run_folder` to keep something.
     """
 
@@ -175,6 +182,7 @@ class RobotRunnerContext(ExperimentContext):
     clock: Clock
     resources: Resources
     owner: str
+    times: MissionTimes = field(repr=False)
     broker: RunBroker = field(repr=False)
 
     @property
@@ -189,6 +197,45 @@ class RobotRunnerContext(ExperimentContext):
         folder = self.run_path / self.owner
         folder.mkdir(parents=True, exist_ok=True)
         return folder
+
+    @property
+    def window(self) -> Window | None:
+        """The measured window on the run's clock: the mission, from the emission of `launch_mission` to its end.
+
+        It is the same for all plugins; None while the mission has not ended.
+        """
+        return self.times.window()
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """The phases of the mission that are over, on the run's clock, in the order of their ends."""
+        return self.times.phases()
+
+    def phase(self, name: str) -> AbstractContextManager[None]:
+        """Take a block of the mission for one of its phases, as in `with context.phase("navigate"):`.
+
+        A name may come several times. Where the config's `phases` lists it, measures are published for it, too.
+
+        Raises:
+            PluginError: no phase can have this name, or no mission is going on.
+        """
+        return self.times.phase(name)
+
+    def begin_window(self) -> None:
+        """Begin the measured window here instead of at the beginning of the mission.
+
+        Raises:
+            PluginError: no mission is going on, or the window has ended.
+        """
+        self.times.begin_window()
+
+    def end_window(self) -> None:
+        """End the measured window here instead of at the end of the mission.
+
+        Raises:
+            PluginError: no mission is going on.
+        """
+        self.times.end_window()
 
     @property
     def measures(self) -> Mapping[str, MeasureValue]:
@@ -218,6 +265,19 @@ class RobotRunnerContext(ExperimentContext):
     def warn(self, problem: str, *, fix: str = "") -> None:
         """Say that something about this run is doubtful; it is shown at the end and kept with the run."""
         self.broker.warn(self.owner, problem, fix)
+
+    def doubt(self, problem: str, *, fix: str = "", measures: Sequence[str] = ()) -> None:
+        """Say that values of this run are doubtful, or missing, and why: a warning that is kept with each of them.
+
+        Args:
+            problem: the reason, with figures.
+            fix: what can be done about it, in one sentence.
+            measures: whose values, by the names that were declared; none named: all of the owner's.
+
+        Raises:
+            MeasureError: the owner declared no such measure.
+        """
+        self.broker.doubt(self.owner, problem, fix, measures)
 
     def note_clock(self, facts: Mapping[str, object]) -> None:
         """Say how another computer's clock stood to the run's, as `ClockRecord.facts` tells it.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
 from numbers import Integral, Real
@@ -24,10 +24,12 @@ __all__ = [
     "MeasureColumns",
     "MeasureValue",
     "Origin",
+    "Over",
     "PublishedMeasure",
     "ReportRecord",
     "as_measure_value",
     "resolve_columns",
+    "with_phases",
 ]
 
 
@@ -48,6 +50,15 @@ class Origin(Enum):
     ESTIMATED = "estimated"
 
 
+class Over(Enum):
+    """How the values of several windows make one, for a phase that a mission has several times."""
+
+    SUM = "sum"
+    MEAN = "mean"
+    MINIMUM = "minimum"
+    MAXIMUM = "maximum"
+
+
 @dataclass(frozen=True, slots=True)
 class Measure:
     """One named value that each run yields (a dependent variable).
@@ -56,6 +67,8 @@ class Measure:
         name: the column of the run table, such as `Energy`.
         unit: SI symbol, `%` for percentages (0..100), `1` for counts and ratios, empty where there is none.
         description: one sentence: what it is and how it is aggregated from the raw samples.
+        over: how the values of several windows make one (a mean is weighted by their durations); None for a measure
+            that has no value for a part of the mission.
 
     Example:
         >>> Measure("Energy", "J", "Energy drawn from the battery over the measured window.")
@@ -65,6 +78,21 @@ class Measure:
     name: str
     unit: str = ""
     description: str = ""
+    over: Over | None = field(default=None, kw_only=True, repr=False)
+
+    def in_phase(self, phase: str) -> Measure:
+        """Return the same measure for one phase of the mission.
+
+        Example:
+            >>> Measure("Energy", "J", "Energy drawn.", over=Over.SUM).in_phase("navigate").name
+            'Energy.navigate'
+        """
+        return replace(self, name=f"{self.name}.{phase}", description=f"In phase {phase}: {self.description}")
+
+
+def with_phases(measures: Sequence[Measure], phases: Sequence[str]) -> tuple[Measure, ...]:
+    """Return the measures, and behind them those that have a value per phase, for each of the phases."""
+    return (*measures, *(each.in_phase(phase) for each in measures if each.over is not None for phase in phases))
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,9 +339,28 @@ class MeasureBroker:
 
     def warn(self, owner: str, problem: str, fix: str) -> None:
         """Record a warning finding about this run."""
+        self._record_finding(owner, problem, fix, {})
+
+    def doubt(self, owner: str, problem: str, fix: str, measures: Sequence[str] = ()) -> None:
+        """Record a warning finding that makes values of this run doubtful.
+
+        Args:
+            owner: who doubts.
+            problem: the reason.
+            fix: what can be done about it.
+            measures: whose values; none named: all that the owner declared.
+
+        Raises:
+            MeasureError: the owner declared no such measure.
+        """
+        columns = [self._columns.column_for(owner, name).name for name in measures]
+        doubted = columns or [column.name for column in self._columns.declared if column.owner == owner]
+        self._record_finding(owner, problem, fix, {"measures": doubted})
+
+    def _record_finding(self, owner: str, problem: str, fix: str, more: dict[str, Any]) -> None:
         with self._lock:
             self._findings.append(Finding.warning(f"{self._run_id}, {owner}", problem, fix))
-            self._report("finding", {"owner": owner, "problem": problem, "fix": fix})
+            self._report("finding", {"owner": owner, "problem": problem, "fix": fix, **more})
 
     def note_clock(self, owner: str, facts: Mapping[str, object]) -> None:
         """Keep how another computer's clock stood to the run's."""

@@ -28,6 +28,7 @@ from robot_runner.core.storage.lock import ExperimentLock
 from robot_runner.core.storage.manifest import read_manifest, write_manifest
 from robot_runner.core.storage.run_table_rows import write_run_table
 from robot_runner.core.storage.safe_write import fsync_folder, storage_error
+from robot_runner.core.treatments import unread
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -41,7 +42,7 @@ __all__ = ["PendingRun", "ProgressManager"]
 _SHARE_FOR_TABLE = 1 / 50
 
 #: What a run reports that is kept in the journal; measures are kept with the end of the attempt.
-_KEPT = frozenset({"event", "shared", "finding", "refused", "failure", "clock", "bound"})
+_KEPT = frozenset({"event", "window", "phase", "shared", "finding", "refused", "failure", "clock", "bound"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,10 +266,12 @@ class ProgressManager:
             return ()  # a plan that is still to be filled: nothing happens in a run that could be misread
         if self._unread is None:
             varied = [factor.name for factor in self._experiment.model.factors if len(factor.treatments) > 1]
-            names = [
-                name for name in varied if name not in outcome.readers and name.casefold() != REPETITION.casefold()
-            ]
-            self._unread = {name: _unread(task.run_id, name) for name in names}
+            # A factor of that name counts repetitions, as in the paper's Listing 1.
+            self._unread = {
+                name: unread(task.run_id, name)
+                for name in varied
+                if name not in outcome.readers and name.casefold() != REPETITION.casefold()
+            }
             return tuple(self._unread.values())
         for name in outcome.readers:
             self._unread.pop(name, None)
@@ -311,15 +314,6 @@ def _plain(outcome: RunOutcome) -> dict[str, Any]:
         "failure": str(outcome.failure) if outcome.failure else None,
         "readers": dict(outcome.readers),
     }
-
-
-def _unread(run_id: str, factor: str) -> Finding:
-    return Finding.warning(
-        f"{run_id}, factor {factor!r}",
-        f"no callback and no plugin looked at {factor}: its treatments may never have been applied",
-        f"Bind it to a parameter of a plugin, as in BasicTurtlebot3(speed=treatment({factor!r})), or read "
-        f"context.combination[{factor!r}] in a callback, which may also tell the person who applies it by hand.",
-    )
 
 
 def _missing_fix(owner: str) -> str:

@@ -8,10 +8,11 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import MeasureError, RobotRunnerError
+from robot_runner.core.errors import MeasureError, RobotRunnerError, did_you_mean
 from robot_runner.core.events.context import Resources, RobotRunnerContext
 from robot_runner.core.events.manager import CLOSED_BY, CallbackFailure, Emission, RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER, MeasureBroker, Origin
+from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.interruption import InterruptGate, RunInterrupted
 from robot_runner.core.links.connect import is_simulated, open_clock
 from robot_runner.core.storage.journal import utc_now
@@ -39,6 +40,7 @@ def run_contexts(
 ) -> Callable[[str], RobotRunnerContext]:
     """Return what makes the context of a run for each owner; all share one broker."""
     broker = MeasureBroker(task.run_id, experiment.columns, report)
+    times = MissionTimes(clock, report, experiment.parameters.phases)
     run_path = experiment.folder.run(task.run_id)
     made: dict[str, RobotRunnerContext] = {}
 
@@ -62,6 +64,7 @@ def run_contexts(
                 clock=clock,
                 resources=resources,
                 owner=owner,
+                times=times,
                 broker=broker,
             )
         return made[owner]
@@ -98,11 +101,19 @@ class _Run:
             if not self._failed:
                 with self._between(RobotRunnerEvents.START_MEASUREMENT):
                     if not self._failed:
-                        self._emit(RobotRunnerEvents.LAUNCH_MISSION)
+                        self._execute_mission()
         if self._failed:
             self._make_safe()
         else:
             self._populate()
+
+    def _execute_mission(self) -> None:
+        times = self._context_for(CONFIG_OWNER).times
+        times.begin()
+        try:
+            self._emit(RobotRunnerEvents.LAUNCH_MISSION)
+        finally:
+            times.end()
 
     @contextmanager
     def _between(self, opening: RobotRunnerEvents) -> Iterator[None]:
@@ -122,10 +133,19 @@ class _Run:
                 system.make_safe(self._context_for(system.name))
 
     def _populate(self) -> None:
+        self._miss_phases()
         event = RobotRunnerEvents.POPULATE_RUN_DATA
         for owner, returned in self._emit(event).returned:
             with self._recorded(event.value, owner):
                 publish_returned(self._context_for(owner), returned)
+
+    def _miss_phases(self) -> None:
+        """Warn of phases for which measures were asked for, and which the mission did not have."""
+        context = self._context_for(CONFIG_OWNER)
+        there = dict.fromkeys(phase.name for phase in context.phases)
+        for name in context.times.requested:
+            if name not in there:
+                context.warn(f"the mission had no phase {name!r}", fix=did_you_mean(name, list(there)))
 
     def _emit(self, event: RobotRunnerEvents, but_not: Collection[str] = ()) -> Emission:
         self._report("event", {"event": event.value, "at": utc_now(), "clock": self._clock.now()})

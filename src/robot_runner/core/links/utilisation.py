@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from robot_runner.core.events.window import Window
     from robot_runner.core.links.host import SamplingReport, UtilisationSample
-    from robot_runner.core.sampling.series import Window
 
 __all__ = ["Selection", "Utilisation"]
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.sampling.series import Window
+    from robot_runner.core.events.window import Window
 
 __all__ = [
     "MINIMUM_COVERAGE",
@@ -74,10 +74,26 @@ def write_samples(path: Path, columns: Sequence[Column]) -> None:
         file.writelines(map(line.__mod__, rows))
 
 
-def write_quality(path: Path, quality: SampleQuality | None, window: Window | None, details: Mapping[str, Any]) -> None:
-    """Write what is known about the samples as a JSON object, with plain `details` of the sensor beside it."""
+def write_quality(
+    path: Path,
+    quality: SampleQuality | None,
+    window: Window | None,
+    details: Mapping[str, Any],
+    *,
+    sampled: Window | None = None,
+) -> None:
+    """Write what is known about the samples as a JSON object.
+
+    Args:
+        path: the file.
+        quality: of the samples within the window.
+        window: that the values are about; raw samples outside it count for nothing but its edges.
+        details: plain facts about the sensor.
+        sampled: from the profiler's start to its stop.
+    """
     facts = {
         "window": None if window is None else asdict(window),
+        "sampled": None if sampled is None else asdict(sampled),
         "samples": None if quality is None else asdict(quality),
         **details,
     }
@@ -129,6 +145,7 @@ class SampleQuality:
         corrupt: messages that arrived damaged and were left out.
         failed: readings that raised an error instead; `first_failure` is what the first one said.
         saturated: samples at the end of the sensor's range: the true value lies beyond.
+        is_bracketed: whether samples stand on both sides of the window, each no further than a period from its edge.
         clock_offset: how far the clock of the samples was ahead of the run's, s; None where they share one.
         clock_uncertainty: how far that may be wrong, s.
         cpu_seconds: CPU time that the profiler itself used on the machine that it measures, s; None if not known.
@@ -147,6 +164,7 @@ class SampleQuality:
     failed: int = 0
     first_failure: str = ""
     saturated: int = 0
+    is_bracketed: bool = False
     clock_offset: float | None = None
     clock_uncertainty: float | None = None
     cpu_seconds: float | None = None
@@ -155,7 +173,7 @@ class SampleQuality:
     @property
     def is_sufficient(self) -> bool:
         """Whether the samples cover enough of the window for a value to be computed from them."""
-        return self.got > 0 and self.coverage >= MINIMUM_COVERAGE
+        return (self.got > 0 or self.is_bracketed) and self.coverage >= MINIMUM_COVERAGE
 
     def warnings(self) -> tuple[str, ...]:
         """Return one sentence, with figures, for each thing that is doubtful; nothing where all is well."""
@@ -181,7 +199,7 @@ class SampleQuality:
             yield f"the profiler itself kept {share:.1f} % of one core busy"
 
     def _doubts_about_times(self) -> Iterator[str]:
-        if not self.got:
+        if not self.got and not self.is_bracketed:
             yield f"no sample arrived in the measured window, where {self.expected} were expected"
             return
         if self.got < self.expected * _MINIMUM_COUNT / 100:
@@ -214,7 +232,7 @@ def quality_of(  # noqa: PLR0913 - each is one thing that a sensor may know of i
     """Return the quality of samples taken at `times` (s, never falling) at a nominal `rate` (Hz).
 
     Example:
-        >>> from robot_runner.core.sampling.series import Window
+        >>> from robot_runner.core.events.window import Window
         >>> quality_of([0.5, 1.5, 2.5, 9.5], Window(0.0, 10.0), rate=1.0).warnings()[0]
         '4 samples arrived of 10 expected'
     """
@@ -235,10 +253,21 @@ def quality_of(  # noqa: PLR0913 - each is one thing that a sensor may know of i
         failed=failed,
         first_failure=first_failure,
         saturated=saturated,
+        is_bracketed=_is_bracketed(times, window, period),
         clock_offset=clock_offset,
         clock_uncertainty=clock_uncertainty,
         cpu_seconds=cpu_seconds,
         duration=window.duration,
+    )
+
+
+def _is_bracketed(times: Sequence[float], window: Window, period: float) -> bool:
+    before, after = bisect_right(times, window.start), bisect_left(times, window.end)
+    return (
+        before > 0
+        and after < len(times)
+        and times[before - 1] >= window.start - period
+        and (times[after] <= window.end + period)
     )
 
 
@@ -264,10 +293,12 @@ def report_quality(
     *,
     fix: str = _FIX,
     details: Mapping[str, Any] | None = None,
+    sampled: Window | None = None,
+    measures: Sequence[str] = (),
 ) -> bool:
-    """Keep the quality in the raw-data folder as `quality.json`, warn of what is poor, and say whether it suffices.
+    """Keep the quality in the raw-data folder as `quality.json`, doubt what is poor, and say whether it suffices.
 
-    The warnings reach the end of the run, the journal, and the schema of the run table.
+    The doubts reach the end of the run, the journal, and the schema of the run table.
 
     Args:
         context: the run's.
@@ -275,11 +306,13 @@ def report_quality(
         window: that they are about.
         fix: what the reader of a warning can do, in one sentence.
         details: plain facts to keep beside, such as the sensor's settings.
+        sampled: from the profiler's start to its stop.
+        measures: whose values the samples are; none named: all of the profiler's.
 
     Returns:
         Whether a value may be computed from the samples (`SampleQuality.is_sufficient`).
     """
-    write_quality(context.raw_data_folder / _FILE, quality, window, details or {})
+    write_quality(context.raw_data_folder / _FILE, quality, window, details or {}, sampled=sampled)
     for problem in quality.warnings():
-        context.warn(problem, fix=fix)
+        context.doubt(problem, fix=fix, measures=measures)
     return quality.is_sufficient

@@ -14,7 +14,9 @@ from robot_runner.core.errors import PluginError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["Series", "Window", "cut", "energy", "energy_from_mean_power", "integrate", "mean", "mean_of_intervals"]
+    from robot_runner.core.events.window import Window
+
+__all__ = ["Series", "cut", "energy", "energy_from_mean_power", "growth", "integrate", "mean", "mean_of_intervals"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,39 +54,6 @@ class Series:
         return len(self.times)
 
 
-@dataclass(frozen=True, slots=True)
-class Window:
-    """The span of time that a measure is about, from `start_measurement` to `stop_measurement`.
-
-    Attributes:
-        start: its beginning, s on the run's clock.
-        end: its end, s on the run's clock.
-
-    Raises:
-        PluginError: the end comes before the start, or one of them is not finite.
-
-    Example:
-        >>> Window(2.0, 97.0).duration
-        95.0
-    """
-
-    start: float
-    end: float
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.start) and math.isfinite(self.end) and self.start <= self.end):
-            raise PluginError(
-                f"a window cannot reach from {self.start} s to {self.end} s",
-                where="Window",
-                fix="Take both times from context.clock.now(), the earlier one first.",
-            )
-
-    @property
-    def duration(self) -> float:
-        """The seconds from its start to its end."""
-        return self.end - self.start
-
-
 def cut(series: Series, window: Window, *, reach: float = 0.0) -> Series:
     """Return the samples of the window, with a sample on each edge.
 
@@ -93,6 +62,7 @@ def cut(series: Series, window: Window, *, reach: float = 0.0) -> Series:
     (one period of sampling is a fair choice); otherwise the result begins or ends with that sample.
 
     Example:
+        >>> from robot_runner.core.events.window import Window
         >>> cut(Series([0.0, 1.0, 2.0], [0.0, 10.0, 20.0]), Window(0.5, 1.5)).values
         [5.0, 10.0, 15.0]
     """
@@ -140,6 +110,24 @@ def integrate(series: Series) -> float | None:
     return 0.5 * math.fsum((later - sooner) * (left + right) for sooner, later, left, right in steps)
 
 
+def growth(counter: Series, window: Window) -> float | None:
+    """Return by how much a counter grew over the window, or None where its readings span no time.
+
+    At the edges the counter is interpolated between the readings on either side; beyond the first or the last reading
+    it goes on as fast as on average.
+
+    Example:
+        >>> from robot_runner.core.events.window import Window
+        >>> growth(Series([0.0, 10.0, 20.0], [0, 100, 300]), Window(5.0, 15.0))
+        150.0
+    """
+    counted = cut(counter, window)
+    if len(counted) < 2 or counted.times[-1] == counted.times[0]:  # noqa: PLR2004 - one reading shows no growth
+        return None
+    seen = counted.times[-1] - counted.times[0]
+    return (counted.values[-1] - counted.values[0]) * window.duration / seen
+
+
 def mean(series: Series) -> float | None:
     """Return the mean over time (the integral divided by the time spanned), or None where no time is spanned."""
     total = integrate(series)
@@ -156,7 +144,7 @@ def mean_of_intervals(series: Series, window: Window) -> float | None:
 
     Example:
         >>> from robot_runner.core.sampling.series import Series
-        >>> from robot_runner.core.sampling.series import Window
+        >>> from robot_runner.core.events.window import Window
         >>> mean_of_intervals(Series([0.0, 1.0, 3.0], [99.0, 10.0, 40.0]), Window(0.0, 2.0))
         25.0
     """
@@ -178,7 +166,7 @@ def energy(power: Series, window: Window, *, reach: float = 0.0) -> float | None
 
     Example:
         >>> from robot_runner.core.sampling.series import Series
-        >>> from robot_runner.core.sampling.series import Window
+        >>> from robot_runner.core.events.window import Window
         >>> energy(Series([0.0, 10.0], [8.0, 8.0]), Window(1.0, 3.0))
         16.0
     """

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.window import Window
 from robot_runner.core.links.serial_line import Chunk
-from robot_runner.core.sampling.series import Window
 from robot_runner.meters.ina219.frames import FrameDecoder, Hello, SampleStream
 from robot_runner.meters.ina219.registers import evaluate_registers
 

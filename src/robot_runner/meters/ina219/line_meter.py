@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from robot_runner.core.sampling.series import Window
+from robot_runner.core.events.window import Window
 from robot_runner.meters.ina219.frames import SampleStream
 from robot_runner.meters.ina219.registers import evaluate_registers
 

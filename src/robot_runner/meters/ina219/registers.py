@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from robot_runner.core.events.window import Window
     from robot_runner.core.sampling.quality import SampleQuality
-    from robot_runner.core.sampling.series import Window
     from robot_runner.meters.ina219.frames import SampleStream
 
 __all__ = [

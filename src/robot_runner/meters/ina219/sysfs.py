@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.window import Window
 from robot_runner.core.links.host import ReportingSampler
 from robot_runner.core.sampling.quality import Column, quality_of
-from robot_runner.core.sampling.series import Series, Window
+from robot_runner.core.sampling.series import Series
 from robot_runner.meters.ina219.registers import Evaluation
 
 if TYPE_CHECKING:

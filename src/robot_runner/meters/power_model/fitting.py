@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from robot_runner.core.errors import AnalysisError
+from robot_runner.core.events.window import Window
 from robot_runner.core.sampling.quality import MINIMUM_COVERAGE
-from robot_runner.core.sampling.series import Series, Window, energy
+from robot_runner.core.sampling.series import Series, energy
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.meters.power_model.linear_model import FitReport, LinearModel, check_terms, term_value
 from robot_runner.meters.power_model.states import read_numbers, read_states

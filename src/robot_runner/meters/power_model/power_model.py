@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import AnalysisError, Finding, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.events.window import Window
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.quality import MINIMUM_COVERAGE, Column, write_quality, write_samples
-from robot_runner.core.sampling.series import Window
 from robot_runner.meters.power_model.fitting import Sources, read_runs
 from robot_runner.meters.power_model.linear_model import LinearModel, read_model
 from robot_runner.meters.power_model.states import RobotState, read_states

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from robot_runner.core.sampling.series import Window
+    from robot_runner.core.events.window import Window
 
 __all__ = ["RobotState", "read_numbers", "read_states"]
 

@@ -1,0 +1,217 @@
+"""The one window that all measures of a run are about: its mission, and the phases of the mission."""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from robot_runner.core.errors import PluginError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from robot_runner.core.events.context import Clock
+
+__all__ = ["MissionTimes", "Phase", "Window", "is_phase_name"]
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A span of time that a measure is about.
+
+    Attributes:
+        start: its beginning, s on the run's clock.
+        end: its end, s on the run's clock.
+
+    Raises:
+        PluginError: the end comes before the start, or one of them is not finite.
+
+    Example:
+        >>> Window(2.0, 97.0).duration
+        95.0
+    """
+
+    start: float
+    end: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.start) and math.isfinite(self.end) and self.start <= self.end):
+            raise PluginError(
+                f"a window cannot reach from {self.start} s to {self.end} s",
+                where="Window",
+                fix="Take both times from context.clock.now(), the earlier one first.",
+            )
+
+    @property
+    def duration(self) -> float:
+        """The seconds from its start to its end."""
+        return self.end - self.start
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """A part of the mission; a mission may have several phases of one name.
+
+    Example:
+        >>> Phase("navigate", Window(2.0, 5.0)).window.duration
+        3.0
+    """
+
+    name: str
+    window: Window
+
+
+class _Moment(NamedTuple):
+    """One moment on the run's clock and on this machine's, s."""
+
+    run: float
+    machine: float
+
+
+#: As a part of a column's name, behind a dot.
+_PHASE_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
+
+
+def is_phase_name(value: object) -> bool:
+    """Return whether a phase may have this name."""
+    return isinstance(value, str) and _PHASE_NAME.fullmatch(value) is not None
+
+
+class MissionTimes:
+    """When the mission of a run, and each phase of it, began and ended.
+
+    The measured window is the mission: from the emission of `launch_mission` until all that hear it have returned.
+    Each moment is taken on the run's clock and on this machine's, as profilers of this machine live by the latter
+    while the robot is simulated.
+
+    Args:
+        clock: the run's.
+        report: takes the window and each phase as records, times in s on the run's clock.
+        requested: the phases for which measures are to be published.
+
+    Example:
+        >>> from robot_runner.testing import FakeClock
+        >>> times = MissionTimes(FakeClock())
+        >>> times.begin()
+        >>> with times.phase("navigate"):
+        ...     pass
+        >>> times.end()
+        >>> [phase.name for phase in times.phases()]
+        ['navigate']
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        report: Callable[[str, dict[str, Any]], None] = lambda _kind, _fields: None,
+        requested: Sequence[str] = (),
+    ) -> None:
+        self.requested = tuple(requested)
+        self._clock = clock
+        self._report = report
+        self._begun: _Moment | None = None
+        self._ended: _Moment | None = None
+        self._narrowed: list[_Moment | None] = [None, None]
+        self._phases: list[tuple[str, _Moment, _Moment]] = []
+        self._at_edges: list[Callable[[], None]] = []
+
+    def at_edges(self, look: Callable[[], None]) -> None:
+        """Have `look` called just before the mission begins, and just after it has ended.
+
+        What counts from one reading to the next is known at the edges then, however slow its rate. It must not raise.
+        """
+        self._at_edges.append(look)
+
+    def begin(self) -> None:
+        """Begin the mission."""
+        for look in self._at_edges:
+            look()
+        self._begun, self._ended = self._now(), None
+        self._narrowed, self._phases = [None, None], []
+
+    def end(self) -> None:
+        """End the mission, and with it the window; a second call does nothing."""
+        if self._begun is None or self._ended is not None:
+            return
+        self._ended = self._now()
+        window = self.window()
+        for look in self._at_edges:
+            look()
+        self._at_edges.clear()
+        if window is not None:
+            self._report("window", {"start": window.start, "end": window.end})
+
+    def begin_window(self) -> None:
+        """Begin the window here instead of at the beginning of the mission.
+
+        Raises:
+            PluginError: no mission is going on, or the window has ended.
+        """
+        self._narrow(0)
+
+    def end_window(self) -> None:
+        """End the window here instead of at the end of the mission.
+
+        Raises:
+            PluginError: no mission is going on.
+        """
+        self._narrow(1)
+
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        """Take the block for a phase of the mission, also when it raises.
+
+        Raises:
+            PluginError: no phase can have this name, or no mission is going on.
+        """
+        if not is_phase_name(name):
+            fix = "Use letters, digits, '_' and '-' (64 at most)."
+            raise PluginError(f"a phase cannot be named {name!r}", where="phase", fix=fix)
+        self._check_going_on(f"phase {name!r}")
+        begun = self._now()
+        try:
+            yield
+        finally:
+            ended = self._now()
+            self._phases.append((name, begun, ended))
+            self._report("phase", {"name": name, "start": begun.run, "end": ended.run})
+
+    def window(self, clock: Clock | None = None) -> Window | None:
+        """Return the measured window; None while the mission has not ended.
+
+        Args:
+            clock: None or the run's clock for times on that; another one stands for this machine's.
+        """
+        if self._begun is None or self._ended is None:
+            return None
+        start, end = self._narrowed[0] or self._begun, self._narrowed[1] or self._ended
+        return self._between(start, end, clock)
+
+    def phases(self, clock: Clock | None = None) -> tuple[Phase, ...]:
+        """Return the phases that are over, in the order of their ends, on a clock as `window` takes it."""
+        return tuple(Phase(name, self._between(begun, ended, clock)) for name, begun, ended in self._phases)
+
+    def _narrow(self, edge: int) -> None:
+        self._check_going_on("window")
+        if edge == 0 and self._narrowed[1] is not None:
+            raise PluginError(
+                "the window has ended already", where="window", fix="Call begin_window() before end_window()."
+            )
+        self._narrowed[edge] = self._now()
+
+    def _check_going_on(self, where: str) -> None:
+        if self._begun is None or self._ended is not None:
+            fix = "Call it while launch_mission is heard."
+            raise PluginError("there is no mission going on", where=where, fix=fix)
+
+    def _between(self, begun: _Moment, ended: _Moment, clock: Clock | None) -> Window:
+        if clock is None or clock is self._clock:
+            return Window(begun.run, ended.run)
+        return Window(begun.machine, ended.machine)
+
+    def _now(self) -> _Moment:
+        return _Moment(self._clock.now(), time.monotonic())
