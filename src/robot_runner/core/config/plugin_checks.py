@@ -68,7 +68,7 @@ def check_treatments(
     factors = {factor.name: factor.treatments for factor in model.factors}
     findings: list[Finding] = []
     for plugin in bound:
-        unbuilt = _with_each(plugin, listed, lambda combination, plugin=plugin: _unbuilt(plugin, combination))  # type: ignore[misc]
+        unbuilt = _unbuilt_with_each(plugin, listed, [])
         findings += unbuilt or _checked_with_each(plugin, plugins, listed, Circumstances(robot, factors))
     return findings
 
@@ -149,8 +149,9 @@ def _is_built(plugin: Plugin, model: RunTableModel | None, findings: list[Findin
         return False
     unknown = list(_unknown_factors(plugin, [factor.name for factor in model.factors]))
     planned = [run.combination for run in _some_of(model, factors)] if not unknown else []
-    refused = unknown or _with_each(plugin, planned, lambda combination: _unbuilt(plugin, combination))
-    findings += refused or _varying(plugin, planned)
+    built: list[Plugin] = []
+    refused = unknown or _unbuilt_with_each(plugin, planned, built)
+    findings += refused or _varying(plugin, built)
     if not refused:
         bind(plugin, planned[0])
     return not refused
@@ -226,12 +227,16 @@ def _under(finding: Finding, treatments: Sequence[str]) -> Finding:
     return Finding(finding.severity, finding.where, f"with {shown}{more}: {finding.problem}", finding.fix)
 
 
-def _unbuilt(plugin: Plugin, combination: Mapping[str, Any]) -> list[Finding]:
-    """Return why a plugin cannot be built under a combination."""
+def _unbuilt_with_each(plugin: Plugin, combinations: Iterable[Mapping[str, Any]], built: list[Plugin]) -> list[Finding]:
+    return _with_each(plugin, combinations, lambda combination: _unbuilt(plugin, combination, built))
+
+
+def _unbuilt(plugin: Plugin, combination: Mapping[str, Any], built: list[Plugin]) -> list[Finding]:
+    """Return why a plugin cannot be built under a combination; what was built is added to `built`."""
     bound = ", ".join(f"{name}=treatment({factor!r})" for name, factor in factors_of(plugin).items())
     where = f"{type(plugin).__name__}({bound})"
     try:
-        built_with(plugin, combination)
+        built.append(built_with(plugin, combination))
     except RobotRunnerError as error:
         return [Finding.error(where, error.problem, error.fix)]
     except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
@@ -240,10 +245,9 @@ def _unbuilt(plugin: Plugin, combination: Mapping[str, Any]) -> list[Finding]:
     return []
 
 
-def _varying(plugin: Plugin, combinations: Iterable[Mapping[str, Any]]) -> Iterator[Finding]:
+def _varying(plugin: Plugin, built: Sequence[Plugin]) -> Iterator[Finding]:
     """Yield what is to be the same in all runs and differs with the treatments: the name, and the measures."""
     factors = factors_of(plugin)
-    built = [built_with(plugin, each) for each in _distinct(combinations, factors.values())]
     where = f"plugin {built[0].name}, bound to {' and '.join(map(repr, dict.fromkeys(factors.values())))}"
     names = list(dict.fromkeys(each.name for each in built))
     if len(names) > 1:
@@ -263,9 +267,12 @@ def _checked_with_each(
     circumstances: Circumstances,
 ) -> list[Finding]:
     def look(combination: Mapping[str, Any]) -> list[Finding]:
-        asked: Plugin = built_with(plugin, combination)
-        # It stands last: of two that clash the later one says so, and the others are not asked with each treatment.
-        others = tuple(built_with(each, combination) for each in plugins if each is not plugin)
+        try:
+            asked: Plugin = built_with(plugin, combination)
+            # It stands last: of two that clash the later one says so, and the others are not asked with each treatment.
+            others = tuple(built_with(each, combination) for each in plugins if each is not plugin)
+        except Exception as error:  # noqa: BLE001 - a stranger's code, which could be built a moment ago
+            return [failed_check(plugin.name, error)]
         return _asked(asked, Circumstances(circumstances.robot, circumstances.factors, (*others, asked)))
 
     return _with_each(plugin, combinations, look)
