@@ -109,7 +109,7 @@ def test_measures_must_be_the_same_in_all_runs(write_config: Write) -> None:
     (finding,) = found(write_config, "Meter(cores=treatment('Cores'))", table("Factor('Cores', [1, 2])"))
     assert finding.is_error
     assert finding.where == "plugin Meter, bound to 'Cores'"
-    assert finding.problem == "the measures of the plugin depend on a bound parameter: CPU_0 and CPU_0, CPU_1"
+    assert finding.problem == "the measures of the plugin depend on a bound parameter: CPU_0 % and CPU_0 %, CPU_1 %"
 
 
 def test_a_name_must_not_follow_from_a_treatment(write_config: Write) -> None:
@@ -125,7 +125,7 @@ def test_plugins_that_clash_under_one_treatment_alone_are_found(write_config: Wr
     )
     findings = found(write_config, plugins, table("Factor('Robot', ['/bob', '/alice'])"))
     assert [finding.problem for finding in findings if "operates the robot" in finding.problem] == [
-        "with Robot = /alice: it operates the robot of the namespace '/alice', and so does 'B'"
+        "with Robot = /alice: the plugin operates the robot of the namespace '/alice', and so does 'B'"
     ]
 
 

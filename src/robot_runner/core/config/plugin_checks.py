@@ -253,9 +253,9 @@ def _varying(plugin: Plugin, built: Sequence[Plugin]) -> Iterator[Finding]:
     if len(names) > 1:
         fix = "Give it a name of its own: name=... ."
         yield Finding.error(where, f"the plugin is named {names[0]!r} and {names[1]!r} under two treatments", fix)
-    measures = list(dict.fromkeys(tuple(measure.name for measure in each.measures) for each in built))
+    measures = list(dict.fromkeys(tuple((each.name, each.unit) for each in one.measures) for one in built))
     if len(measures) > 1:
-        shown = " and ".join(", ".join(each) or "none" for each in measures[:2])
+        shown = " and ".join(", ".join(map(" ".join, each)) or "none" for each in measures[:2])
         fix = "Bind another parameter: the run table has the same columns in all runs. Or take a plugin for each."
         yield Finding.error(where, f"the measures of the plugin depend on a bound parameter: {shown}", fix)
 
