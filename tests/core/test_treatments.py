@@ -11,7 +11,6 @@ from robot_runner.core.errors import PluginError
 from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents
 from robot_runner.core.plugin import Profiler, System
 from robot_runner.core.treatments import (
-    WatchedCombination,
     bind,
     built_with,
     factors_of,
@@ -343,40 +342,3 @@ def test_the_guard_is_up_while_callbacks_of_a_config_are_called_and_not_those_of
 def _set_speed(robot: Robot, set_by: list[OwnerKind], kind: OwnerKind, _context: object) -> None:
     set_as_a_config_does(robot, "speed", 1)
     set_by.append(kind)
-
-
-# What was read.
-
-
-@pytest.mark.parametrize(
-    ("read", "expected"),
-    [
-        (lambda it: it["Speed"], ["Speed"]),
-        (lambda it: (it["Speed"], it["Speed"]), ["Speed"]),
-        (lambda it: it.get("Speed"), ["Speed"]),
-        (lambda it: "Speed" in it, ["Speed"]),
-        (lambda it: it.get("Colour"), []),
-        (lambda it: "Colour" in it, []),
-        (len, []),
-        (dict, ["Task", "Speed"]),
-        (lambda it: list(it.values()), ["Task", "Speed"]),
-        (list, ["Task", "Speed"]),
-        (str, ["Task", "Speed"]),
-        (repr, ["Task", "Speed"]),
-        (lambda it: it == {"Task": "Video", "Speed": 0.2}, ["Task", "Speed"]),
-    ],
-)
-def test_a_combination_tells_once_what_was_read(read: Callable[[Any], object], expected: list[str]) -> None:
-    told: list[str] = []
-    watched = WatchedCombination({"Task": "Video", "Speed": 0.2}, told.append)
-    read(watched)
-    assert told == expected
-    assert watched.unread == {"Task", "Speed"} - set(expected)
-
-
-def test_a_watched_combination_is_equal_to_what_it_watches() -> None:
-    watched = WatchedCombination({"Task": "Video"}, lambda _: None)
-    assert watched == {"Task": "Video"}
-    assert str(watched) == "{'Task': 'Video'}"
-    with pytest.raises(KeyError):
-        watched["Speed"]

@@ -1,17 +1,17 @@
-"""Treatments on their way into plugins: parameters bound to factors, set where it counts, and read by somebody."""
+"""Treatments on their way into plugins: parameters that are bound to factors, and those that are set in vain."""
 
 from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from robot_runner.core.errors import Finding, PluginError, nearest
+from robot_runner.core.errors import PluginError, nearest
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -21,14 +21,12 @@ __all__ = [
     "CONFIG_MODULE",
     "Bindable",
     "Treatment",
-    "WatchedCombination",
     "bind",
     "built_with",
     "factors_of",
     "is_waiting",
     "parameters_guarded",
     "treatment",
-    "unread",
     "values_of",
 ]
 
@@ -331,76 +329,4 @@ def _vain(kind: str, name: str, value: object, factors: Iterable[str]) -> Plugin
         where=kind,
         fix=f"To vary it, bind it: {kind}({name}=treatment({factor!r})). "
         f"Otherwise give it where {kind} is made: {kind}({name}={value!r}).",
-    )
-
-
-# Which treatments of a run somebody looked at: a factor that nobody reads was never applied.
-
-
-class WatchedCombination(Mapping[str, Any]):
-    """A run's combination that tells of each treatment when it is read for the first time. Read-only.
-
-    Args:
-        combination: what is read.
-        tell: called with the name of a factor.
-
-    Example:
-        >>> watched = WatchedCombination({"Task": "Video", "Speed": 0.2}, print)
-        >>> watched["Speed"], watched["Speed"]
-        Speed
-        (0.2, 0.2)
-    """
-
-    __slots__ = ("_combination", "_told", "_unread")
-
-    def __init__(self, combination: Mapping[str, Any], tell: Callable[[str], None]) -> None:
-        self._combination = combination
-        self._told = tell
-        self._unread = set(combination)
-
-    def __getitem__(self, factor: str) -> Any:
-        treatment = self._combination[factor]
-        self._read(factor)
-        return treatment
-
-    def __contains__(self, factor: object) -> bool:
-        found = factor in self._combination
-        if found:
-            self._read(str(factor))
-        return found
-
-    def __iter__(self) -> Iterator[str]:
-        self._read(*self._combination)
-        return iter(self._combination)
-
-    def __len__(self) -> int:
-        return len(self._combination)
-
-    def __repr__(self) -> str:
-        self._read(*self._combination)
-        return repr(self._combination)
-
-    def __str__(self) -> str:
-        self._read(*self._combination)
-        return str(self._combination)
-
-    @property
-    def unread(self) -> frozenset[str]:
-        """The factors whose treatments were not read so far."""
-        return frozenset(self._unread)
-
-    def _read(self, *factors: str) -> None:
-        for factor in factors:
-            if factor in self._unread:
-                self._unread.discard(factor)
-                self._told(factor)
-
-
-def unread(run_id: str, factor: str) -> Finding:
-    """Return the finding that nobody looked at the treatment that a factor had in a run."""
-    return Finding.warning(
-        f"{run_id}, factor {factor!r}",
-        f"no callback and no plugin looked at {factor}: its treatments may never have been applied",
-        f"Bind it to a parameter of a plugin, as in BasicTurtlebot3(speed=treatment({factor!r})), or read "
-        f"context.combination[{factor!r}] in a callback, which may also tell the person who applies it by hand.",
     )

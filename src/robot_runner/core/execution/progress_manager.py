@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.config.plugin_checks import check_treatments
 from robot_runner.core.design.columns import REPETITION
+from robot_runner.core.design.watched_combination import unread
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.events.manager import RUN_EVENTS, RobotRunnerEvents
 from robot_runner.core.execution.circumstances import keep_config, manifest_of, note_clock, resumed_manifest
@@ -28,7 +29,6 @@ from robot_runner.core.storage.lock import ExperimentLock
 from robot_runner.core.storage.manifest import read_manifest, write_manifest
 from robot_runner.core.storage.run_table_rows import write_run_table
 from robot_runner.core.storage.safe_write import fsync_folder, storage_error
-from robot_runner.core.treatments import unread
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

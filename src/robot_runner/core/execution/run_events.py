@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.watched_combination import WatchedCombination
 from robot_runner.core.errors import MeasureError, RobotRunnerError, did_you_mean
 from robot_runner.core.events.context import Resources, RobotRunnerContext
 from robot_runner.core.events.manager import CLOSED_BY, CallbackFailure, Emission, RobotRunnerEvents
@@ -16,7 +17,6 @@ from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.interruption import InterruptGate, RunInterrupted
 from robot_runner.core.links.connect import is_simulated, open_clock
 from robot_runner.core.storage.journal import utc_now
-from robot_runner.core.treatments import WatchedCombination
 
 if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
