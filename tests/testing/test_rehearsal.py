@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from robot_runner.core.errors import ConfigError
+from robot_runner.core.errors import ConfigError, PluginError
 from robot_runner.core.events.measure import Measure
 from robot_runner.plugins import Profiler, System, treatment
 from robot_runner.testing import make_context, rehearse
@@ -98,6 +98,11 @@ def test_bound_parameters_have_the_treatments_of_the_context(tmp_path):
         rehearse(context, lamp)
         assert context.plugin_data["Lamp"]["power"] == power
         assert context.broker.findings == ()
+
+
+def test_a_combination_without_a_bound_factor_is_refused_with_the_nearest(tmp_path):
+    with pytest.raises(PluginError, match=r"the run has no treatment of the factor 'Power'.*'power'"):
+        make_context(tmp_path, Lamp(treatment("Power")), robot=None, combination={"power": 1})
 
 
 def test_a_factor_that_nobody_looks_at_is_found(tmp_path):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from robot_runner.core.errors import PluginError, nearest
+from robot_runner.core.errors import PluginError, did_you_mean, nearest
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -167,7 +167,12 @@ def _holds_treatment(value: object) -> bool:
 
 
 def _resolved(value: Any, combination: Mapping[str, Any]) -> Any:
-    return combination[value.factor] if isinstance(value, Treatment) else value
+    if not isinstance(value, Treatment):
+        return value
+    if value.factor not in combination:
+        fix = did_you_mean(value.factor, combination) or "Give the run a treatment of it."
+        raise PluginError(f"the run has no treatment of the factor {value.factor!r}", where=repr(value), fix=fix)
+    return combination[value.factor]
 
 
 class Bindable:

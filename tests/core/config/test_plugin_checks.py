@@ -10,6 +10,7 @@ import pytest
 
 from robot_runner.cli.planning import plan_of
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
+from robot_runner.plugins.profilers import PsUtil
 
 if TYPE_CHECKING:
     from robot_runner.core.errors import Finding
@@ -207,6 +208,13 @@ def test_columns_can_be_planned_before_there_is_a_run(write_config: Write) -> No
     config = write_config("plugins = [Meter(rate=treatment('Rate'))]", head=HEAD, table=RATES)
     assert prepare_or_refuse(config).columns.names == ("CPU_0",)
     assert plan_of(config, {}).columns.names == ("CPU_0",)
+
+
+def test_room_on_the_disk_is_asked_for_the_treatment_that_needs_most(write_config: Write) -> None:
+    head = f"from robot_runner.plugins.profilers import PsUtil\n{HEAD}"
+    config = write_config("plugins = [PsUtil(rate_hz=treatment('Rate'))]", head=head, table=RATES)
+    (plugin,) = prepare_or_refuse(config).plugins
+    assert plugin.bytes_per_run == PsUtil(rate_hz=2.0).bytes_per_run > PsUtil(rate_hz=1.0).bytes_per_run
 
 
 @pytest.mark.parametrize("factor", ["'Rate'", "'rate'"])

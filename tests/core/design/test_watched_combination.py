@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import copy
+import pickle
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -34,6 +36,13 @@ def test_a_combination_tells_once_what_was_read(read: Callable[[Any], object], e
     read(watched)
     assert told == expected
     assert watched.unread == {"Task", "Speed"} - set(expected)
+
+
+@pytest.mark.parametrize("copy", [copy.copy, copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))])  # noqa: S301 - ours
+def test_a_copy_can_be_handed_to_another_process_and_counts_as_read(copy: Callable[[Any], object]) -> None:
+    told: list[str] = []
+    assert copy(WatchedCombination({"Task": "Video"}, told.append)) == {"Task": "Video"}
+    assert told == ["Task"]
 
 
 def test_a_watched_combination_is_equal_to_what_it_watches() -> None:

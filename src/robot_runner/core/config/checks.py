@@ -21,6 +21,7 @@ from robot_runner.core.design.run_table_model import RunTable, RunTableModel
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import ConfigError, Finding
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
+from robot_runner.core.treatments import parameters_guarded
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -208,7 +209,7 @@ def create_model(loaded: LoadedConfig) -> tuple[RunTableModel | None, list[Findi
         fix = "Define create_run_table(self) and return a RunTableModel."
         return None, [Finding.error(where, "the config does not define it", fix)]
     try:
-        with raised_in(loaded.source.path, "in create_run_table"):
+        with raised_in(loaded.source.path, "in create_run_table"), parameters_guarded():
             created = create()
     except ConfigError as error:
         return None, list(error.findings)

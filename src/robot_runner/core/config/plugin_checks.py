@@ -154,6 +154,8 @@ def _is_built(plugin: Plugin, model: RunTableModel | None, findings: list[Findin
     findings += refused or _varying(plugin, built)
     if not refused:
         bind(plugin, planned[0])
+        # So that the disk has room whatever the treatment; building the plugin for a run makes it the run's again.
+        vars(plugin)["bytes_per_run"] = max(each.bytes_per_run for each in built)
     return not refused
 
 

@@ -60,6 +60,10 @@ class WatchedCombination(Mapping[str, Any]):
         self._read(*self._combination)
         return str(self._combination)
 
+    def __reduce__(self) -> tuple[type[dict[str, Any]], tuple[dict[str, Any]]]:
+        """Have a copy, as another process gets it, be a plain mapping: nobody sees who reads that."""
+        return dict, (dict(self),)
+
     @property
     def unread(self) -> frozenset[str]:
         """The factors whose treatments were not read so far."""
