@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import quiet_loading, shown_path
 from robot_runner.cli.parser import UsageError
-from robot_runner.core.config.checks import create_model, gather_plugins, read_parameters
+from robot_runner.core.config.checks import create_model, read_parameters
 from robot_runner.core.config.dialects import load_config
 from robot_runner.core.config.experiment import experiment_folder
 from robot_runner.core.config.loader import parse_assignments
+from robot_runner.core.config.plugin_checks import gather_plugins
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.errors import ConfigError, Finding, StorageError, did_you_mean
 from robot_runner.core.events.measure import resolve_columns, with_phases
@@ -94,7 +95,7 @@ def plan_of(config: Path, overrides: Mapping[str, str]) -> Plan:
     model, findings = create_model(loaded)
     if model is None:
         raise ConfigError.of_findings(findings)
-    plugins, _ = gather_plugins(loaded)
+    plugins, _ = gather_plugins(loaded, model)
     parameters, _ = read_parameters(loaded)
     phases = parameters.phases if parameters is not None else ()
     columns, column_findings = resolve_columns(

@@ -59,7 +59,7 @@ def threats_of(material: Material) -> tuple[Remark, ...]:
     kinds = {
         "Conclusion validity": (_groups, _power, _plan),
         "Internal validity": (_drifts, _order, _unfinished, _circumstances, _odd, _gaps),
-        "Construct validity": (_origins, _saturation),
+        "Construct validity": (_unread, _origins, _saturation),
         "External validity": (_constant_factors,),
     }
     return tuple(
@@ -219,6 +219,19 @@ def _by_plugin(qualities: Iterable[RunQuality]) -> Iterable[tuple[str, list[RunQ
     for each in qualities:
         found.setdefault(each.plugin, []).append(each)
     return found.items()
+
+
+def _unread(material: Material) -> Threats:
+    readers, constant = material.results.readers, material.statistics.design.constant_factors
+    if readers is None:
+        return
+    for factor in material.results.factors:
+        if factor not in readers and factor not in constant:
+            text = (
+                f"No callback and no plugin looked at {factor} in any run: unless somebody applied it by hand, the "
+                "treatments differ in name only, and that no effect is found says nothing."
+            )
+            yield f"{factor} may never have been applied", text, Tone.BAD
 
 
 def _origins(material: Material) -> Threats:

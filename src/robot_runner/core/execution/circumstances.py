@@ -13,6 +13,7 @@ from robot_runner.core.plugin import described_circumstances, installed_plugins
 from robot_runner.core.storage.journal import read_journal, utc_now
 from robot_runner.core.storage.manifest import describe_host, describe_software, is_damaged, read_manifest
 from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.treatments import factors_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -176,6 +177,8 @@ def _described(plugin: Plugin) -> dict[str, Any]:
         "package": announced.package if announced else None,
         "version": announced.version if announced else None,
         "measures": [measure.name for measure in plugin.measures],
+        # The factor of each: the journal has the value of each run.
+        "bound_parameters": dict(factors_of(plugin)),
     }
 
 
