@@ -55,6 +55,9 @@ def add_arguments(parser: Parser) -> None:
         action="store_true",
         help="go on though the config, what is set, or the run table differs from what was executed before",
     )
+    parser.add_argument(
+        "--no-probe", action="store_true", help="do not try the profilers for a moment before the first run"
+    )
     parser.add_argument("--plain", action="store_true", help="print plain lines on a terminal, too")
 
 
@@ -69,6 +72,7 @@ def execute(arguments: Namespace) -> int:
         accept_changes=arguments.accept_changes or _changes_are_accepted(preparation.experiment),
         redo=_listed(arguments.redo),
         only=_listed(arguments.only),
+        probe=not arguments.no_probe,
     )
     execution = execute_on_screen(
         preparation.experiment, preparation.findings, plain=arguments.plain, resumption=resumption

@@ -22,10 +22,11 @@ from robot_runner.core.execution.notices import (
     ExperimentStarted,
     InterruptionNoticed,
     Notice,
+    ProbeStarted,
     WaitingForUser,
 )
 from robot_runner.core.execution.task import AttemptStatus
-from robot_runner.core.words import counted, one_line, shown_duration, shown_treatment, shown_value
+from robot_runner.core.words import counted, enumerated, one_line, shown_duration, shown_treatment, shown_value
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -43,6 +44,7 @@ __all__ = [
     "forget_typed",
     "heading_of",
     "opening",
+    "probing",
     "request",
     "terminal_input",
     "treatments_in_words",
@@ -135,6 +137,11 @@ def forget_typed(descriptor: int | None) -> None:
             termios.tcflush(descriptor, termios.TCIFLUSH)
 
 
+def probing(started: ProbeStarted) -> str:
+    """Return what is said while the profilers are tried."""
+    return f"Trying {enumerated(started.plugins)} for a moment, before anything moves ..."
+
+
 def opening(started: ExperimentStarted) -> list[str]:
     """Return what is said when an experiment starts."""
     before = f", {started.done_count:,} of them done before" if started.done_count else ""
@@ -191,6 +198,8 @@ class PlainScreen:
         """Print what is worth a line."""
         self.progress.take(notice)
         match notice:
+            case ProbeStarted():
+                self._print(probing(notice))
             case ExperimentStarted():
                 self._units = notice.columns
                 self._print(*opening(notice))

@@ -20,10 +20,18 @@ __all__ = [
     "InterruptionNoticed",
     "Notice",
     "Observer",
+    "ProbeStarted",
     "RunRecord",
     "SilentObserver",
     "WaitingForUser",
 ]
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeStarted:
+    """Profilers are tried for a moment, before anything else happens."""
+
+    plugins: Sequence[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +121,8 @@ class ExperimentFinished:
 
 
 Notice = (
-    ExperimentStarted
+    ProbeStarted
+    | ExperimentStarted
     | AttemptStarted
     | RunRecord
     | AttemptFinished

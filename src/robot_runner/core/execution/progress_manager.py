@@ -27,9 +27,10 @@ from robot_runner.core.storage.run_table_rows import write_run_table
 from robot_runner.core.storage.safe_write import fsync_folder, storage_error
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.execution.probe import Probe
 
 __all__ = ["PendingRun", "ProgressManager"]
 
@@ -57,15 +58,23 @@ class PendingRun:
 class ProgressManager:
     """Holds an experiment's folder while it is executed. A context manager: on leaving, everything is on the disk.
 
+    Args:
+        experiment: what is executed.
+        resumption: which runs, and what may differ from before.
+        probe: tries the profilers once nobody else can use them and before anything is written; gets the first run.
+
     Raises:
-        RobotRunnerError: on entering: somebody else executes the experiment, the folder cannot be written, or the
-            run table that is there cannot be read or differs from the plan.
+        RobotRunnerError: on entering: somebody else executes the experiment, the folder cannot be written, the run
+            table that is there cannot be read or differs from the plan, or the probe refuses a profiler.
     """
 
-    def __init__(self, experiment: Experiment, resumption: Resumption) -> None:
+    def __init__(
+        self, experiment: Experiment, resumption: Resumption, probe: Callable[[RunTask], Probe] | None = None
+    ) -> None:
         self._experiment = experiment
         self._folder = experiment.folder
         self._resumption = resumption
+        self._probe = probe
         self._failed: dict[str, str] = {}
         self._findings: list[Finding] = []
         self._resources = ExitStack()
@@ -82,6 +91,7 @@ class ProgressManager:
             recovered = recover_table(self._experiment, self._manifest, accept_changes=self._resumption.accept_changes)
             self._selected = selected_places(recovered.rows, self._resumption)
             self._take(recovered)
+            probed = self._probed()
             if recovered.unfinished is not None:  # the orchestrator died: what the run printed is still its log
                 keep_log(self._folder, recovered.unfinished)
                 self._left_behind.add(recovered.unfinished)
@@ -97,6 +107,9 @@ class ProgressManager:
             self._resources = opened.pop_all()
         seed, runs = self.seed, self.run_count
         self.note("experiment_started", flush=True, name=self._manifest["experiment_name"], seed=seed, runs=runs)
+        if probed is not None:
+            self.note("probe", **probed.fields())
+            self._findings += probed.findings
         return self
 
     def __exit__(self, *raised: object) -> None:
@@ -232,6 +245,10 @@ class ProgressManager:
         self._attempts = Counter(recovered.attempts)
         self._failed.update(recovered.failed)
         self._findings += recovered.findings
+
+    def _probed(self) -> Probe | None:
+        first = next(self.pending(), None)
+        return self._probe(self.task_of(first)) if self._probe is not None and first is not None else None
 
     def _missing_measures(self, task: RunTask, outcome: RunOutcome) -> list[Finding]:
         if outcome.status is not AttemptStatus.DONE:

@@ -53,11 +53,13 @@ class Resumption:
         accept_changes: go on though the config, what was set, or the run table differs from before.
         redo: runs to execute again though they are done; what they left is kept.
         only: the only runs to execute; nothing means all.
+        probe: whether profilers are probed before the first run, where the config does not forbid it.
     """
 
     accept_changes: bool = False
     redo: tuple[str, ...] = ()
     only: tuple[str, ...] = ()
+    probe: bool = True
 
 
 def selected_places(rows: RunTableRows, resumption: Resumption) -> list[int]:

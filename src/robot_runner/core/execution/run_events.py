@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import MeasureError, RobotRunnerError, did_you_mean
 from robot_runner.core.events.context import Resources, RobotRunnerContext
 from robot_runner.core.events.manager import CLOSED_BY, CallbackFailure, Emission, RobotRunnerEvents
-from robot_runner.core.events.measure import CONFIG_OWNER, MeasureBroker, Origin
+from robot_runner.core.events.measure import CONFIG_OWNER, Origin
+from robot_runner.core.events.measure_broker import MeasureBroker
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.interruption import InterruptGate, RunInterrupted
 from robot_runner.core.links.connect import is_simulated, open_clock

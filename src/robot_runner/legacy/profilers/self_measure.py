@@ -44,6 +44,8 @@ class SelfMeasure(Profiler):
     measures: Sequence[Measure] = (
         Measure(COLUMN, "J", "Energy of this machine's processor over the whole run, by EnergiBridge's summary."),
     )
+    #: It has one total for a whole run.
+    probe_s: float | None = None
     needs: ClassVar[str] = "EnergiBridge, at self_measure_bin."
 
     def __init__(
