@@ -195,6 +195,7 @@ class History:
         attempts: `run_id`, `attempt`, `status` (done, failed, unfinished), `started_at`, `seconds`, `failure`.
         events: `run_id`, `event`, `at`, `clock_s`, `since_start_s`; of the last attempt at each run.
         published: `run_id`, `measure`, `value`, `owner`, `origin`; of the last attempt at each run.
+        doubts: what makes a value doubtful or missing: reasons by measure, by run; of the last attempt at each.
         odd: `run_id`, `attempt`, `owner`, `problem`, `fix`.
         starts: when each run's measurement began, s on the run's clock.
     """
@@ -204,6 +205,7 @@ class History:
     published: pd.DataFrame
     odd: pd.DataFrame
     starts: Mapping[str, float]
+    doubts: Mapping[str, Mapping[str, tuple[str, ...]]]
 
 
 def read_history(journal: Path) -> History:
@@ -220,13 +222,13 @@ def read_history(journal: Path) -> History:
     last = dict(zip(attempts["run_id"], attempts["attempt"], strict=True))
     of_last = [each for each in records["event"] if "run" in each and each["attempt"] == last.get(each["run"])]
     starts = {each["run"]: float(each["clock"]) for each in of_last if each["event"] == START and "clock" in each}
-    return History(
-        attempts,
-        _events(of_last, starts),
-        _published([each for each in records["attempt_finished"] if each["attempt"] == last.get(each["run"])]),
-        _odd(records["finding"]),
-        starts,
-    )
+    ended = [each for each in records["attempt_finished"] if each["attempt"] == last.get(each["run"])]
+    doubts = {each["run"]: _doubts(each["measures"]) for each in ended}
+    return History(attempts, _events(of_last, starts), _published(ended), _odd(records["finding"]), starts, doubts)
+
+
+def _doubts(measures: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[str, ...]]:
+    return {name: tuple(measure.get("doubts", ())) for name, measure in measures.items()}
 
 
 def _attempts(started: Sequence[Mapping[str, Any]], finished: Sequence[Mapping[str, Any]]) -> pd.DataFrame:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CONFIG_OWNER",
+    "QUALITY_SUFFIX",
     "Measure",
     "MeasureColumn",
     "MeasureColumns",
@@ -161,7 +162,7 @@ def quality_of_value(value: MeasureValue, doubts: Sequence[str]) -> Quality:
 
 
 #: Behind the name of a measure: the column that tells the quality of its values, where the config asks for it.
-_QUALITY = ".quality"
+QUALITY_SUFFIX = ".quality"
 
 
 def quality_text(value: MeasureValue, doubts: Sequence[str]) -> str:
@@ -286,9 +287,9 @@ class MeasureColumns:
             for each in (
                 column,
                 MeasureColumn(
-                    column.name + _QUALITY,
+                    column.name + QUALITY_SUFFIX,
                     column.owner,
-                    Measure(column.measure.name + _QUALITY, "", described.format(column.name)),
+                    Measure(column.measure.name + QUALITY_SUFFIX, "", described.format(column.name)),
                     tells_of=column.name,
                 ),
             )
