@@ -105,6 +105,7 @@ class RunOutcome:
         measures: what was published, by column.
         failure: the first thing that went wrong, if any did.
         later_failures: what went wrong after that, while what was open was closed.
+        readers: who read the treatment of each factor, or has a parameter bound to it, by the factor's name.
         seconds: real time that the attempt took.
     """
 
@@ -114,6 +115,7 @@ class RunOutcome:
     findings: tuple[Finding, ...] = ()
     failure: RunFailure | None = None
     later_failures: tuple[RunFailure, ...] = ()
+    readers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     seconds: float = 0.0
 
 
@@ -211,6 +213,7 @@ class OutcomeBuilder:
         self._measures: dict[str, PublishedMeasure] = {}
         self._findings: list[Finding] = []
         self._failures: list[RunFailure] = []
+        self._readers: dict[str, tuple[str, ...]] = {}
         self._started = time.monotonic()
         self.is_finished = False
         self.event = ""
@@ -238,6 +241,11 @@ class OutcomeBuilder:
                 self._doubts[name].append(fields["problem"])
         elif kind == "failure":
             self._failures.append(RunFailure(fields["problem"], fields["event"], fields["owner"], fields["traceback"]))
+        elif kind == "read":
+            self._add_reader(fields["factor"], fields["owner"])
+        elif kind == "bound":
+            for each in fields["parameters"].values():
+                self._add_reader(each["factor"], fields["owner"])
         elif kind == FINISHED:
             self.is_finished = True
 
@@ -264,6 +272,7 @@ class OutcomeBuilder:
             findings=tuple(self._findings),
             failure=failures[0] if failures else None,
             later_failures=tuple(failures[1:]),
+            readers=self._readers,
             seconds=time.monotonic() - self._started,
         )
 
@@ -294,6 +303,10 @@ class OutcomeBuilder:
                 yield RunFailure(f"{column.name} has no value{because}", _POPULATE, column.owner)
             elif implausible := column.measure.implausible(published.value):
                 yield RunFailure(f"{column.name}: {implausible}", _POPULATE, column.owner)
+
+    def _add_reader(self, factor: str, owner: str) -> None:
+        known = self._readers.get(factor, ())
+        self._readers[factor] = known if owner in known else (*known, owner)
 
     def _ended(self, because: str, failures: list[RunFailure]) -> RunFailure:
         # The run's own record of the stop request knows the callback; the orchestrator knows why.
