@@ -61,6 +61,8 @@ class CodeCarbon(Profiler):
         Measure("MemoryEnergy", "J", "Energy of the memory while its tracker ran, estimated by CodeCarbon."),
     )
     needs: ClassVar[str] = "robot-runner[codecarbon]."
+    #: It has totals only, and an estimate for every machine: a probe would tell nothing in the seconds that it starts.
+    probe_s: float | None = None
     bytes_per_run: int = 2_000
 
     def __init__(

@@ -81,6 +81,9 @@ class PsUtil(Profiler):
         "psutil for this machine, the OpenSSH client and a key for another one, nothing more on a simulated robot."
     )
 
+    #: Over a network, the clock of another computer must be known to 1 % of the window: 10 ms.
+    probe_s: float | None = 1.0
+
     def __init__(  # noqa: PLR0913 - keywords of a user's config
         self,
         *,
