@@ -38,6 +38,7 @@ __all__ = [
     "check_plugins",
     "check_results_path",
     "check_threads",
+    "companions",
     "create_model",
     "gather_plugins",
     "read_parameters",
@@ -148,6 +149,22 @@ def gather_plugins(loaded: LoadedConfig) -> tuple[tuple[Plugin, ...], list[Findi
     return tuple(plugins), [*findings, *_equal_names(loaded, plugins)]
 
 
+def companions(parameters: Parameters, plugins: Sequence[Plugin]) -> tuple[tuple[Plugin, ...], list[Finding]]:
+    """Return the plugins that packages add to those of a config (group `robot_runner.companions`), and findings.
+
+    Each is a function that takes the static parameters and the plugins of the config, and returns plugins. They come
+    before those of the config: they begin before them, and end after them.
+    """
+    added: list[Plugin] = []
+    findings: list[Finding] = []
+    for point in entry_points("companions"):
+        try:
+            added += point.load()(parameters, plugins)
+        except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
+            findings.append(_failed_check(point.where, error, "it"))
+    return tuple(added), findings
+
+
 def check_plugins(plugins: Iterable[Plugin], model: RunTableModel | None, robot: Any) -> list[Finding]:
     """Return what each plugin finds missing."""
     factors = {factor.name: factor.treatments for factor in model.factors} if model else {}
@@ -227,10 +244,10 @@ def _equal_names(loaded: LoadedConfig, plugins: list[Plugin]) -> list[Finding]:
     ]
 
 
-def _failed_check(where: str, error: Exception) -> Finding:
+def _failed_check(where: str, error: Exception, what: str = "the check") -> Finding:
     if isinstance(error, RobotRunnerError):
         return Finding.error(error.where or where, error.problem, error.fix)
-    problem = f"the check raised {type(error).__name__}: {error}"
+    problem = f"{what} raised {type(error).__name__}: {error}"
     return Finding.error(where, problem, "Tell the plugin's author; update or leave out the plugin.")
 
 

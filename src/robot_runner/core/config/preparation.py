@@ -16,6 +16,7 @@ from robot_runner.core.config.checks import (
     check_plugins,
     check_results_path,
     check_threads,
+    companions,
     create_model,
     gather_plugins,
     read_parameters,
@@ -103,6 +104,9 @@ def prepare(
     plugins, plugin_findings = gather_plugins(loaded)
     model, model_findings = create_model(loaded)
     findings += [*parameter_findings, *plugin_findings, *model_findings]
+    if parameters is not None:
+        added, companion_findings = companions(parameters, plugins)
+        plugins, findings = (*added, *plugins), [*findings, *companion_findings]
     events = _subscribe(loaded, plugins, findings)
     columns = _columns(model, plugins, parameters.phases if parameters else (), findings)
     if parameters is not None:
