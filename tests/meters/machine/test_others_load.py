@@ -83,8 +83,8 @@ def test_threads_of_the_kernel_are_nobodys_disturbance(tmp_path: Path) -> None:
     "words",
     [
         ["/opt/ros/humble/lib/turtlebot3_node/turtlebot3_ros"],
-        ["/usr/bin/python3", "/home/pi/ws/talker.py", "--ros-args", "-r", "__node:=talker"],
-        ["/home/pi/ws/talker", "__name:=talker"],
+        ["/usr/bin/python3", "ws/talker.py", "--ros-args", "-r", "__node:=talker"],
+        ["ws/talker", "__name:=talker"],
         ["sh", "-c", REMOTE_COMMAND],
         ["python3", "-I", "-c", '"""Sample a Linux computer\'s utilisation or files from inside: ..."""'],
     ],

@@ -96,8 +96,8 @@ def _temperature(whose: str, runs: Mapping[str, Mapping[str, Any]]) -> Iterator[
     if len(means) > 1 and max(means.values()) - min(means.values()) >= _TEMPERATURE:
         coolest, hottest = min(means, key=means.__getitem__), max(means, key=means.__getitem__)
         text = (
-            f"It was at {means[coolest]:.0f} {_DEGREES} in {coolest}, and at {means[hottest]:.0f} {_DEGREES} in {hottest}: "
-            f"a hot processor draws more power for the same work. Let it rest between runs, or warm it up before."
+            f"It was at {means[coolest]:.0f} {_DEGREES} in {coolest}, and at {means[hottest]:.0f} {_DEGREES} in "
+            f"{hottest}: a hot processor draws more power for the same work. Let it rest between runs, or warm it up."
         )
         yield f"The temperature of {whose} differs between runs", text, Tone.NOTE
 
