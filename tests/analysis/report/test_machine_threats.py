@@ -11,7 +11,7 @@ from tests.analysis.made_experiment import write_samples
 from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.report.threats_section import threats_of
 from robot_runner.analysis.results import load_results
-from robot_runner.analysis.statistics.experiment import analyse
+from robot_runner.analysis.statistics.experiment_statistics import analyse
 from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
