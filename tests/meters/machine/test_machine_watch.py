@@ -19,7 +19,6 @@ from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.links.measured_machine import Computer
 from robot_runner.meters.machine.machine_watch import watch_machines
 from robot_runner.plugins.profilers import MachineWatch, PsUtil, Rapl
 from robot_runner.testing import ProfilerContract, make_context, rehearse
@@ -229,7 +228,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SshServer]:
 @pytest.mark.parametrize("form", ["python3", "sh"])
 def test_a_computer_over_ssh_is_watched_as_well(tmp_path: Path, server: SshServer, form: str) -> None:
     watch = MachineWatch(hosts=())
-    watch.attach([("MachineWatch", Computer("robot", ssh_config=server.config, form=form))])
+    watch.attach([PsUtil(name="MachineWatch", host="robot", ssh_config=server.config, form=form)])
     context = make_context(tmp_path, watch, robot=None, clock=SystemClock())
     pids: list[int] = []
 
@@ -252,7 +251,7 @@ def test_a_computer_over_ssh_is_watched_as_well(tmp_path: Path, server: SshServe
 
 def test_a_computer_that_cannot_be_reached_costs_the_watch_and_not_the_run(tmp_path: Path, server: SshServer) -> None:
     watch = MachineWatch(hosts=())
-    watch.attach([("PsUtil", Computer("nobody-is-here", ssh_config=server.config))])
+    watch.attach([PsUtil(host="nobody-is-here", ssh_config=server.config)])
     context = watched(tmp_path, watch, lambda: None)
     assert context.broker.findings[0].problem.startswith("nobody-is-here cannot be watched")
 

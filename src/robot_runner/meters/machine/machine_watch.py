@@ -77,12 +77,16 @@ class MachineWatch(Profiler):
         self.thresholds = Thresholds(load=load)
         self.root = Path(root)
         self._orchestrator = os.getpid()  # a run that is forked inherits it
-        self._concerned: tuple[tuple[str, Computer], ...] = ()
+        self._measuring: tuple[Plugin, ...] = ()
         self._watched: list[_WatchedComputer] = []
 
-    def attach(self, concerned: Iterable[tuple[str, Computer]]) -> None:
-        """Take down which plugin measures which computer."""
-        self._concerned = tuple(concerned)
+    def attach(self, plugins: Iterable[Plugin]) -> None:
+        """Take down which plugins may measure a computer; which one, they are asked in each run."""
+        self._measuring = tuple(plugins)
+
+    @property
+    def _concerned(self) -> list[tuple[str, Computer]]:
+        return _concerned(self._measuring)
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Find the files of each computer, so that looking at them takes little time."""
@@ -237,17 +241,21 @@ def _descendants(state: MachineState, ancestor: int | None) -> set[int]:
     return found
 
 
+def _concerned(plugins: Iterable[Plugin]) -> list[tuple[str, Computer]]:
+    """Return which plugin measures which computer; how a parameter is bound to a factor decides it anew in each run."""
+    measured = [(plugin.name, plugin.measured_computer) for plugin in plugins if isinstance(plugin, MeasuresComputer)]
+    return [(name, computer) for name, computer in measured if computer is not None]
+
+
 def watch_machines(parameters: Parameters, plugins: Sequence[Plugin]) -> Iterable[Plugin]:
     """Return the watch over the computers that these plugins measure; none where there are none, or none is wanted."""
-    measured = [(plugin, plugin.measured_computer) for plugin in plugins if isinstance(plugin, MeasuresComputer)]
-    concerned = [(plugin.name, computer) for plugin, computer in measured if computer is not None]
     watches = [plugin for plugin in plugins if isinstance(plugin, MachineWatch)]
     for watch in watches:
-        watch.attach(concerned)
-    if not concerned or watches or not parameters.watch_machines:
+        watch.attach(plugins)
+    if not _concerned(plugins) or watches or not parameters.watch_machines:
         return []
     names = {plugin.name.casefold() for plugin in plugins}
     free = next(name for number in count(1) if (name := "machine" if number == 1 else f"machine-{number}") not in names)
     watch = MachineWatch(name=free, hosts=())
-    watch.attach(concerned)
+    watch.attach(plugins)
     return [watch]
