@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Over
-from robot_runner.core.links.measured_machine import simulation_findings
+from robot_runner.core.links.measured_machine import THIS_MACHINE, simulation_findings
 from robot_runner.core.sampling.quality import Column
 from robot_runner.core.sampling.series import Series, cut, mean
 from robot_runner.meters.polled import PolledProfiler, known_series
@@ -155,6 +155,7 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
             over=Over.MEAN,
         ),
     )
+    measured_computer = THIS_MACHINE
     needs: ClassVar[str] = "Linux with thermal zones or cpufreq in /sys."
     bytes_per_run: int = 10_000  # 2 readings a second of 40 bytes for a mission of 95 s
 
