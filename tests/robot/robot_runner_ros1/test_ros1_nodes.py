@@ -13,7 +13,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import pytest
-from tests.process.conftest import starved_for
+from tests.processor_wait import ProcessorWait, family
 from tests.ros.ros1_master import RUDE, needs_ros1, ros1_environment
 
 from robot_runner.core.events.context import SystemClock
@@ -195,12 +195,13 @@ def test_the_watchdog_stops_a_robot_whose_run_falls_silent(alice):
     for count in range(1, 6):
         alice.publish("robot_runner/heartbeat", "std_msgs/UInt32", {"data": count})
         alice.publish("cmd_vel", TWIST, {"linear": {"x": 0.2}})
-        last, starved = time.monotonic(), starved_for()
+        last, wait = time.monotonic(), ProcessorWait(family())
         time.sleep(0.1)
     assert all(message["linear"]["x"] for _, message in commands)
     until(lambda: len(commands) > 7 and not commands[-1][1]["linear"]["x"])
     stopped = next(moment for moment, message in commands if not message["linear"]["x"])
-    assert 0.3 < stopped - last < 0.7 + starved_for() - starved
+    wait.look()
+    assert 0.3 < stopped - last < 0.7 + wait.seconds
     alice.publish("robot_runner/heartbeat", "std_msgs/UInt32", {"data": 6})
     alice.publish("robot_runner/heartbeat", "std_msgs/UInt32", {"data": 0})
     assert falls_silent(commands, 0.6)  # after the farewell the robot is others'
