@@ -26,7 +26,7 @@ pytestmark = [*map(pytest.mark.filterwarnings, RUDE)]
 
 Start = Callable[..., Any]
 
-#: Three missions take 14 s.
+#: Two missions take 9 s; what takes so long hangs.
 PATIENCE = 60.0
 #: As printed in the paper, but for the phases, which are shorter, the robot, and what is measured besides.
 LISTING_1 = """\
@@ -96,7 +96,7 @@ def written(folder: Path, tasks: list[str], profilers: str = "[]", **values: obj
 
 
 def test_the_experiment_of_the_paper_is_executed_on_a_real_graph(graph: str, start: Start, tmp_path: Path) -> None:
-    tasks = ["Computation", "Video", "Network"][: 3 if graph == "ros1" else 2]
+    tasks = ["Computation", "Network"] if graph == "ros1" else ["Video", "Network"]
     with simulated_robot(graph, "--namespace", "/alice") as port:
         config = written(tmp_path, tasks, PROFILERS.format(port=port), robot=graph, namespace="/alice", drive_s=0.8)
         experiment = start(config=config)
