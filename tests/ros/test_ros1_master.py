@@ -9,8 +9,9 @@ import time
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
+from tests.loopback_port import claim_port
 from tests.processor_wait import ProcessorWait
-from tests.ros.ros1_master import free_port, needs_ros1
+from tests.ros.ros1_master import needs_ros1
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.connect import link_findings
@@ -37,7 +38,7 @@ def test_the_environment_names_the_master_and_an_option_goes_before(monkeypatch)
 
 def test_where_nobody_listens_there_is_no_master():
     with pytest.raises(LinkError, match="connection refused") as caught:
-        Master(f"http://127.0.0.1:{free_port()}").check()
+        Master(f"http://127.0.0.1:{claim_port()}").check()
     assert "roscore" in caught.value.fix
 
 
@@ -98,7 +99,7 @@ def test_a_real_master_says_who_does_what_and_what_is_set(master_uri):
 @needs_ros1
 def test_the_check_of_a_config_asks_for_the_master_and_opens_nothing(master_uri):
     assert link_findings(f"ros1:master={master_uri}") == []
-    (finding,) = link_findings(f"ros1:master=http://127.0.0.1:{free_port()}")
+    (finding,) = link_findings(f"ros1:master=http://127.0.0.1:{claim_port()}")
     assert finding.is_error
     (finding,) = link_findings("ros1:mastr=http://127.0.0.1:1")
     assert "'master'" in finding.fix
