@@ -68,10 +68,13 @@ def test_a_process_can_be_named_for_a_node(measure):
             time.sleep(1.0)
             shares.append((busy.cpu_seconds - used) / (time.monotonic() - begun) / os.cpu_count() * 100)
 
-        context = measure(RosGraph({"/fake_robot": f"pid:{busy.pid}"}, rate_hz=20.0), mission)
+        for _ in range(10):  # while the machine is too busy for most readings there is no value
+            context = measure(RosGraph({"/fake_robot": f"pid:{busy.pid}"}, rate_hz=10.0), mission)
+            if context.measures["CPU_fake_robot"] is not None:
+                break
     # The kernel counts ticks; a reading that comes late is a mean over a span that lies partly outside the mission.
     gap = json.loads((context.raw_data_folder / "quality.json").read_text())["samples"]["largest_gap"]
-    share = shares[0]  # it has the core for itself only if that is free
+    share = shares[-1]  # it has the core for itself only if that is free
     assert context.measures["CPU_fake_robot"] == pytest.approx(share, abs=(2 * TICK + gap) * 100 / os.cpu_count())
 
 
