@@ -7,15 +7,15 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from tests.firmware.measuring import VOLTS, Steps
+from tests.firmware.simulated_board import build, executed, missing_tools
+
+from benchmarks.table import Row, print_table
 from robot_runner.core.events.context import SystemClock
 from robot_runner.plugins import Profiler, Window
 from robot_runner.plugins.profilers import Battery, Ina219, PsUtil, RosTopics
 from robot_runner.plugins.systems import BasicTurtlebot3
 from robot_runner.testing import make_context, rehearse
-from tests.firmware.measuring import VOLTS, Steps
-from tests.firmware.simulated_board import build, executed, missing_tools
-
-from benchmarks.table import Row, print_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -31,7 +31,7 @@ _BOUND, _SAME_WINDOW = "0.05 %", "1 ms"
 _MAKERS: tuple[Callable[[], Profiler], ...] = (Ina219, PsUtil, Battery, lambda: RosTopics({"odom": 30.0}))
 
 
-class _Late(Profiler):
+class Late(Profiler):
     """Needs its time to start and to stop."""
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
@@ -65,13 +65,13 @@ def main() -> None:
         for label, is_late_first in (("listed before", True), ("listed behind", False)):
             with executed(built, load=Steps(((0.0, _AMPERES),)).words, volts=VOLTS, pace=1) as board:
                 meter = Ina219(port=board.port)
-                rows += _in_real_time(label, [_Late(), meter] if is_late_first else [meter, _Late()])
+                rows += _in_real_time(label, [Late(), meter] if is_late_first else [meter, Late()])
     title = f"Constant {_AMPERES * VOLTS:.2f} W in real time, beside a profiler that starts {_LATE_S:g} s late"
     print_table(title, rows)
 
 
 def _on_the_embedded_robot() -> list[Row]:
-    orders = [(*_MAKERS, _Late), (_Late, *_MAKERS), (*_MAKERS[::-1], _Late), (*_MAKERS[2:], _Late, *_MAKERS[:2])]
+    orders = [(*_MAKERS, Late), (Late, *_MAKERS), (*_MAKERS[::-1], Late), (*_MAKERS[2:], Late, *_MAKERS[:2])]
     outcomes = [_executed([BasicTurtlebot3(task="Video", task_factor=None), *(make() for make in o)]) for o in orders]
     first = outcomes[0]
     changed = sum(each.values[name] != value for each in outcomes[1:] for name, value in first.values.items())

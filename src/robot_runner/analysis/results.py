@@ -158,6 +158,15 @@ class Results:
         """What plugins found odd about runs: `run_id`, `attempt`, `owner`, `problem`, `fix`."""
         return self._history.odd
 
+    @property
+    def readers(self) -> Mapping[str, tuple[str, ...]] | None:
+        """Who read the treatment of each factor in runs that are done, or has a parameter bound to it.
+
+        By the factor's name: plugins, and `config`. A factor that is missing was read by nobody. None where a version
+        of Robot Runner executed them, or another tool, that did not look.
+        """
+        return self._history.readers
+
     def events(self, runs: Sequence[str] | None = None) -> pd.DataFrame:
         """Return the events of runs (of all for None), of the last attempt at each.
 

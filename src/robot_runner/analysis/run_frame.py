@@ -198,6 +198,7 @@ class History:
         odd: `run_id`, `attempt`, `owner`, `problem`, `fix`.
         windows: when each run's measured window (its mission) began and ended, s on the run's clock.
         starts: when that began; where it is not known, when the run's measurement did.
+        readers: who read the treatment of each factor in runs that were done; None where that was not recorded.
     """
 
     attempts: pd.DataFrame
@@ -206,6 +207,7 @@ class History:
     odd: pd.DataFrame
     windows: Mapping[str, tuple[float, float]]
     starts: Mapping[str, float]
+    readers: Mapping[str, tuple[str, ...]] | None = None
 
 
 def read_history(journal: Path) -> History:
@@ -235,6 +237,7 @@ def read_history(journal: Path) -> History:
         _odd(records["finding"]),
         windows,
         starts,
+        _readers(records["attempt_finished"]),
     )
 
 
@@ -283,6 +286,17 @@ def _published(finished: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     ]
     frame = pd.DataFrame(rows, columns=["run_id", "measure", "value", "owner", "origin"])
     return frame.astype({"run_id": "str", "value": "object"})
+
+
+def _readers(finished: Sequence[Mapping[str, Any]]) -> Mapping[str, tuple[str, ...]] | None:
+    told = [each.get("readers") for each in finished if each["status"] == "done"]
+    if not told or not all(isinstance(each, dict) for each in told):
+        return None
+    readers: dict[str, dict[str, None]] = {}
+    for each in told:
+        for factor, owners in (each or {}).items():
+            readers.setdefault(factor, {}).update(dict.fromkeys(owners))
+    return {factor: tuple(owners) for factor, owners in readers.items()}
 
 
 def _odd(findings: Sequence[Mapping[str, Any]]) -> pd.DataFrame:

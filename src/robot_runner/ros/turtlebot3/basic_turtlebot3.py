@@ -9,6 +9,7 @@ from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot
 from robot_runner.core.plugin import System
+from robot_runner.core.treatments import factors_of
 from robot_runner.ros.turtlebot3.mission import CircularMission, Performer, PhaseLog
 from robot_runner.ros.turtlebot3.odometry import Odometer, Trajectory
 from robot_runner.ros.turtlebot3.steered_robot import Robot, Task
@@ -172,7 +173,8 @@ class BasicTurtlebot3(System):
 
     def _check_tasks(self, circumstances: Circumstances) -> Iterator[Finding]:
         where = f"plugin {self.name}"
-        treatments = None if self.task_factor is None else circumstances.factors.get(self.task_factor)
+        is_bound = "task" in factors_of(self)
+        treatments = None if self.task_factor is None or is_bound else circumstances.factors.get(self.task_factor)
         if treatments is not None and self.task is not None:
             yield Finding.error(
                 where,
@@ -192,8 +194,8 @@ class BasicTurtlebot3(System):
         yield from _unknown_tasks(f"factor {self.task_factor!r}", treatments or ())
 
     def _task_of(self, context: RobotRunnerContext) -> Task:
-        treatments = context.combination
-        chosen = treatments.get(self.task_factor, self.task) if self.task_factor else self.task
+        factor = None if "task" in factors_of(self) else self.task_factor
+        chosen = self.task if factor is None else context.combination.get(factor, self.task)
         task = None if chosen is None else Task.named(chosen)
         if task is None:
             raise PluginError(
