@@ -77,8 +77,8 @@ def _on_the_embedded_robot() -> list[Row]:
     changed = sum(each.values[name] != value for each in outcomes[1:] for name, value in first.values.items())
     compared = len(first.values) * (len(outcomes) - 1)
     return [
-        Row("energy", *(f"{each.values['Energy']} J" for each in outcomes[:2]), "", "equal"),
-        Row("CPU", *(f"{each.values['CPU']} %" for each in outcomes[:2]), "", "equal"),
+        Row("energy", f"{first.values['Ina219.Energy']} J", f"{outcomes[1].values['Ina219.Energy']} J", "", "equal"),
+        Row("CPU", f"{first.values['CPU']} %", f"{outcomes[1].values['CPU']} %", "", "equal"),
         Row(f"values that {len(orders)} orders changed", f"{changed}", f"of {compared} compared", "", "0"),
         Row(
             f"windows of {len(first.told)} plugins, furthest from the mission",

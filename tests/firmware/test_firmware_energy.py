@@ -92,6 +92,7 @@ def test_a_profiler_that_starts_late_changes_no_energy_in_real_time(free_board, 
         measures = dict(rehearse(context, *plugins, mission=lambda: clock.sleep(2.0)))
         context.resources.close()
     told = json.loads((context.raw_data_folder / "quality.json").read_text())["window"]
+    assert context.window is not None
     assert context.window.duration == pytest.approx(2.0, abs=0.5)  # a busy machine sleeps longer
     assert told["start"] == pytest.approx(context.window.start, abs=0.001)
     assert told["end"] == pytest.approx(context.window.end, abs=0.001)
