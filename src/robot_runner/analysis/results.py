@@ -8,6 +8,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+import pandas as pd
+
 from robot_runner.analysis.exporting import ExportContent, export_results
 from robot_runner.analysis.run_frame import History, RunFrame, column_descriptions, read_history, read_run_frame
 from robot_runner.analysis.sample_files import (
@@ -25,6 +27,7 @@ from robot_runner.analysis.samples import SampleRequest, read_samples
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
 from robot_runner.core.errors import AnalysisError, StorageError, did_you_mean
+from robot_runner.core.events.measure import QUALITY_SUFFIX, Quality, quality_of_value
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of
@@ -33,8 +36,6 @@ from robot_runner.core.storage.table_columns import ColumnRole
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-
-    import pandas as pd
 
     from robot_runner.core.errors import Finding
     from robot_runner.core.storage.table_schema import ColumnDescription
@@ -86,8 +87,10 @@ class Results:
 
     @property
     def measures(self) -> tuple[str, ...]:
-        """The measures that have a column in the run table, in its order."""
-        return self._named(ColumnRole.MEASURE)
+        """The measures that have a column in the run table, in its order; columns of qualities are left out."""
+        named = self._named(ColumnRole.MEASURE)
+        telling = {name + QUALITY_SUFFIX for name in named}
+        return tuple(name for name in named if name not in telling)
 
     @property
     def plan(self) -> AnalysisPlan | None:
@@ -157,6 +160,34 @@ class Results:
     def odd(self) -> pd.DataFrame:
         """What plugins found odd about runs: `run_id`, `attempt`, `owner`, `problem`, `fix`."""
         return self._history.odd
+
+    @property
+    def quality(self) -> pd.DataFrame:
+        """How far each value of the runs that are done can be trusted, one row a value.
+
+        Columns: `run_id`, `measure`, `quality` (ordered categorical: good, doubtful, missing) and `reasons` (text, with
+        `; ` between them; empty for a good value).
+
+        Example:
+            >>> quality = load_results("experiments/basic_experiment").quality  # doctest: +SKIP
+            >>> quality[quality["quality"] != "good"].groupby("measure").size()  # doctest: +SKIP
+        """
+        done = self.done
+        rows = [
+            (run_id, name, quality_of_value(None if pd.isna(value) else value, reasons).value, "; ".join(reasons))
+            for name in self.measures
+            if name in done
+            for run_id, value in zip(done[RUN_ID], done[name], strict=True)
+            for reasons in [self._reasons(run_id, name)]
+        ]
+        frame = pd.DataFrame(rows, columns=["run_id", "measure", "quality", "reasons"])
+        frame["quality"] = pd.Categorical(frame["quality"], [each.value for each in Quality], ordered=True)
+        return frame
+
+    def _reasons(self, run_id: str, measure: str) -> tuple[str, ...]:
+        """Return what the journal says of a value; the schema, where the journal does not know the run."""
+        told = self._history.doubts.get(run_id)
+        return self.columns[measure].doubts.get(run_id, ()) if told is None else told.get(measure, ())
 
     @property
     def readers(self) -> Mapping[str, tuple[str, ...]] | None:

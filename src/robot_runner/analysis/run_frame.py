@@ -195,6 +195,7 @@ class History:
         attempts: `run_id`, `attempt`, `status` (done, failed, unfinished), `started_at`, `seconds`, `failure`.
         events: `run_id`, `event`, `at`, `clock_s`, `since_start_s`; of the last attempt at each run.
         published: `run_id`, `measure`, `value`, `owner`, `origin`; of the last attempt at each run.
+        doubts: what makes a value doubtful or missing: reasons by measure, by run; of the last attempt at each.
         odd: `run_id`, `attempt`, `owner`, `problem`, `fix`.
         windows: when each run's measured window (its mission) began and ended, s on the run's clock.
         starts: when that began; where it is not known, when the run's measurement did.
@@ -207,6 +208,7 @@ class History:
     odd: pd.DataFrame
     windows: Mapping[str, tuple[float, float]]
     starts: Mapping[str, float]
+    doubts: Mapping[str, Mapping[str, tuple[str, ...]]]
     readers: Mapping[str, tuple[str, ...]] | None = None
 
 
@@ -230,15 +232,21 @@ def read_history(journal: Path) -> History:
         if each["attempt"] == last.get(each["run"])
     }
     starts = {**measured, **{run: start for run, (start, _) in windows.items()}}
+    ended = [each for each in records["attempt_finished"] if each["attempt"] == last.get(each["run"])]
     return History(
         attempts,
         _events(of_last, starts),
-        _published([each for each in records["attempt_finished"] if each["attempt"] == last.get(each["run"])]),
+        _published(ended),
         _odd(records["finding"]),
         windows,
         starts,
+        {each["run"]: _doubts(each["measures"]) for each in ended},
         _readers(records["attempt_finished"]),
     )
+
+
+def _doubts(measures: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[str, ...]]:
+    return {name: tuple(measure.get("doubts", ())) for name, measure in measures.items()}
 
 
 def _attempts(started: Sequence[Mapping[str, Any]], finished: Sequence[Mapping[str, Any]]) -> pd.DataFrame:

@@ -101,6 +101,8 @@ class Battery(Profiler):
         ),
     )
     needs: ClassVar[str] = "A robot that publishes battery_state (sensor_msgs/BatteryState)."
+    #: Messages begin to come when publisher and subscription have found each other, which takes seconds on some graphs.
+    probe_s: float | None = None
     bytes_per_run: int = 120_000  # 30 messages a second of 40 bytes for a mission of 95 s
 
     def __init__(

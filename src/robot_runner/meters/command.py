@@ -12,7 +12,7 @@ from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.measured_machine import clock_details, machine_clock
-from robot_runner.core.plugin import Profiler
+from robot_runner.core.plugin import Profiler, probe_window
 from robot_runner.core.sampling.evaluation import publish_measures
 from robot_runner.core.sampling.meter_process import Ending, MeterProcess, Record
 from robot_runner.core.sampling.quality import Column, quality_of, report_quality, write_samples
@@ -124,6 +124,7 @@ class CommandProfiler(Profiler):
         )
         self.output = output
         self.period_s = period_s
+        self.probe_s = probe_window(1 / period_s) if period_s > 0 else None  # refused below
         self.grace_s = grace_s
         self.startup_s = startup_s
         self.exit_codes = tuple(exit_codes)

@@ -148,6 +148,8 @@ class WattsUpPro(Profiler):
         Measure("MeanPower", "W", "Active power drawn from the wall, mean over the measured window.", over=Over.MEAN),
     )
     needs: ClassVar[str] = "A Watts up? PRO on a serial port, and robot-runner[serial]."
+    #: A record comes each second, and is about the second before.
+    probe_s: float | None = 2.0
     bytes_per_run: int = 5_000  # a row a second of 40 bytes for a mission of 95 s
 
     def __init__(self, *, port: str, name: str | None = None) -> None:

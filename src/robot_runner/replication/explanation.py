@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.errors import StorageError, did_you_mean
+from robot_runner.core.events.measure import quality_text
+from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
@@ -230,13 +232,16 @@ class _Explaining:
         owner = str(published.get("owner") or column.owner)
         origin = str(published.get("origin") or column.origin or "")
         yield "Origin", _UNMEASURED.get(origin, origin)
+        doubts = tuple(published.get("doubts", ())) if published else column.doubts.get(self._run_id, ())
+        if published or self._row[STATUS] is RunStatus.DONE:
+            yield "Quality", quality_text(self._row.get(column.name, published.get("value")), doubts)
         yield from self._owner_facts(owner, column.name)
         yield "Aggregation", column.description
         yield "Raw data", ", ".join(self._raw_files(owner))
         yield "Published", self._published(column.name)
         if published and _plain(self._row.get(column.name, published["value"])) != _plain(published["value"]):
             yield "Edited", f"the journal has {published['value']!r}: the table was changed by hand since"
-        yield from (("Doubt", doubt) for doubt in self._history.doubts.get(owner, ()))
+        yield from (("Doubt", doubt) for doubt in self._history.doubts.get(owner, ()) if doubt not in doubts)
 
     def _owner_facts(self, owner: str, measure: str) -> Iterator[tuple[str, str]]:
         if owner == CONFIG_OWNER:

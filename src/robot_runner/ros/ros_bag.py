@@ -213,6 +213,8 @@ class RosBag(Profiler):
         Measure("BagMessages", "1", "Messages in the bag, all topics together."),
         Measure("BagSize", "B", "Size of the bag."),
     )
+    #: Topics may be published by nobody before the mission.
+    probe_s: float | None = None
     needs: ClassVar[str] = "A robot whose topics can be subscribed; the extra `bag`, or rosbag or ros2."
     bytes_per_run: int = 20_000_000  # 200 kB a second, as of odometry, laser and battery, for a mission of 95 s
 

@@ -75,6 +75,8 @@ class RosGraph(Profiler):
         Measure("Nodes", "1", "Nodes on the graph when the measurement stops, this link's own among them."),
         Measure("Topics", "1", "Topics on the graph when the measurement stops."),
     )
+    #: The nodes of an experiment are often started with its mission.
+    probe_s: float | None = None
     needs: ClassVar[str] = "A robot that is reached over a graph; for nodes what PsUtil needs."
 
     def __init__(

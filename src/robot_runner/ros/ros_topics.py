@@ -60,6 +60,8 @@ class RosTopics(Profiler):
         ['OdomRate', 'OdomBandwidth', 'OdomAge', 'OdomMaxAge', 'OdomJitter']
     """
 
+    #: Topics may be published by nobody before the mission.
+    probe_s: float | None = None
     needs: ClassVar[str] = "A robot whose topics can be subscribed."
 
     def __init__(

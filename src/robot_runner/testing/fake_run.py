@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.watched_combination import WatchedCombination, unread
 from robot_runner.core.events.context import Resources, RobotRunnerContext
 from robot_runner.core.events.manager import CLOSED_BY, EventManager, OwnerKind, RobotRunnerEvents
-from robot_runner.core.events.measure import CONFIG_OWNER, MeasureBroker, resolve_columns, with_phases
+from robot_runner.core.events.measure import CONFIG_OWNER, resolve_columns, with_phases
+from robot_runner.core.events.measure_broker import MeasureBroker
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.links.connect import SIMULATED, open_clock
 from robot_runner.core.plugin import System

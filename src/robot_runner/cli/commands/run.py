@@ -58,6 +58,9 @@ def add_arguments(parser: Parser) -> None:
         help="go on though the config, what is set, or the run table differs from what was executed before",
     )
     parser.add_argument(
+        "--no-probe", action="store_true", help="do not try the profilers for a moment before the first run"
+    )
+    parser.add_argument(
         "--table",
         choices=[choice.value for choice in TableChoice],
         help="what counts where run_table.csv and the journal disagree about runs that were executed: the journal "
@@ -78,6 +81,7 @@ def execute(arguments: Namespace) -> int:
         accept_changes=arguments.accept_changes or _changes_are_accepted(experiment),
         redo=_listed(arguments.redo),
         only=_listed(arguments.only),
+        probe=not arguments.no_probe,
         table=TableChoice(arguments.table) if arguments.table else None,
     )
 

@@ -17,6 +17,7 @@ from robot_runner.cli.screens.plain import (
     closing,
     forget_typed,
     opening,
+    probing,
     request,
     terminal_input,
     treatments_in_words,
@@ -29,6 +30,7 @@ from robot_runner.core.execution.notices import (
     FindingsNoticed,
     InterruptionNoticed,
     Notice,
+    ProbeStarted,
     WaitingForUser,
 )
 from robot_runner.core.words import counted, one_line, shown_duration
@@ -93,6 +95,8 @@ class LiveScreen:
         """Take a notice; what is permanent is printed above the live part, the rest is shown at the next refresh."""
         self.progress.take(notice)
         match notice:
+            case ProbeStarted():
+                self._console.print(Text(probing(notice), style="dim"))
             case ExperimentStarted():
                 self._begin(notice)
             case AttemptStarted():

@@ -21,10 +21,18 @@ __all__ = [
     "InterruptionNoticed",
     "Notice",
     "Observer",
+    "ProbeStarted",
     "RunRecord",
     "SilentObserver",
     "WaitingForUser",
 ]
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeStarted:
+    """Profilers are tried for a moment, before anything else happens."""
+
+    plugins: Sequence[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +129,8 @@ class ExperimentFinished:
 
 
 Notice = (
-    ExperimentStarted
+    ProbeStarted
+    | ExperimentStarted
     | AttemptStarted
     | RunRecord
     | AttemptFinished

@@ -26,9 +26,11 @@ from robot_runner.core.execution.notices import (
     InterruptionNoticed,
     Notice,
     Observer,
+    ProbeStarted,
     RunRecord,
     WaitingForUser,
 )
+from robot_runner.core.execution.probe import Probe, probe_profilers, probed_profilers
 from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.execution.run_events import failure_fields, run_contexts
@@ -119,13 +121,31 @@ def execute_experiment(
 
     Raises:
         RobotRunnerError: the experiment cannot start (it is being executed by somebody else, its folder cannot be
-            written, the config or the run table on disk changed) or cannot go on (the disk is full).
+            written, the config or the run table on disk changed, a profiler does not measure) or cannot go on (the
+            disk is full).
     """
+    resumption = resumption or Resumption()
+
+    def probe(task: RunTask) -> Probe:
+        _tell(observer, ProbeStarted(probed))
+        seen = probe_profilers(experiment, task, interruption)
+        seen.refuse_silent()
+        return seen
+
+    is_probed = resumption.probe and experiment.parameters.probe
+    probed = [profiler.name for profiler in probed_profilers(experiment)] if is_probed else []
     with (
         Interruption() as interruption,
-        ProgressManager(experiment, resumption or Resumption()) as progress,
+        ProgressManager(experiment, resumption, probe if probed else None) as progress,
     ):
         return _Orchestrator(experiment, progress, interruption, observer).execute(findings)
+
+
+def _tell(observer: Observer, notice: Notice) -> None:
+    try:
+        observer.notice(notice)
+    except Exception:  # noqa: BLE001 - a screen may fail in any way
+        _log.exception("The screen failed; the experiment goes on.")
 
 
 class _Orchestrator:
@@ -342,10 +362,7 @@ class _Orchestrator:
         )
 
     def _notice(self, notice: Notice) -> None:
-        try:
-            self._observer.notice(notice)
-        except Exception:  # noqa: BLE001 - a screen may fail in any way
-            _log.exception("The screen failed; the experiment goes on.")
+        _tell(self._observer, notice)
 
     def _refresh(self) -> None:
         try:

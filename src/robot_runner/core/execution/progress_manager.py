@@ -32,9 +32,10 @@ from robot_runner.core.storage.run_table_rows import write_run_table
 from robot_runner.core.storage.safe_write import fsync_folder, storage_error
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.execution.probe import Probe
     from robot_runner.core.execution.recovered_table import RecoveredTable
     from robot_runner.core.execution.recovery import Resumption
 
@@ -64,15 +65,23 @@ class PendingRun:
 class ProgressManager:
     """Holds an experiment's folder while it is executed. A context manager: on leaving, everything is on the disk.
 
+    Args:
+        experiment: what is executed.
+        resumption: which runs, and what may differ from before.
+        probe: tries the profilers once nobody else can use them and before anything is written; gets the first run.
+
     Raises:
-        RobotRunnerError: on entering: somebody else executes the experiment, the folder cannot be written, or the
-            run table that is there cannot be read or differs from the plan.
+        RobotRunnerError: on entering: somebody else executes the experiment, the folder cannot be written, the run
+            table that is there cannot be read or differs from the plan, or the probe refuses a profiler.
     """
 
-    def __init__(self, experiment: Experiment, resumption: Resumption) -> None:
+    def __init__(
+        self, experiment: Experiment, resumption: Resumption, probe: Callable[[RunTask], Probe] | None = None
+    ) -> None:
         self._experiment = experiment
         self._folder = experiment.folder
         self._resumption = resumption
+        self._probe = probe
         self._failed: dict[str, str] = {}
         self._findings: list[Finding] = []
         self._unread: dict[str, Finding] | None = None
@@ -91,6 +100,7 @@ class ProgressManager:
             self._selected = selected_places(recovered.rows, self._resumption)
             self._refuse_unfit_treatments(recovered)
             self._take(recovered)
+            probed = self._probed()
             if recovered.unfinished is not None:  # the orchestrator died: what the run printed is still its log
                 keep_log(self._folder, recovered.unfinished)
                 self._left_behind.add(recovered.unfinished)
@@ -114,6 +124,9 @@ class ProgressManager:
             runs=self.run_count,
             design=manifest["design"]["source"],
         )
+        if probed is not None:
+            self.note("probe", **probed.fields())
+            self._findings += probed.findings
         return self
 
     def __exit__(self, *raised: object) -> None:
@@ -290,6 +303,10 @@ class ProgressManager:
         self._attempts = Counter(recovered.attempts)
         self._failed.update(recovered.failed)
         self._findings += recovered.findings
+
+    def _probed(self) -> Probe | None:
+        first = next(self.pending(), None)
+        return self._probe(self.task_of(first)) if self._probe is not None and first is not None else None
 
     def _look_for_readers(self, task: RunTask, outcome: RunOutcome) -> tuple[Finding, ...]:
         """Return what nobody read in the first run that is done; what a later run reads is not told at the end."""

@@ -64,12 +64,14 @@ class Resumption:
             accepted: then the file counts.
         redo: runs to execute again though they are done; what they left is kept.
         only: the only runs to execute; nothing means all.
+        probe: whether profilers are probed before the first run, where the config does not forbid it.
     """
 
     accept_changes: bool = False
     table: TableChoice | None = None
     redo: tuple[str, ...] = ()
     only: tuple[str, ...] = ()
+    probe: bool = True
 
     @property
     def chosen_table(self) -> TableChoice | None:

@@ -12,7 +12,8 @@ from robot_runner.core.design.watched_combination import WatchedCombination
 from robot_runner.core.errors import MeasureError, RobotRunnerError, did_you_mean
 from robot_runner.core.events.context import Resources, RobotRunnerContext
 from robot_runner.core.events.manager import CLOSED_BY, CallbackFailure, Emission, RobotRunnerEvents
-from robot_runner.core.events.measure import CONFIG_OWNER, MeasureBroker, Origin
+from robot_runner.core.events.measure import CONFIG_OWNER, Origin
+from robot_runner.core.events.measure_broker import MeasureBroker
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.interruption import InterruptGate, RunInterrupted
 from robot_runner.core.links.connect import is_simulated, open_clock

@@ -105,8 +105,8 @@ def write_quality(
 MINIMUM_COVERAGE = 95.0
 #: A pause longer than this many periods of sampling is a gap: what happened in it was not seen.
 _GAP_PERIODS = 5.0
-#: Percentage of the expected samples below which their number is worth a warning.
-_MINIMUM_COUNT = 98.0
+#: By how many percent the samples may be fewer than expected; one sample depends on where the window's edges fall.
+_FEWER = 2.0
 #: Jitter (95th percentile) in periods above which the samples are not what their rate says.
 _JITTER_PERIODS = 0.5
 #: Percentage of the window: samples that may stand further than this beside their true place can bend a value so far.
@@ -203,7 +203,7 @@ class SampleQuality:
         if not self.got and not self.is_bracketed:
             yield f"no sample arrived in the measured window, where {self.expected} were expected"
             return
-        if self.got < self.expected * _MINIMUM_COUNT / 100:
+        if self.expected - self.got > max(1.0, self.expected * _FEWER / 100):
             yield f"{self.got} samples arrived of {self.expected} expected"
         if self.largest_gap > _GAP_PERIODS * self.period:
             yield (

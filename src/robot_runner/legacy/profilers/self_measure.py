@@ -51,6 +51,8 @@ class SelfMeasure(Profiler):
             "Energy of this machine's processor over the whole run, not the mission alone, by EnergiBridge's summary.",
         ),
     )
+    #: It has one total for a whole run.
+    probe_s: float | None = None
     needs: ClassVar[str] = "EnergiBridge, at self_measure_bin."
 
     def __init__(

@@ -14,7 +14,7 @@ from robot_runner.core.links.connect import SIMULATED, connect_host, is_simulate
 from robot_runner.core.links.host import LOCAL, FileHost
 from robot_runner.core.links.serial_line import found_ports, port_problem
 from robot_runner.core.links.ssh_host import ssh_findings
-from robot_runner.core.plugin import Profiler
+from robot_runner.core.plugin import Profiler, probe_window
 from robot_runner.core.sampling.evaluation import publish_measures
 from robot_runner.meters.ina219.card import CardMeter
 from robot_runner.meters.ina219.line_meter import LineMeter
@@ -219,6 +219,7 @@ class Ina219(Profiler):
         self.rate_hz = rate_hz
         self.plausible_w = _limits(plausible_w, self.name)
         rate = rate_hz or (DEFAULT_RATE if sysfs is None else DEFAULT_SYSFS_RATE)
+        self.probe_s = None if card is not None else probe_window(rate)  # a card's file comes after the mission
         self.bytes_per_run = round(rate * _USUAL_SECONDS * _BYTES_PER_ROW)
         self._meter: Meter | None = None
         self._evaluation: Evaluation | None = None

@@ -95,6 +95,8 @@ class PowerModel(Profiler):
         Measure("Energy", "J", "Energy over the measured window, estimated by a power model.", over=Over.SUM),
         Measure("MeanPower", "W", "Mean power over the measured window, estimated by a power model.", over=Over.MEAN),
     )
+    #: The states that it computes from are those of a mission.
+    probe_s: float | None = None
     needs: ClassVar[str] = "A power model (robot-runner fit-power-model), and the plugins whose samples it reads."
     bytes_per_run: int = 60_000  # a line of 35 bytes for each of the 10 samples a second of a mission of 95 s
 
