@@ -10,13 +10,13 @@ from robot_runner.simulator.cut_off import CutOff, ProtectedDrive
 from robot_runner.simulator.drive import DifferentialDrive, Pose, WheelOdometry
 from robot_runner.simulator.onboard import OnboardComputer, Task, TaskRunner, Utilisation
 from robot_runner.simulator.power_meter import Ina219Meter
-from robot_runner.simulator.sensors import SensorBoard, published_topics
+from robot_runner.simulator.sensors import RAYS, SensorBoard, published_topics
 from robot_runner.simulator.simulated_clock import SimulatedClock
 from robot_runner.simulator.supply import Battery, PowerModel, PowerSupply
 from robot_runner.simulator.turtlebot3_parameters import NoiseStreams, Turtlebot3Parameters
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
 
 __all__ = ["COMMAND_TOPICS", "SERVICES", "SimulatedTurtlebot3", "Simulation"]
@@ -64,8 +64,8 @@ class SimulatedTurtlebot3:
         battery = Battery(parameters)
         self._supply = PowerSupply(model, battery, shunt=parameters.meter_shunt)
         self._powered = ProtectedDrive(parameters, self._drive, model, battery, self._supply)
-        self._computer = OnboardComputer(parameters, self._drive, self._tasks, streams.named("onboard"))
-        self._meter_noise = streams.named("ina219")
+        self._computer = OnboardComputer(parameters, self._drive, self._tasks, streams)
+        self._meter_noise = streams.numbered("ina219", width=2)
         left, right = streams.named("encoders").random(2).tolist()
         board = SensorBoard(
             parameters,
@@ -74,8 +74,8 @@ class SimulatedTurtlebot3:
             self._powered,
             WheelOdometry(parameters, self._drive, (left, right)),
             self._supply,
-            streams.named("imu"),
-            streams.named("scan"),
+            streams.numbered("imu", width=6),
+            streams.numbered("scan", width=RAYS),
         )
         self.topics = published_topics(board)
 
@@ -125,10 +125,15 @@ class SimulatedTurtlebot3:
         extend = self._powered.extend
         return Ina219Meter(self.parameters, self._clock, self._supply, reach=extend, noise=self._meter_noise)
 
-    def utilisation(self, *, start_ns: int, stop_ns: int, rate: float) -> list[Utilisation]:
-        """Return what the on-board computer sampled `rate` times a second (200 at most) between two past moments."""
+    def utilisation(
+        self, *, start_ns: int, stop_ns: int, rate: float, also_ns: Sequence[int] = ()
+    ) -> list[Utilisation]:
+        """Return what the on-board computer sampled `rate` times a second (200 at most) between two past moments.
+
+        It did so at the other moments, too.
+        """
         self._powered.reach(self._clock.step)
-        return self._computer.samples(start_ns=start_ns, stop_ns=stop_ns, rate=rate)
+        return self._computer.samples(start_ns=start_ns, stop_ns=stop_ns, rate=rate, also_ns=also_ns)
 
     @property
     def _next_step(self) -> int:

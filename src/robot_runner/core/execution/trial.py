@@ -18,6 +18,8 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK, RUN_EVENTS
 from robot_runner.core.execution.notices import AttemptFinished, Notice, RunRecord
 from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.execution.probe import without_values
+from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.plugin import Plugin
 
 if TYPE_CHECKING:
@@ -80,6 +82,7 @@ class Trial:
         log: what it printed.
         folder: of its raw data.
         quality: what its `quality.json` says, if it keeps one.
+        missing: its measures, where the run is done and none of them has a value.
     """
 
     findings: tuple[Finding, ...]
@@ -90,6 +93,7 @@ class Trial:
     log: str = ""
     folder: Path | None = None
     quality: Any = None
+    missing: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
@@ -139,6 +143,7 @@ def _loaded(path: Path, plugin: Plugin, seconds: float, robot: str | None) -> Lo
 
         experiment_name = _NAME
         results_output_path = path.parent
+        probe = False  # the trial itself is more than a probe
         event_deadline_in_s = seconds + _PATIENCE
         grace_in_s = _GRACE
 
@@ -170,15 +175,18 @@ def _trial(experiment: Experiment, plugin: Plugin, witness: _Witness, findings: 
     run = experiment.folder.run("r_1")
     folder = run / plugin.name
     log = experiment.folder.log("r_1")
+    outcome = witness.outcome
+    is_done = outcome is not None and outcome.status is AttemptStatus.DONE
     return Trial(
         findings=tuple(dict.fromkeys(findings)),
-        outcome=witness.outcome,
+        outcome=outcome,
         events=tuple(_events(experiment, plugin, witness.records)),
         refused=tuple(record.fields for record in witness.records if record.kind == "refused"),
         raw_files=tuple(_raw_file(path, folder) for path in _files(folder)),
         log=log.read_text(encoding="utf-8", errors="replace") if log.exists() else "",
         folder=folder,
         quality=_quality(folder / "quality.json"),
+        missing=without_values(experiment.columns.declared, outcome.measures) if outcome and is_done else (),
     )
 
 
