@@ -21,6 +21,7 @@ from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links import on_board_session
 from robot_runner.core.links.host import FileHost, HostLink, ProcessHost
 from robot_runner.core.links.ssh_host import SshHost, ssh_command, ssh_findings
+from robot_runner.ros.ros_environment import ros_of_host
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -145,12 +146,29 @@ def test_a_robot_that_falls_silent_is_told_of(
     assert samples
 
 
+def test_a_host_whose_key_has_changed_is_refused_as_what_may_be_an_attack(tmp_path: Path) -> None:
+    server = SshServer(tmp_path)
+    try:
+        subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", tmp_path / "other"], check=True)
+        server.know((tmp_path / "other.pub").read_text())
+        with pytest.raises(LinkError, match="Host key verification failed") as raised:
+            SshHost("robot", SystemClock(), config=server.config).sample_utilisation(10.0)
+        (finding,) = ssh_findings("plugin PsUtil", "robot", config=server.config)
+        for told in (raised.value, finding):
+            assert "the key of the host is not the one that is known" in told.problem
+            assert "attack" in told.fix
+            assert f'ssh-keygen -f "{tmp_path}/known_hosts" -R "[127.0.0.1]:{server.port}"' in told.fix
+            assert "say yes" not in told.fix
+        with pytest.raises(LinkError, match="may be an attack"):
+            ros_of_host("robot", config=server.config)
+    finally:
+        server.stop()
+
+
 def test_a_host_whose_key_is_not_known_is_refused_with_a_remedy(tmp_path: Path) -> None:
     server = SshServer(tmp_path)
     try:
-        other = subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", tmp_path / "other"], check=False)
-        assert other.returncode == 0
-        server.know((tmp_path / "other.pub").read_text())
+        (tmp_path / "known_hosts").write_text("")
         with pytest.raises(LinkError, match="the loop ended with code 255: Host key verification failed"):
             SshHost("robot", SystemClock(), config=server.config).sample_utilisation(10.0)
         (finding,) = ssh_findings("plugin PsUtil", "robot", config=server.config)
