@@ -9,8 +9,9 @@
 
 #define LAMP _BV(PD5) /* D5 */
 
-/* A card may be busy for 250 ms (Physical Layer Specification, 4.6.2.2), in which 200 samples a second are 805 bytes. */
-#define QUEUE_SIZE 1024
+/* A card may be busy for 250 ms (Physical Layer Specification, 4.6.2.2), in which 200 samples a second
+   are 844 bytes with what is said once a second, and a block has to be written before and after. */
+#define QUEUE_SIZE 1152
 #define PATIENCE_US 1000000UL
 
 static uint8_t queue[QUEUE_SIZE]; /* before the recording begins, the scratch for looking at the card */
@@ -43,7 +44,8 @@ void card_log_open(void)
 
 static void append(uint8_t byte)
 {
-    queue[(first + queued) % QUEUE_SIZE] = byte;
+    uint16_t at = first + queued;
+    queue[at < QUEUE_SIZE ? at : at - QUEUE_SIZE] = byte;
     queued++;
 }
 
@@ -80,7 +82,8 @@ static void write_block(void)
 {
     while (to_put && !device_clock_is_due()) {
         card_put(queue[first]);
-        first = (first + 1) % QUEUE_SIZE;
+        if (++first == QUEUE_SIZE)
+            first = 0;
         queued--;
         to_put--;
     }

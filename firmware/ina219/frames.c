@@ -7,6 +7,8 @@
 #define SAMPLE 0x11
 #define HELLO 0x12
 #define MARK 0x13
+#define SENSOR 0x14
+#define FURTHER_SAMPLE 0x15
 #define HEADER_SIZE 6
 #define CHECKSUM_SIZE 2
 
@@ -52,6 +54,25 @@ uint8_t frame_hello(uint8_t *frame, uint16_t sequence, uint32_t us, uint16_t con
 {
     uint8_t *end = put16(begin(frame, HELLO, sequence, us), SAMPLE_RATE_HZ);
     return finish(frame, put16(put32(end, SHUNT_MICROOHM), configuration));
+}
+
+uint8_t frame_sensor(
+    uint8_t *frame, uint16_t sequence, uint32_t us, uint8_t address, uint16_t configuration, uint32_t lag_us)
+{
+    uint8_t *end = begin(frame, SENSOR, sequence, us);
+    *end++ = address;
+    end = put16(put32(end, SHUNT_MICROOHM), configuration);
+    end = put32(end, lag_us);
+    *end++ = LOOK_RATE_HZ / SAMPLE_RATE_HZ;
+    return finish(frame, end);
+}
+
+uint8_t frame_further(
+    uint8_t *frame, uint16_t sequence, uint32_t us, uint8_t address, uint16_t shunt, uint16_t bus)
+{
+    uint8_t *end = begin(frame, FURTHER_SAMPLE, sequence, us);
+    *end++ = address;
+    return finish(frame, put16(put16(end, shunt), bus));
 }
 
 uint8_t frame_mark(uint8_t *frame, uint16_t sequence, uint32_t us, uint8_t is_on)

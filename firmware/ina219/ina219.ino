@@ -1,5 +1,5 @@
-/* A power meter for robots: reads an INA219 200 times a second and sends its registers up a serial line, as
-   docs/ina219-protocol.md says; with an SD card in its socket it records the same frames there.
+/* A power meter for robots: averages the registers of an INA219, or of several, 200 times a second and sends
+   them up a serial line, as docs/ina219-protocol.md says; with an SD card in its socket it records the same frames there.
 
    For an Arduino Nano (ATmega328P, 16 MHz). It uses avr-libc alone, and has a main() of its own: the Arduino core, with
    its timer interrupt a thousand times a second, stays out of the way. `make` builds it without the Arduino IDE. */
@@ -25,9 +25,16 @@ static void publish(const uint8_t *frame, uint8_t size)
 
 static void say_hello(void)
 {
-    uint8_t frame[FRAME_HELLO_SIZE];
-    uint16_t configuration = sensor_configuration();
-    publish(frame, frame_hello(frame, sequence, device_clock_us(), configuration));
+    uint8_t frame[FRAME_LONGEST];
+    uint8_t number;
+    for (number = 0; number < sensor_count(); number++) {
+        uint16_t configuration = sensor_configuration(number);
+        uint32_t us = device_clock_us();
+        uint8_t address = sensor_address(number);
+        if (number == 0)
+            publish(frame, frame_hello(frame, sequence, us, configuration));
+        publish(frame, frame_sensor(frame, sequence, us, address, configuration, sensor_lag_us()));
+    }
 }
 
 static void tell_mark(void)
@@ -40,12 +47,19 @@ static void tell_mark(void)
 
 static void take_sample(void)
 {
-    uint8_t frame[FRAME_SAMPLE_SIZE];
+    uint8_t frame[FRAME_LONGEST];
+    uint8_t number;
     uint16_t shunt;
     uint16_t bus;
     uint32_t us = device_clock_us();
-    if (sensor_read(&shunt, &bus))
-        publish(frame, frame_sample(frame, sequence, us, shunt, bus));
+    for (number = 0; number < sensor_count(); number++) {
+        if (!sensor_take(number, &shunt, &bus))
+            continue;
+        if (number == 0)
+            publish(frame, frame_sample(frame, sequence, us, shunt, bus));
+        else
+            publish(frame, frame_further(frame, sequence, us, sensor_address(number), shunt, bus));
+    }
 }
 
 /* Take the sample that is due; those that came due before it and were missed use up their numbers. */
@@ -73,11 +87,14 @@ int main(void)
     card_log_open();
     device_clock_start();
     sei();
-    sensor_open();
+    sensor_open(); /* its waits need the clock */
+    device_clock_start(); /* the first sample is due a period after the sensor has something to say */
     for (;;) {
         uint8_t due = device_clock_take_due();
         if (due)
             sample(due);
+        else if (device_clock_take_look())
+            sensor_look();
         else if (!card_log_work())
             device_clock_wait();
     }

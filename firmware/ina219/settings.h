@@ -17,10 +17,20 @@
 #define SENSOR_ADDRESS 0x40
 #endif
 
-/* Bus range 16 V, shunt range 320 mV, two 12-bit conversions averaged for each voltage, continuous (SBOS448G, table 4).
-   A battery above 16 V needs 0x3CCF: bus range 32 V. */
+/* Several sensors on the bus: their addresses, the first one's first, such as 0x40,0x41; at most four. */
+#ifndef SENSOR_ADDRESSES
+#define SENSOR_ADDRESSES SENSOR_ADDRESS
+#endif
+
+/* Bus range 16 V, shunt range 320 mV, eight 12-bit conversions of the shunt averaged, one of the bus (SBOS448G, table 4).
+   A battery above 16 V needs 0x39DD: bus range 32 V. The mode (bits 2 to 0) is the firmware's: see sensor.h. */
 #ifndef SENSOR_CONFIGURATION
-#define SENSOR_CONFIGURATION 0x1CCFU
+#define SENSOR_CONFIGURATION 0x19DDU
+#endif
+
+/* How often the sensor's register is looked at, Hz; a sample is the mean of the looks since the one before. */
+#ifndef LOOK_RATE_HZ
+#define LOOK_RATE_HZ 1000UL
 #endif
 
 /* Bits a second of the serial line; docs/ina219-protocol.md promises 115200. */
@@ -37,7 +47,10 @@
 #error "The timer, the line and the bus are set for a 16 MHz ATmega328P, such as an Arduino Nano."
 #endif
 #if 1000000UL % SAMPLE_RATE_HZ != 0 || SAMPLE_RATE_HZ < 40 || SAMPLE_RATE_HZ > 400
-#error "SAMPLE_RATE_HZ must divide 1000000, and lie between 40 (the timer) and 400 (the sensor needs up to 2.34 ms for a pair)."
+#error "SAMPLE_RATE_HZ must divide 1000000, and lie between 40 (the timer) and 400 (two looks at the sensor a sample)."
+#endif
+#if LOOK_RATE_HZ < SAMPLE_RATE_HZ || LOOK_RATE_HZ > 2000
+#error "LOOK_RATE_HZ must lie between SAMPLE_RATE_HZ and 2000 (a look takes some 0.13 ms on the bus)."
 #endif
 
 #endif

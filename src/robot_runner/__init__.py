@@ -9,7 +9,7 @@ from robot_runner.core.doors import open_door
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from robot_runner.core.config.experiment import Author as Author
+    from robot_runner.core.config.authors import Author as Author
     from robot_runner.core.config.parameters import ExperimentConfig as ExperimentConfig
     from robot_runner.core.config.parameters import FailurePolicy as FailurePolicy
     from robot_runner.core.config.parameters import OperationType as OperationType
@@ -26,5 +26,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.manager import RobotRunnerEvents as RobotRunnerEvents
     from robot_runner.core.events.measure import Measure as Measure
     from robot_runner.core.events.measure import Origin as Origin
+    from robot_runner.core.treatments import treatment as treatment
 else:
     __getattr__, __dir__ = open_door(__name__)

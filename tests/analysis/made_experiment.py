@@ -32,8 +32,12 @@ def make_experiment(  # noqa: PLR0913 - keywords, of which a test gives two or t
     shuffle: bool = False,
     blocks: str | None = None,
     analysis: dict[str, Any] | None = None,
+    doubts: dict[str, str] | None = None,
 ) -> ExperimentFolder:
-    """Write an experiment; `values` gives a run's measures, or None for a run that is still to do."""
+    """Write an experiment; `values` gives a run's measures, or None for a run that is still to do.
+
+    `doubts` has the reason for which all values of a run are doubtful, or missing, by its id.
+    """
     folder = ExperimentFolder(root)
     folder.runs.mkdir(parents=True)
     model = RunTableModel(factors, repetitions=repetitions, data_columns=list(measures), shuffle=shuffle, seed=7)
@@ -42,11 +46,17 @@ def make_experiment(  # noqa: PLR0913 - keywords, of which a test gives two or t
         for place in range(len(rows)):
             found = values(dict(rows.combination(place)), rows.repetition(place))
             if found is not None:
-                _record(journal, rows, rows.run_id(place), found, place)
+                _record(journal, rows, rows.run_id(place), found, place, (doubts or {}).get(rows.run_id(place)))
         journal.append("table_written")
     write_run_table(folder.run_table, rows)
     known = {
-        name: ColumnDescription(name=name, role=ColumnRole.MEASURE, unit=(units or {}).get(name, ""), owner="Meter")
+        name: ColumnDescription(
+            name=name,
+            role=ColumnRole.MEASURE,
+            unit=(units or {}).get(name, ""),
+            owner="Meter",
+            doubts={run_id: (doubt,) for run_id, doubt in (doubts or {}).items()},
+        )
         for name in measures
     }
     write_schema(folder.schema, describe_columns(rows, known))
@@ -62,7 +72,9 @@ def make_experiment(  # noqa: PLR0913 - keywords, of which a test gives two or t
     return folder
 
 
-def _record(journal: Journal, rows: RunTableRows, run_id: str, found: dict[str, Any], place: int) -> None:
+def _record(
+    journal: Journal, rows: RunTableRows, run_id: str, found: dict[str, Any], place: int, doubt: str | None
+) -> None:
     begin, end = (f"2026-01-31T12:{place // 60:02}:{place % 60:02}.{part}Z" for part in ("000", "900"))
     rows.record(
         run_id,
@@ -75,7 +87,8 @@ def _record(journal: Journal, rows: RunTableRows, run_id: str, found: dict[str, 
     journal.append("event", at=begin, **which, event="before_run", clock=9000.0)
     journal.append("event", at=begin, **which, event="start_measurement", clock=10.0)
     journal.append("event", at=end, **which, event="stop_measurement", clock=20.0)
-    measures = {name: {"value": value, "owner": "Meter", "origin": "measured"} for name, value in found.items()}
+    told = {"owner": "Meter", "origin": "measured", **({"doubts": [doubt]} if doubt else {})}
+    measures = {name: {"value": value, **told} for name, value in found.items()}
     stamps = {"start_measurement": begin, "stop_measurement": end}
     ended = {"is_last": True, "status": "done", "seconds": 0.9, "stamps": stamps, "failure": None}
     journal.append("attempt_finished", at=end, **which, measures=measures, **ended)

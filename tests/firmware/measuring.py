@@ -55,15 +55,40 @@ class Sine:
     mean: float
     amplitude: float
     hertz: float
+    phase: float = 0.0  # turns
 
     @property
     def words(self) -> str:
-        return f"sine:{self.mean},{self.amplitude},{self.hertz}"
+        return f"sine:{self.mean},{self.amplitude},{self.hertz},{self.phase}"
 
     def joules(self, window: Window) -> float:
-        turn = 2 * math.pi * self.hertz
-        swing = self.amplitude / turn * (math.cos(turn * window.start) - math.cos(turn * window.end))
+        turn, shift = 2 * math.pi * self.hertz, 2 * math.pi * self.phase
+        swing = self.amplitude / turn * (math.cos(turn * window.start + shift) - math.cos(turn * window.end + shift))
         return VOLTS * (self.mean * window.duration + swing)
+
+
+@dataclass(frozen=True)
+class Pulses:
+    """A current that is switched on for a share of each period, as a motor's driver does."""
+
+    low: float
+    high: float
+    hertz: float
+    duty: float
+    phase: float = 0.0  # turns
+
+    @property
+    def words(self) -> str:
+        return f"pulses:{self.low},{self.high},{self.hertz},{self.duty},{self.phase}"
+
+    def joules(self, window: Window) -> float:
+        on = (self._periods_on(window.end) - self._periods_on(window.start)) / self.hertz
+        return VOLTS * (self.low * window.duration + (self.high - self.low) * on)
+
+    def _periods_on(self, until: float) -> float:
+        turns = self.hertz * until + self.phase
+        whole = math.floor(turns)
+        return whole * self.duty + min(turns - whole, self.duty)
 
 
 #: The paper's Fig. 4 in currents: a sleep, a movement, a task, a sleep that costs more than the first, a movement.
@@ -88,7 +113,7 @@ class Measured:
     def problems(self) -> list[str]:
         return [finding.problem for finding in self.context.broker.findings]
 
-    def error_of(self, measure: str, load: Steps | Sine) -> float:
+    def error_of(self, measure: str, load: Steps | Sine | Pulses) -> float:
         """Return how far an energy is from the truth, in parts of one."""
         joules = self.context.measures[measure]
         assert isinstance(joules, float)

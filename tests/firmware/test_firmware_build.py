@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import configparser
+import re
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
+import yaml
 from tests.firmware.measuring import MISSION, VOLTS, measure
 from tests.firmware.simulated_board import FIRMWARE, BoardClock, Build, build, executed
 
@@ -98,3 +101,19 @@ def test_a_battery_above_16_volts_can_be_measured_with_the_wide_range(built, tmp
 def test_a_rate_that_the_timer_cannot_keep_is_refused_by_the_compiler(tmp_path):
     with pytest.raises(AssertionError, match="SAMPLE_RATE_HZ must divide"):
         build(tmp_path / "odd", flags="-DSAMPLE_RATE_HZ=300UL")
+
+
+def test_platformio_finds_the_sketch_beside_its_settings_and_builds_nothing_else():
+    settings = configparser.ConfigParser()
+    settings.read(FIRMWARE / "platformio.ini")
+    assert (FIRMWARE / settings["platformio"]["src_dir"]).resolve() == FIRMWARE
+    assert settings["env:nano"]["build_src_filter"].split() == ["+<*.ino>", "+<*.c>"]
+    assert {settings[name]["board"] for name in ("env:nano", "env:nano-old")} == {"nanoatmega328new", "nanoatmega328"}
+
+
+def test_the_profiles_of_arduino_cli_are_those_of_its_documentation():
+    project = yaml.safe_load((FIRMWARE / "sketch.yaml").read_text())
+    assert project["default_profile"] in project["profiles"]
+    for profile in project["profiles"].values():
+        assert profile["fqbn"].startswith("arduino:avr:nano:cpu=")
+        assert all(re.fullmatch(r"[\w-]+:[\w-]+ \([\d.]+\)", each["platform"]) for each in profile["platforms"])

@@ -59,7 +59,7 @@ def test_a_sensor_that_is_not_connected_yields_no_value_and_is_named(board, tmp_
 def test_a_sensor_that_lost_its_power_is_configured_again(board, tmp_path):
     with board(load=STEADY.words, volts=VOLTS, faint="2.5") as meter:
         measured = measure(meter, tmp_path, 5.0)
-    assert measured.quality["hello"]["configuration"] == 0x1CCF
+    assert measured.quality["hello"]["configuration"] == 0x19DD
     assert measured.problems == [
         "the sensor was without power for a moment and measured in another range for up to a second"
     ]

@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 import os
+import struct
 import time
 from itertools import pairwise
 
 import pytest
 from tests.firmware.measuring import MISSION, MISSIONS, VOLTS, measure
 from tests.firmware.raw_line import decoded, intact, opened, read_until_unplugged
-from tests.meters.scripted_meter import hello, mark, sample
+from tests.meters.scripted_meter import frame, hello, mark, sample
 
-from robot_runner.meters.ina219.frames import FrameDecoder, Hello, Mark, SampleFrame
+from robot_runner.meters.ina219.frames import FrameDecoder, Hello, Mark, SampleFrame, Sensing
 
 
 def encoded(one) -> bytes:
     """Encode a frame by the page of the protocol, with nothing of the decoder's."""
     if isinstance(one, SampleFrame):
-        return sample(*one)
+        return sample(*one[:4])
+    if isinstance(one, Sensing):
+        ohm, lag = round(one.shunt_ohm * 1e6), round(one.lag_s * 1e6)
+        payload = one.microseconds, one.address, ohm, one.configuration, lag, one.looks
+        return frame(0x14, one.next_sequence, struct.pack("<IBIHIB", *payload))
     if isinstance(one, Mark):
         return mark(one.next_sequence, one.microseconds, is_on=one.is_on)
-    return hello(one.next_sequence, one.microseconds, rate=one.rate_hz, micro_ohm=round(one.shunt_ohm * 1e6))
+    ohm = round(one.shunt_ohm * 1e6)
+    return hello(one.next_sequence, one.microseconds, rate=one.rate_hz, micro_ohm=ohm, configuration=one.configuration)
 
 
 def sent(board, tmp_path, seconds: float = 10.0, **settings) -> tuple[bytes, list]:
@@ -38,11 +44,11 @@ def test_every_byte_is_that_of_the_protocol(board, tmp_path):
     data, frames = sent(board, tmp_path)
     again = b"".join(map(encoded, frames))
     assert data.startswith(again)
-    assert len(data) - len(again) < 20  # the last frame was cut off
+    assert len(data) - len(again) < 24  # the last frame was cut off
 
 
 def test_registers_are_sent_as_the_sensor_holds_them(board, tmp_path):
-    _, frames = sent(board, tmp_path, 2.0)
+    _, frames = sent(board, tmp_path, 2.0, noise=0)
     samples = [each for each in frames if isinstance(each, SampleFrame)]
     # 0.7 A through 0.1 ohm in steps of 10 uV; 11.1 V in steps of 4 mV from bit 3 on, CNVR set.
     assert {(each.shunt_raw, each.bus_raw) for each in samples} == {(7000, 2775 << 3 | 2)}
@@ -53,9 +59,17 @@ def test_samples_are_numbered_and_come_every_5_ms_and_a_hello_before_each_200th(
     samples = [each for each in frames if isinstance(each, SampleFrame)]
     assert [each.sequence for each in samples] == list(range(len(samples)))
     assert {round(each.microseconds / 5000) - each.sequence for each in samples} == {1}
-    before = [following for each, following in pairwise(frames) if isinstance(each, Hello)]
+    before = [following for each, following in pairwise(frames) if isinstance(each, Sensing)]
     assert [each.sequence for each in before] == list(range(0, len(samples), 200))
-    assert {each.configuration for each in frames if isinstance(each, Hello)} == {0x1CCF}
+    assert {each.configuration for each in frames if isinstance(each, Hello)} == {0x19DD}
+
+
+def test_what_the_sensor_averages_is_told_behind_each_hello(board, tmp_path):
+    _, frames = sent(board, tmp_path, 2.0)
+    behind = [following for each, following in pairwise(frames) if isinstance(each, Hello)]
+    # Eight conversions of 0.532 ms, held until the next ones, and half of the 5 ms between samples.
+    assert {(each.address, each.configuration, each.looks) for each in behind} == {(0x40, 0x19DD, 5)}
+    assert behind[0].lag_s == pytest.approx(8 * 532e-6 + 2.5e-3)
 
 
 def test_a_question_mark_is_answered_with_a_hello_before_the_next_sample(free_board):
@@ -78,7 +92,7 @@ def test_every_corrupt_frame_is_detected_and_no_intact_one_is_lost(free_board, t
         meter.facts()
     untouched, hit = intact(truth.read_bytes(), received)
     assert decoded(received) == untouched
-    assert hit == pytest.approx(12_060 * (1 - (1 - share) ** 16), rel=0.1)
+    assert hit == pytest.approx(12_120 * (1 - (1 - share) ** 16), rel=0.1)
 
 
 def test_no_frame_is_lost_in_a_minute(board, tmp_path):

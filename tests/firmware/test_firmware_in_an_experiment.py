@@ -33,7 +33,7 @@ class RobotRunnerConfig(ExperimentConfig):
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 def test_an_experiment_fills_its_run_table_from_the_meter(free_board, tmp_path, capsys):
     config = tmp_path / "config.py"
-    with free_board(load="0:0.8", volts=VOLTS, pace=1, openings=2) as meter:
+    with free_board(load="0:0.8", volts=VOLTS, pace=1, openings=3) as meter:
         config.write_text(CONFIG.format(folder=str(tmp_path), port=meter.port))
         code = main(["run", str(config)])
     said = capsys.readouterr()

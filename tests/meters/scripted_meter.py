@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
 SHUNT_OHM = 0.1
+#: What one step of noise adds to four samples on end; nothing on average.
+NOISE = (0, 1, 0, -1)
 
 
 def frame(version_and_type: int, sequence: int, payload: bytes) -> bytes:
@@ -48,6 +50,7 @@ class ScriptedMeter:
         first_sequence: the number of the first sample.
         left_out: samples (counted from 0) that are never sent.
         damaged: samples whose shunt register is changed on the way.
+        noise: steps by which the shunt register is off by turns, as one that measures is; 0 for a sensor that is stuck.
         says_hello: whether it says a hello before the first sample.
     """
 
@@ -60,6 +63,7 @@ class ScriptedMeter:
     first_sequence: int = 0
     left_out: Collection[int] = ()
     damaged: Collection[int] = ()
+    noise: int = 1
     says_hello: bool = True
     micro_ohm: int = 100_000
 
@@ -76,6 +80,7 @@ class ScriptedMeter:
         stamp = self.first_stamp + round((time - start) * (1 - self.skew) * 1e6)
         amperes = self.power(time) / self.volts
         shunt_raw, bus_raw = round(amperes * SHUNT_OHM / 10e-6), round(self.volts / 4e-3) << 3
+        shunt_raw = min(max(shunt_raw + self.noise * NOISE[number % 4], -32000), 32000)
         sent = bytearray(sample(self.first_sequence + number, stamp, shunt_raw, bus_raw))
         if number in self.damaged:
             sent[10] ^= 0x40

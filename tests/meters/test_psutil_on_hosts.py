@@ -115,6 +115,7 @@ class RobotRunnerConfig(ExperimentConfig):
 """
 CONFIG = """\
     robot = None
+    probe = False
     plugins = [PsUtil(host="robot", ssh_config="{config}", rate_hz=50.0)]
 
     def launch_mission(self, context):

@@ -10,7 +10,7 @@ import pytest
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import Measure
 from robot_runner.core.links.connect import connect_robot
-from robot_runner.plugins import Profiler, System
+from robot_runner.plugins import Profiler, System, Window, note_own_window, quality_of, report_quality
 from robot_runner.testing import FakeClock, FakeLinks, FakeTurtlebot3Link, ProfilerContract, SystemContract
 from robot_runner.testing.plugin_contract import MissionFailed
 
@@ -33,6 +33,8 @@ class Stopwatch(Profiler):
             (context.raw_data_folder / "seconds.txt").write_text(f"{self.name} {self.seconds}\n")
 
     def populate_run_data(self, context):
+        if self.began is not None and self.seconds is not None:
+            note_own_window(context, Window(self.began, self.began + self.seconds))
         context.publish("Seconds", self.seconds)
 
 
@@ -212,6 +214,18 @@ class Crashing(Stopwatch):
         raise RuntimeError("cannot close")
 
 
+class OrderBound(Stopwatch):
+    def populate_run_data(self, context):
+        context.publish("Seconds", self.seconds)
+
+
+class Misdated(Stopwatch):
+    def populate_run_data(self, context):
+        own = Window(self.began, self.began + self.seconds)
+        report_quality(context, quality_of([], own, 1.0), own)
+        context.publish("Seconds", self.seconds)
+
+
 class Dividing(Stopwatch):
     def populate_run_data(self, context):
         context.publish("Seconds", 1.0 / self.seconds)
@@ -220,12 +234,12 @@ class Dividing(Stopwatch):
 @pytest.mark.parametrize(
     ("broken", "fact", "complaint"),
     [
-        (Nameless, "its_name_can_be_that_of_a_folder", "it has no name"),
+        (Nameless, "its_name_can_be_that_of_a_folder", "the plugin has no name"),
         (NotAPlugin, "its_name_can_be_that_of_a_folder", "does not derive from"),
         (Waggon, "it_is_a_profiler", "does not derive from Profiler"),
         (Twins, "its_measures_have_names_of_their_own_and_a_description", "two measures have one name"),
         (Undescribed, "its_measures_have_names_of_their_own_and_a_description", "has no description"),
-        (Deaf, "its_callbacks_can_be_called", "it hears no event"),
+        (Deaf, "its_callbacks_can_be_called", "the plugin has no callback"),
         (OddCallback, "its_callbacks_can_be_called", "cannot be called with a context"),
         (Refusing, "its_check_finds_nothing_wrong_where_it_works", "refuses the circumstances"),
     ],
@@ -255,14 +269,16 @@ def test_a_check_that_returns_no_findings_breaks_the_contract():
         (Undeclared, "a_good_run_publishes_every_measure", "was not declared"),
         (Intruder, "two_of_its_kind_keep_their_raw_data_apart", "changed files of"),
         (Presumptuous, "closing_what_was_never_opened_does_no_harm", "unsupported operand"),
-        (Forgetful, "closing_twice_does_no_harm", "it published"),
-        (Restless, "closing_twice_does_no_harm", "it published"),
-        (Stale, "a_second_run_does_not_depend_on_the_first", "it published"),
-        (Hoarder, "a_second_run_does_not_depend_on_the_first", "it published"),
+        (Forgetful, "closing_twice_does_no_harm", "the plugin published"),
+        (Restless, "closing_twice_does_no_harm", "the plugin published"),
+        (Stale, "a_second_run_does_not_depend_on_the_first", "the plugin published"),
+        (Hoarder, "a_second_run_does_not_depend_on_the_first", "the plugin published"),
         (Crashing, "a_mission_that_fails_is_closed", "cannot close"),
         (Crashing, "a_run_that_never_measured_is_closed", "cannot close"),
+        (OrderBound, "values_are_about_the_mission_alone", "depend on the order of the plugins"),
+        (Misdated, "values_are_about_the_mission_alone", "has a window from 0.0 to 7.0 s"),
         (Dividing, "a_measurement_of_no_length_does_no_harm", "division by zero"),
-        (Silent, "a_measurement_of_no_length_does_no_harm", "it published"),
+        (Silent, "a_measurement_of_no_length_does_no_harm", "the plugin published"),
     ],
 )
 def test_a_profiler_that_behaves_badly_breaks_its_contract(tmp_path, broken, fact, complaint):

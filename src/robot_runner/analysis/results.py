@@ -8,7 +8,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.analysis.export import export_results
+import pandas as pd
+
+from robot_runner.analysis.exporting import ExportContent, export_results
 from robot_runner.analysis.run_frame import History, RunFrame, column_descriptions, read_history, read_run_frame
 from robot_runner.analysis.sample_files import (
     PhaseSpans,
@@ -19,11 +21,13 @@ from robot_runner.analysis.sample_files import (
     phase_spans,
     read_phases,
     run_files,
+    told_windows,
 )
 from robot_runner.analysis.samples import SampleRequest, read_samples
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
 from robot_runner.core.errors import AnalysisError, StorageError, did_you_mean
+from robot_runner.core.events.measure import QUALITY_SUFFIX, Quality, quality_of_value
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of
@@ -32,8 +36,6 @@ from robot_runner.core.storage.table_columns import ColumnRole
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-
-    import pandas as pd
 
     from robot_runner.core.errors import Finding
     from robot_runner.core.storage.table_schema import ColumnDescription
@@ -85,8 +87,10 @@ class Results:
 
     @property
     def measures(self) -> tuple[str, ...]:
-        """The measures that have a column in the run table, in its order."""
-        return self._named(ColumnRole.MEASURE)
+        """The measures that have a column in the run table, in its order; columns of qualities are left out."""
+        named = self._named(ColumnRole.MEASURE)
+        telling = {name + QUALITY_SUFFIX for name in named}
+        return tuple(name for name in named if name not in telling)
 
     @property
     def plan(self) -> AnalysisPlan | None:
@@ -157,12 +161,49 @@ class Results:
         """What plugins found odd about runs: `run_id`, `attempt`, `owner`, `problem`, `fix`."""
         return self._history.odd
 
+    @property
+    def quality(self) -> pd.DataFrame:
+        """How far each value of the runs that are done can be trusted, one row a value.
+
+        Columns: `run_id`, `measure`, `quality` (ordered categorical: good, doubtful, missing) and `reasons` (text, with
+        `; ` between them; empty for a good value).
+
+        Example:
+            >>> quality = load_results("experiments/basic_experiment").quality  # doctest: +SKIP
+            >>> quality[quality["quality"] != "good"].groupby("measure").size()  # doctest: +SKIP
+        """
+        done = self.done
+        rows = [
+            (run_id, name, quality_of_value(None if pd.isna(value) else value, reasons).value, "; ".join(reasons))
+            for name in self.measures
+            if name in done
+            for run_id, value in zip(done[RUN_ID], done[name], strict=True)
+            for reasons in [self._reasons(run_id, name)]
+        ]
+        frame = pd.DataFrame(rows, columns=["run_id", "measure", "quality", "reasons"])
+        frame["quality"] = pd.Categorical(frame["quality"], [each.value for each in Quality], ordered=True)
+        return frame
+
+    def _reasons(self, run_id: str, measure: str) -> tuple[str, ...]:
+        """Return what the journal says of a value; the schema, where the journal does not know the run."""
+        told = self._history.doubts.get(run_id)
+        return self.columns[measure].doubts.get(run_id, ()) if told is None else told.get(measure, ())
+
+    @property
+    def readers(self) -> Mapping[str, tuple[str, ...]] | None:
+        """Who read the treatment of each factor in runs that are done, or has a parameter bound to it.
+
+        By the factor's name: plugins, and `config`. A factor that is missing was read by nobody. None where a version
+        of Robot Runner executed them, or another tool, that did not look.
+        """
+        return self._history.readers
+
     def events(self, runs: Sequence[str] | None = None) -> pd.DataFrame:
         """Return the events of runs (of all for None), of the last attempt at each.
 
         Columns: `run_id`, `event` (ordered categorical), `at` (datetime64, UTC), `clock_s` (s on the run's clock) and
-        `since_start_s` (s since the event `start_measurement`); the last two are missing for `before_run` and
-        `continue`, which are not heard on the run's clock.
+        `since_start_s` (s since the start of the mission); the last two are missing for `before_run` and
+        `continue`, which take place outside the run and its clock.
 
         Raises:
             AnalysisError: there is no such run.
@@ -173,8 +214,8 @@ class Results:
     def phases(self, runs: Sequence[str] | None = None) -> pd.DataFrame:
         """Return the phases of missions (of all runs for None), as systems wrote them to `phases.csv`.
 
-        Columns: `run_id`, the factors, `plugin`, `number`, `phase`, `start_s` and `end_s` (s since the start of
-        measurement), and whatever else the system wrote, such as `task`, `x_m`, `y_m`, `heading_rad`.
+        Columns: `run_id`, the factors, `plugin`, `number`, `phase`, `start_s` and `end_s` (s since the start of the
+        mission), and whatever else the system wrote, such as `task`, `x_m`, `y_m`, `heading_rad`.
 
         Raises:
             AnalysisError: there is no such run, or a file of phases does not say when they are.
@@ -202,13 +243,15 @@ class Results:
         columns: Sequence[str] | None = None,
         with_factors: bool = True,
         with_phases: bool = True,
+        with_window: bool = True,
     ) -> pd.DataFrame:
         """Return raw samples of any or all runs as one tidy table, one row a sample.
 
-        Columns: `run_id` (categorical), the factors (ordered categoricals), `time_s` (s since the start of
-        measurement), `phase` (categorical) and `phase_number` (0 outside all phases), then the value columns as the
-        plugin wrote them, such as `power_W`. Where the start of measurement is not known, times are counted from the
-        first sample.
+        Columns: `run_id` (categorical), the factors (ordered categoricals), `time_s` (s since the start of the
+        mission; negative before it), `in_window` (whether the sample lies in the measured window, which is the
+        mission), `phase` (categorical) and `phase_number` (0 outside all phases), then the value columns as the plugin
+        wrote them, such as `power_W`. Where the mission is not known, times are counted from the start of measurement,
+        or from the first sample, and all samples count as within.
 
         Args:
             plugin: whose samples; may be left out where only one plugin has any.
@@ -217,6 +260,7 @@ class Results:
             columns: the value columns; None for all. Few are read faster than many.
             with_factors: whether each row carries the treatments of its run (and the repetition).
             with_phases: whether each row carries the phase that it falls into.
+            with_window: whether each row says if it lies in the measured window.
 
         Raises:
             AnalysisError: there are no such samples, runs or columns; names those that there are.
@@ -226,11 +270,13 @@ class Results:
         run_ids = [run_id for run_id in self._chosen(runs) if run_id in kind.paths]
         table = self.runs.set_index(RUN_ID).loc[run_ids]
         is_done = table[STATUS] == RunStatus.DONE.value
+        windows = {**self._history.windows, **told_windows(kind, run_ids)}
         request = SampleRequest(
             kind,
             run_ids,
             tuple(kind.columns if columns is None else columns),
-            starts=self._history.starts,
+            starts={**self._history.starts, **{run: start for run, (start, _) in windows.items()}},
+            windows=windows if with_window else None,
             phases=self._phase_spans if with_phases else None,
             factors={name: table[name].array for name in self._labels} if with_factors else {},
             unfinished=frozenset(table.index[~is_done]),
@@ -249,7 +295,15 @@ class Results:
         Raises:
             StorageError: a file cannot be written.
         """
-        return export_results(self, None if folder is None else Path(folder))
+        content = ExportContent(
+            self.name,
+            self.folder,
+            {"run_table.parquet": self.runs, "phases.parquet": self.phases(), "events.parquet": self.events()},
+            self.sample_files,
+            lambda kind, runs: self.samples(kind.plugin, file=kind.name, runs=runs),
+            self.unit,
+        )
+        return export_results(content, None if folder is None else Path(folder))
 
     @property
     def _files(self) -> ExperimentFolder:

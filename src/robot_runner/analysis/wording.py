@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import TYPE_CHECKING
 
 from robot_runner.core import words
@@ -16,6 +17,7 @@ __all__ = [
     "ALPHA",
     "MINUS",
     "MISSING",
+    "NUMBER",
     "RHO",
     "TIMES",
     "listed",
@@ -30,6 +32,8 @@ __all__ = [
 #: Stands where a value is missing.
 MISSING = "\N{EN DASH}"
 MINUS = "\N{MINUS SIGN}"
+#: Findings that differ in numbers alone are told once.
+NUMBER = re.compile(r"\d+(?:[.,]\d+)*")
 TIMES = "\N{MULTIPLICATION SIGN}"
 ALPHA = "\N{GREEK SMALL LETTER ALPHA}"
 RHO = "\N{GREEK SMALL LETTER RHO}"

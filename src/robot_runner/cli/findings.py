@@ -11,12 +11,21 @@ from robot_runner.cli.console import complaints, print_folded
 from robot_runner.core.words import counted, listed, one_line
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from robot_runner.cli.console import UserConsole
     from robot_runner.core.errors import Finding, RobotRunnerError
 
-__all__ = ["as_json", "grouped", "print_findings", "print_odd", "show_error", "show_findings", "tally"]
+__all__ = [
+    "as_json",
+    "grouped",
+    "print_findings",
+    "print_odd",
+    "quality_in_words",
+    "show_error",
+    "show_findings",
+    "tally",
+]
 
 
 # Findings and errors as a user reads them: severity, place, problem, and beneath it how to mend it.
@@ -46,6 +55,22 @@ def print_findings(console: UserConsole, findings: Sequence[Finding]) -> None:
         console.print(head, soft_wrap=True)
         if finding.fix:
             console.print(Text("  fix: ", style="bold").append(one_line(finding.fix), style="not bold"), soft_wrap=True)
+
+
+def quality_in_words(bad: Mapping[str, Mapping[str, Sequence[str]]]) -> str:
+    """Return which values are not good.
+
+    Args:
+        bad: the runs, by measure and quality.
+
+    Example:
+        >>> quality_in_words({"Energy": {"doubtful": ["r_1", "r_2"], "missing": ["r_3"]}})
+        'Energy is doubtful in r_1, r_2, missing in r_3'
+    """
+    return "; ".join(
+        f"{measure} is {', '.join(f'{quality} in {listed(runs)}' for quality, runs in by_quality.items())}"
+        for measure, by_quality in bad.items()
+    )
 
 
 def tally(findings: Sequence[Finding]) -> str:

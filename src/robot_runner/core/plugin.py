@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import PluginError, did_you_mean
+from robot_runner.core.treatments import Bindable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -28,6 +29,7 @@ __all__ = [
     "described_circumstances",
     "find_plugin",
     "installed_plugins",
+    "probe_window",
 ]
 
 _log = logging.getLogger(__name__)
@@ -53,8 +55,8 @@ class Circumstances:
     plugins: Sequence[Plugin] = ()
 
 
-class Plugin:
-    """What systems and profilers share. A method named like an event hears that event and gets its context.
+class Plugin(Bindable):
+    """What systems and profilers share. A method named like an event is called at it and gets its context.
 
     Attributes:
         measures: what each run yields through this plugin; an instance may have others than its class, where they
@@ -96,14 +98,38 @@ class System(Plugin):
     """
 
     def make_safe(self, context: RobotRunnerContext) -> None:
-        """Stop whatever moves. Called after a failed run, once its closing events were heard; may be called twice."""
+        """Stop whatever moves. Called after a failed run, once its closing events are over; may be called twice."""
 
 
 class Profiler(Plugin):
     """A plugin that measures between `start_measurement` and `stop_measurement`.
 
     It publishes its measures in `populate_run_data` and keeps raw samples in `context.raw_data_folder`.
+
+    Attributes:
+        probe_s: how long it is tried before the first run, s of real time, by its own callbacks and without a mission;
+            None for one that can tell nothing without the mission, or that only has totals.
     """
+
+    #: Five readings at 10 Hz, and a hundred of a power meter: enough to know whether it speaks.
+    probe_s: float | None = 0.5
+
+
+#: How many readings a probe is to see.
+_PROBED_READINGS = 3
+#: A user does not wait longer than this for a probe, s.
+_LONGEST_PROBE = 10.0
+
+
+def probe_window(rate_hz: float) -> float | None:
+    """Return how long a profiler of this rate is to be probed, s; None where that takes too long.
+
+    Example:
+        >>> probe_window(200.0), probe_window(1.0), probe_window(0.1)
+        (0.5, 3.0, None)
+    """
+    seconds = max(0.5, _PROBED_READINGS / rate_hz)
+    return seconds if seconds <= _LONGEST_PROBE else None
 
 
 #: The entry-point group of each kind of plugin, and the class that a plugin of that kind derives from.

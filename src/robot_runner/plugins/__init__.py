@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from robot_runner.core.links.connect import connect_host as connect_host
     from robot_runner.core.links.connect import connect_robot as connect_robot
     from robot_runner.core.links.connect import open_serial_line as open_serial_line
+    from robot_runner.core.links.measured_machine import Computer as Computer
     from robot_runner.core.plugin import Circumstances as Circumstances
     from robot_runner.core.plugin import Plugin as Plugin
     from robot_runner.core.plugin import Profiler as Profiler
@@ -52,8 +53,14 @@ if TYPE_CHECKING:
     from robot_runner.core.sampling.series import cut as cut
     from robot_runner.core.sampling.series import energy as energy
     from robot_runner.core.sampling.series import energy_from_mean_power as energy_from_mean_power
+    from robot_runner.core.sampling.series import growth as growth
     from robot_runner.core.sampling.series import integrate as integrate
     from robot_runner.core.sampling.series import mean as mean
     from robot_runner.core.sampling.series import mean_of_intervals as mean_of_intervals
+    from robot_runner.core.treatments import treatment as treatment
+    from robot_runner.meters.electrical import ElectricalProfiler as ElectricalProfiler
+    from robot_runner.meters.electrical import ElectricalReading as ElectricalReading
+    from robot_runner.meters.polled import Meter as Meter
+    from robot_runner.meters.polled import PolledProfiler as PolledProfiler
 else:
     __getattr__, __dir__ = open_door(__name__)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.errors import StorageError, did_you_mean
+from robot_runner.core.events.measure import quality_text
+from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["Explanation", "RunExplanation", "explain_run"]
 
 _ORCHESTRATED = frozenset({"before_run", "continue"})
-_KINDS = ("attempt_started", "attempt_finished", "event", "finding", "clock")
+_KINDS = ("attempt_started", "attempt_finished", "event", "finding", "clock", "bound")
 _UNMEASURED = {"simulated": "simulated, not measured", "estimated": "estimated by a model, not measured"}
 
 
@@ -88,6 +90,8 @@ class _RunHistory:
         doubts: what the owners of measures found odd about their samples, by owner.
         hosts: other computers that were measured, with the offsets of their clocks.
         failures: why earlier attempts failed, by number.
+        bound: plugin, parameter, factor and value of each parameter that was bound to a factor.
+        readers: who read the treatment of each factor.
     """
 
     attempt: int = 0
@@ -98,6 +102,8 @@ class _RunHistory:
     doubts: dict[str, list[str]] = field(default_factory=dict)
     hosts: list[str] = field(default_factory=list)
     failures: dict[int, str] = field(default_factory=dict)
+    bound: list[tuple[str, str, str, Any]] = field(default_factory=list)
+    readers: dict[str, list[str]] | None = None
 
     @classmethod
     def read(cls, journal: Path, run_id: str) -> Self:
@@ -119,12 +125,16 @@ class _RunHistory:
             case "attempt_finished":
                 self.finished_at = record["at"]
                 self.measures = record["measures"]
+                self.readers = record.get("readers")
                 if record.get("failure"):
                     self.failures[self.attempt] = str(record["failure"])
             case "event" if isinstance(record.get("clock"), int | float):
                 self.clocks[str(record["event"])] = float(record["clock"])
             case "finding":
                 self.doubts.setdefault(str(record.get("owner")), []).append(str(record["problem"]))
+            case "bound":
+                each = record["parameters"].items()
+                self.bound += [(record["owner"], name, bound["factor"], bound["value"]) for name, bound in each]
             case "clock":
                 offset = (record.get("before") or record.get("after") or {}).get("wall_offset")
                 told = f", its clock {offset:+.6f} s to ours" if isinstance(offset, int | float) else ""
@@ -133,6 +143,7 @@ class _RunHistory:
     def _begin(self, record: dict[str, Any]) -> None:
         self.attempt, self.started_at, self.finished_at = int(record["attempt"]), record["at"], None
         self.measures, self.clocks, self.doubts, self.hosts = {}, {}, {}, []
+        self.bound, self.readers = [], None
 
 
 class _Explaining:
@@ -195,6 +206,8 @@ class _Explaining:
         yield "Host", self._host()
         for host in history.hosts:
             yield "Other host", host
+        for owner, name, factor, value in history.bound:
+            yield "Parameter", f"{name} of {owner} = {value}, bound to the factor {factor}"
 
     def _order(self) -> str:
         design = self._manifest.get("design") or {}
@@ -202,9 +215,10 @@ class _Explaining:
             return f"in the order of {design['source']}, which was written by hand"
         blocks = f" within blocks of {design['blocks']}" if design.get("blocks") else ""
         seed = self._manifest.get("seed")
-        return (
+        planned = (
             f"randomised{blocks} from seed {seed}" if design.get("shuffle") else f"in the order of the config{blocks}"
         )
+        return f"changed by hand in run_table.csv; planned: {planned}" if design.get("is_reordered") else planned
 
     def _host(self) -> str:
         host = self._manifest.get("host") or {}
@@ -218,13 +232,16 @@ class _Explaining:
         owner = str(published.get("owner") or column.owner)
         origin = str(published.get("origin") or column.origin or "")
         yield "Origin", _UNMEASURED.get(origin, origin)
+        doubts = tuple(published.get("doubts", ())) if published else column.doubts.get(self._run_id, ())
+        if published or self._row[STATUS] is RunStatus.DONE:
+            yield "Quality", quality_text(self._row.get(column.name, published.get("value")), doubts)
         yield from self._owner_facts(owner, column.name)
         yield "Aggregation", column.description
         yield "Raw data", ", ".join(self._raw_files(owner))
         yield "Published", self._published(column.name)
         if published and _plain(self._row.get(column.name, published["value"])) != _plain(published["value"]):
             yield "Edited", f"the journal has {published['value']!r}: the table was changed by hand since"
-        yield from (("Doubt", doubt) for doubt in self._history.doubts.get(owner, ()))
+        yield from (("Doubt", doubt) for doubt in self._history.doubts.get(owner, ()) if doubt not in doubts)
 
     def _owner_facts(self, owner: str, measure: str) -> Iterator[tuple[str, str]]:
         if owner == CONFIG_OWNER:
@@ -237,8 +254,11 @@ class _Explaining:
         kind = str(plugin.get("class", "")).rpartition(":")[2]
         package = f" ({plugin['package']} {plugin.get('version')})" if plugin.get("package") else ""
         named = f"{owner}, " if kind != owner and kind else ""
-        yield "Plugin", f"{named}{kind or owner}{package}" if owner else "none: nobody published it"
+        yield "Plugin", f"{named}{kind or owner}{package}" if owner else "none: no plugin published it"
         yield "Config", _shown(self._lines.of_plugin(owner, kind))
+        for whose, name, factor, value in self._history.bound:
+            if whose == owner:
+                yield "Parameter", f"{name} = {value}, bound to the factor {factor}"
 
     def _raw_files(self, owner: str) -> Iterator[str]:
         run = self._files.run(self._run_id)
@@ -264,8 +284,17 @@ class _Explaining:
             yield "Treatments", f"1 to {design.get('repetitions')}"
         if design.get("source") not in {None, "config"}:
             yield "From", f"{design['source']}, which was written by hand before the first run"
+        if column.role is ColumnRole.FACTOR:
+            bound = [f"{name} of {owner}" for owner, name, factor, _ in self._history.bound if factor == column.name]
+            yield "Bound to", ", ".join(bound)
+            yield "Read by", self._read_by(column.name)
         found = self._lines.of_factor(column.name)
         yield "Config", _shown(found or self._lines.of_method("create_run_table"))
+
+    def _read_by(self, factor: str) -> str:
+        if self._history.readers is None:  # not executed, or by a version that did not look
+            return ""
+        return ", ".join(self._history.readers.get(factor, ())) or "nobody: no callback and no plugin looked at it"
 
     def _stamp_facts(self, column: ColumnDescription) -> Iterator[tuple[str, str]]:
         event = column.name.removesuffix("_at")

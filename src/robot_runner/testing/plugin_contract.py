@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import math
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding
+from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents
 from robot_runner.core.links.connect import SIMULATED
 from robot_runner.core.plugin import Circumstances, Plugin, Profiler
-from robot_runner.testing.fake_run import FakeClock, Rehearsal, make_context
+from robot_runner.testing.fake_run import FakeClock, RecordingBroker, Rehearsal, make_context
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -99,7 +101,7 @@ class PluginContract:
         """Hold that the name is one that a plugin may have."""
         plugin = self.make_plugin()
         require(isinstance(plugin, Plugin), f"{plugin!r} does not derive from System or Profiler")
-        require(hasattr(plugin, "name"), "it has no name: call super().__init__(name=name) in __init__")
+        require(hasattr(plugin, "name"), "the plugin has no name: call super().__init__(name=name) in __init__")
         Plugin(name=plugin.name)
 
     def test_its_measures_have_names_of_their_own_and_a_description(self) -> None:
@@ -111,20 +113,20 @@ class PluginContract:
             require(measure.description.strip(), f"measure {measure.name!r} has no description")
 
     def test_its_callbacks_can_be_called(self) -> None:
-        """Hold that it hears an event, and that each callback takes a context or nothing."""
+        """Hold that it has a callback for an event, and that each callback takes a context or nothing."""
         manager, plugin = EventManager(), self.make_plugin()
         manager.subscribe_methods(plugin, owner=plugin.name, kind=OwnerKind.PROFILER)
-        hears = [event for event in RobotRunnerEvents if manager.subscribers(event)]
-        require(hears, "it hears no event: name its methods like events")
+        called = [event for event in RobotRunnerEvents if manager.subscribers(event)]
+        require(called, "the plugin has no callback for an event: name its methods like events")
 
     def test_its_check_finds_nothing_wrong_where_it_works(self) -> None:
         """Hold that validation passes under the circumstances of these tests, and speaks in findings elsewhere."""
         factors = {name: [treatment] for name, treatment in self.combination.items()}
         found = list(self.make_plugin().check(Circumstances(robot=self.robot, factors=factors)))
         errors = [str(finding) for finding in found if finding.is_error]
-        require(not errors, f"its check refuses the circumstances of these tests: {errors}")
+        require(not errors, f"the plugin's check refuses the circumstances of these tests: {errors}")
         for finding in self.make_plugin().check(Circumstances()):
-            require(isinstance(finding, Finding), f"its check returned {finding!r}, which is no Finding")
+            require(isinstance(finding, Finding), f"the plugin's check returned {finding!r}, which is no Finding")
             require(finding.fix or not finding.is_error, f"a finding offers no fix: {finding}")
 
     def test_a_good_run_publishes_every_measure(self, tmp_path: Path) -> None:
@@ -132,7 +134,7 @@ class PluginContract:
         plugin = self.make_plugin()
         published = self.execute(tmp_path, plugin)
         missing = {measure.name for measure in plugin.measures} - set(published)
-        require(not missing, f"it did not publish {sorted(missing)}; publish None where there is no value")
+        require(not missing, f"the plugin did not publish {sorted(missing)}; publish None where there is no value")
         for measure in plugin.measures:
             value = published[measure.name]
             if isinstance(value, int | float) and not isinstance(value, bool):
@@ -147,7 +149,7 @@ class PluginContract:
         self.execute(tmp_path / "experiment", plugin)
         reserved = tmp_path / "experiment" / "runs" / "r_1" / plugin.name
         stray = [path for path in _files(tmp_path) if reserved not in path.parents]
-        require(not stray, f"it wrote outside its folder: {[str(path) for path in stray]}")
+        require(not stray, f"the plugin wrote outside its folder: {[str(path) for path in stray]}")
 
     def test_two_of_its_kind_keep_their_raw_data_apart(self, tmp_path: Path) -> None:
         """Hold that a second instance with another name leaves the files of the first alone."""
@@ -214,11 +216,36 @@ class PluginContract:
 
     def _require_equal(self, ours: Mapping[str, MeasureValue], those: Mapping[str, MeasureValue]) -> None:
         same = ours == those if self.is_repeatable else ours.keys() == those.keys()
-        require(same, f"it published {dict(ours)}, where a new instance published {dict(those)}")
+        require(same, f"the plugin published {dict(ours)}, where a new instance published {dict(those)}")
 
 
 def _files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def _doubted(context: RobotRunnerContext) -> Iterator[str]:
+    """Yield the measures that were doubted in a run."""
+    if isinstance(context.broker, RecordingBroker):
+        for kind, fields in context.broker.records:
+            yield from fields.get("measures", ()) if kind == "finding" else ()
+
+
+#: So far may the window that a profiler tells of differ from the mission, s.
+_SAME_WINDOW = 0.001
+
+
+class _SlowNeighbour(Profiler):
+    """Measures nothing, and takes its time to start and to stop."""
+
+    def __init__(self, seconds: float) -> None:
+        super().__init__(name="SlowNeighbour")
+        self._seconds = seconds
+
+    def start_measurement(self, context: RobotRunnerContext) -> None:
+        context.clock.sleep(self._seconds)
+
+    def stop_measurement(self, context: RobotRunnerContext) -> None:
+        context.clock.sleep(self._seconds)
 
 
 class ProfilerContract(PluginContract):
@@ -226,6 +253,10 @@ class ProfilerContract(PluginContract):
 
     Attributes:
         measuring_seconds: how long each run measures, s on the run's clock.
+        neighbour_seconds: how long another profiler takes to start and to stop, s on the run's clock; less where that
+            clock is the machine's.
+        tolerance: by which share values may differ with the order of the plugins; 0 for not at all, as on simulated
+            robots. None, where runs are not repeatable, does not compare values with each other.
 
     Example:
         >>> from robot_runner.plugins.profilers import PsUtil
@@ -237,15 +268,62 @@ class ProfilerContract(PluginContract):
     """
 
     measuring_seconds: ClassVar[float] = 1.0
+    neighbour_seconds: ClassVar[float] = 3.0
+    tolerance: ClassVar[float | None] = None
 
     def mission(self, context: RobotRunnerContext) -> None:
         """Let time go by."""
         context.clock.sleep(self.measuring_seconds)
 
     def test_it_is_a_profiler(self) -> None:
-        """Hold that it derives from `Profiler`, so that it hears events after the systems."""
+        """Hold that it derives from `Profiler`, so that it is called at events after the systems."""
         plugin = self.make_plugin()
         require(isinstance(plugin, Profiler), f"{plugin!r} does not derive from Profiler")
+
+    def test_values_are_about_the_mission_alone(self, tmp_path: Path) -> None:
+        """Hold that a profiler that takes its time, listed before or behind, changes no value; or that values are doubted.
+
+        Listed behind, it has the profiler sample for some seconds before the mission and for some after it.
+        """
+        short, _ = self._with_neighbour(tmp_path / "before", is_first=True)
+        long, doubted = self._with_neighbour(tmp_path / "behind", is_first=False)
+        changed = [name for name, value in short.items() if not self._is_same(value, long[name])]
+        unsaid = {name: (short[name], long[name]) for name in changed if name not in doubted}
+        require(
+            not unsaid,
+            f"values depend on the order of the plugins, and no doubt says so: {unsaid}. Evaluate over context.window, "
+            "or tell of a window of your own with note_own_window.",
+        )
+
+    def _with_neighbour(self, folder: Path, *, is_first: bool) -> tuple[dict[str, MeasureValue], set[str]]:
+        """Return what is published beside a slow neighbour, and whose values are doubted."""
+        plugin, neighbour = self.make_plugin(), _SlowNeighbour(self.neighbour_seconds)
+        context = self.make_context(folder, plugin)
+        plugins = (neighbour, plugin) if is_first else (plugin, neighbour)
+        try:
+            Rehearsal(context, *plugins).execute(lambda: self.mission(context))
+            self._require_window(folder, plugin, context)
+            return dict(context.measures), set(_doubted(context))
+        finally:
+            context.resources.close()
+
+    def _is_same(self, ours: MeasureValue, those: MeasureValue) -> bool:
+        tolerance = 0.0 if self.tolerance is None and self.is_repeatable else self.tolerance
+        if isinstance(ours, int | float) and isinstance(those, int | float):
+            return tolerance is None or math.isclose(ours, those, rel_tol=tolerance)
+        return (ours is None) == (those is None) if tolerance is None else ours == those
+
+    def _require_window(self, folder: Path, plugin: Plugin, context: RobotRunnerContext) -> None:
+        """Hold that the window in `quality.json`, where there is one, is the mission."""
+        path = folder / "runs" / context.run_id / plugin.name / "quality.json"
+        said = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+        mission = context.times.window(SystemClock() if said.get("clock") == "machine" else None)
+        if said.get("window") is None or mission is None:
+            return
+        start, end = said["window"]["start"], said["window"]["end"]
+        is_same = max(abs(start - mission.start), abs(end - mission.end)) <= _SAME_WINDOW
+        told = f"from {start} to {end} s, and the mission was from {mission.start} to {mission.end} s"
+        require(is_same, f"its quality.json has a window {told}")
 
     def test_a_run_that_never_measured_is_closed(self, tmp_path: Path) -> None:
         """Hold that a run that fails before its measurement can be closed."""
@@ -258,4 +336,4 @@ class ProfilerContract(PluginContract):
         with self.rehearsal(tmp_path, self.make_plugin()) as (context, rehearsal):
             rehearsal.execute(lambda: None)
             declared = {measure.name for measure in self.make_plugin().measures}
-            require(declared <= set(context.measures), f"it published {sorted(context.measures)} only")
+            require(declared <= set(context.measures), f"the plugin published {sorted(context.measures)} only")

@@ -5,7 +5,8 @@ from typing import Any
 import pytest
 
 from robot_runner.core.errors import MeasureError
-from robot_runner.core.events.measure import Measure, MeasureBroker, Origin, resolve_columns
+from robot_runner.core.events.measure import Measure, Origin, resolve_columns
+from robot_runner.core.events.measure_broker import MeasureBroker
 
 
 @pytest.fixture

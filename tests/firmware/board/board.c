@@ -15,6 +15,7 @@
 #include <simavr/sim_avr.h>
 #include <simavr/sim_elf.h>
 #include <simavr/sim_io.h>
+#include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
@@ -31,11 +32,14 @@
 #define MARK 4 /* PD4 */
 #define LAMP 5 /* PD5 */
 #define MOMENTS 16
+#define SENSORS 4
+#define FIRST_ADDRESS 0x40
 #define PATIENCE 60 /* real seconds until the port is opened */
 
 static avr_t *avr;
 static struct load load;
-static struct sensor sensor;
+static struct sensor sensors[SENSORS];
+static int sensor_count = 1;
 static struct card card;
 static struct line line;
 
@@ -44,7 +48,7 @@ static double seconds; /* how long to go on; 0: until the port is closed */
 static double pace; /* seconds of the board in a real second; 0: as many as it can */
 static int openings = 1;
 static volatile double *shared; /* as said above; may be null */
-static double marks[MOMENTS], away[MOMENTS], faint[MOMENTS]; /* s; 0 ends each */
+static double marks[MOMENTS], away[MOMENTS], faint[MOMENTS], stuck[MOMENTS]; /* s; 0 ends each */
 static avr_cycle_count_t before_reset; /* cycles that a reset took from the counter */
 static double began_real;
 static int lamp;
@@ -94,11 +98,12 @@ static avr_cycle_count_t beat(avr_t *board, avr_cycle_count_t when, void *param)
 {
     static int fainted;
     (void) param;
-    sensor.is_away = count_passed(away) % 2;
+    sensors[0].is_away = count_passed(away) % 2;
+    sensors[0].is_stuck = count_passed(stuck) % 2;
     avr_raise_irq(avr_io_getirq(board, AVR_IOCTL_IOPORT_GETIRQ('D'), MARK), count_passed(marks) % 2 == 0);
     if (count_passed(faint) > fainted) {
         fainted++;
-        sensor_reset(&sensor);
+        sensor_reset(&sensors[0]);
     }
     line_serve(&line);
     keep_step();
@@ -137,9 +142,12 @@ static int make_board(const char *path)
     avr_load_firmware(avr, &firmware);
     avr->frequency = HERTZ;
     avr->sleep = do_not_sleep;
-    sensor.load = &load;
-    sensor.now = card.now = line.now = now;
-    sensor_attach(&sensor, avr);
+    card.now = line.now = now;
+    for (int at = 0; at < sensor_count; at++) {
+        sensors[at].load = &load;
+        sensors[at].now = now;
+        sensor_attach(&sensors[at], avr);
+    }
     line_attach(&line, avr);
     if (card.image)
         card_attach(&card, avr);
@@ -213,6 +221,12 @@ static volatile double *map_clock(const char *path)
 
 static const char *firmware_path;
 
+static void for_all_sensors(size_t member, double number)
+{
+    for (int at = 0; at < SENSORS; at++)
+        *(double *) ((char *) &sensors[at] + member) = number;
+}
+
 static int set(const char *name, const char *text)
 {
     if (strcmp(name, "firmware") == 0)
@@ -222,7 +236,13 @@ static int set(const char *name, const char *text)
     else if (strcmp(name, "volts") == 0)
         load.volts = atof(text);
     else if (strcmp(name, "shunt") == 0)
-        sensor.shunt = atof(text);
+        for_all_sensors(offsetof(struct sensor, shunt), atof(text));
+    else if (strcmp(name, "slowness") == 0)
+        for_all_sensors(offsetof(struct sensor, slowness), atof(text));
+    else if (strcmp(name, "noise") == 0)
+        for_all_sensors(offsetof(struct sensor, noise), atof(text));
+    else if (strcmp(name, "sensors") == 0)
+        return (sensor_count = atoi(text)) >= 1 && sensor_count <= SENSORS;
     else if (strcmp(name, "seconds") == 0)
         seconds = atof(text);
     else if (strcmp(name, "pace") == 0)
@@ -249,6 +269,8 @@ static int set(const char *name, const char *text)
         read_moments(away, text);
     else if (strcmp(name, "faint") == 0)
         read_moments(faint, text);
+    else if (strcmp(name, "stuck") == 0)
+        read_moments(stuck, text);
     else
         return 0;
     return 1;
@@ -258,7 +280,11 @@ static int understand(int count, char **words)
 {
     load_parse(&load, "0:0");
     load.volts = 12;
-    sensor.shunt = 0.1;
+    /* The data sheet gives no figure for the noise; one step is the least that its converter can show. Further sensors
+       measure a half, a third, a quarter of the load. */
+    for (int at = 0; at < SENSORS; at++)
+        sensors[at] = (struct sensor){.address = (uint8_t) (FIRST_ADDRESS + at), .share = 1.0 / (at + 1), .shunt = 0.1,
+            .noise = 10e-6, .seed = (uint64_t) at};
     card.busy_every = 1;
     card.busy_s = 2e-3;
     for (int at = 1; at < count; at++) {

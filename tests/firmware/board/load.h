@@ -4,14 +4,17 @@
 
 struct load {
     double volts; /* behind the shunt */
-    enum { STEPS, SINE } shape;
+    enum { STEPS, SINE, PULSES } shape;
     int count; /* of steps; each lasts until the next one begins, the last for ever */
     double begins[64]; /* s */
     double amperes[64];
-    double mean, amplitude, hertz; /* of the sine: mean + amplitude * sin(2 pi hertz t) */
+    double mean, amplitude; /* of the sine: mean + amplitude * sin(2 pi (hertz t + phase)) */
+    double low, high, duty; /* of the pulses: high while the fraction of (hertz t + phase) is below duty, else low */
+    double hertz, phase; /* of both; the phase in turns */
 };
 
-/* Understand `0:0.7,15:0.95,40:0.8` or `sine:0.8,0.1,3`; return 0 if it is neither. */
+/* Understand `0:0.7,15:0.95,40:0.8`, `sine:0.8,0.1,3[,phase]` or `pulses:low,high,hertz,duty[,phase]`; return 0 if it
+   is none of them. */
 int load_parse(struct load *load, const char *text);
 
 /* The mean current between two moments, s, in amperes. */

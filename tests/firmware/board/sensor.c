@@ -5,77 +5,162 @@
 #include <simavr/sim_avr.h>
 #include <simavr/sim_io.h>
 
-#define ADDRESS 0x40
 #define POWER_ON 0x399F
 #define RESET 0x8000
-#define CONTINUOUS 7
+#define SHUNT_MODE 1
+#define BUS_MODE 2
+#define CONTINUOUS 4
+#define SHUNT_STEP 10e-6 /* V */
+#define BUS_STEP 4e-3 /* V */
 
-/* Table 5: how long a conversion takes, s, by the four bits that choose resolution or averaging. */
-static double conversion(unsigned setting)
+/* Table 5: how many single conversions are averaged, by the four bits that choose resolution or averaging. */
+static int averaged(unsigned setting)
 {
-    static const double single[] = {84e-6, 148e-6, 276e-6, 532e-6};
-    if (!(setting & 8) || setting == 8)
-        return single[setting == 8 ? 3 : setting & 3];
-    return 532e-6 * (1 << (setting & 7));
+    return setting > 8 ? 1 << (setting & 7) : 1;
+}
+
+/* The same table: how long a single one takes, s (typical), and how many steps one of its own is worth. */
+static double single(const struct sensor *sensor, unsigned setting, int *coarseness)
+{
+    static const double seconds[] = {84e-6, 148e-6, 276e-6, 532e-6};
+    int bits = setting & 8 ? 3 : setting & 3;
+    *coarseness = 8 >> bits;
+    return seconds[bits] * (1 + sensor->slowness);
+}
+
+static unsigned setting_of(const struct sensor *sensor, int is_bus)
+{
+    return sensor->configuration >> (is_bus ? 7 : 3) & 15;
+}
+
+static double duration(const struct sensor *sensor, int is_bus)
+{
+    int coarseness;
+    unsigned setting = setting_of(sensor, is_bus);
+    return averaged(setting) * single(sensor, setting, &coarseness);
+}
+
+/* Sums of twelve even numbers that look like chance (Steele, Lea, Flood: splitmix64) are nearly normal. */
+static double normal(struct sensor *sensor)
+{
+    double sum = -6;
+    for (int count = 0; count < 12; count++) {
+        uint64_t z = sensor->seed += 0x9E3779B97F4A7C15;
+        z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9;
+        z = (z ^ z >> 27) * 0x94D049BB133111EB;
+        sum += (double) ((z ^ z >> 31) >> 11) / 9007199254740992.0;
+    }
+    return sum;
+}
+
+static double clip(double value, double low, double high)
+{
+    return value < low ? low : value > high ? high : value;
+}
+
+/* The converter integrates over each conversion (delta-sigma); each is clipped and rounded before they are averaged. */
+static uint16_t convert_shunt(struct sensor *sensor)
+{
+    int coarseness, limit = 4000 << (sensor->configuration >> 11 & 3);
+    unsigned setting = setting_of(sensor, 0);
+    int count = averaged(setting);
+    double each = single(sensor, setting, &coarseness), sum = 0;
+    for (int at = 0; at < count; at++) {
+        double amperes = sensor->share * load_mean(sensor->load, sensor->begun + at * each, sensor->begun + (at + 1) * each);
+        double volts = amperes * sensor->shunt + (sensor->noise > 0 ? sensor->noise * normal(sensor) : 0);
+        sum += clip(rint(volts / SHUNT_STEP / coarseness) * coarseness, -limit, limit);
+    }
+    return (uint16_t) (int) rint(sum / count);
+}
+
+static uint16_t convert_bus(const struct sensor *sensor)
+{
+    int coarseness, limit = sensor->configuration & 0x2000 ? 8000 : 4000;
+    single(sensor, setting_of(sensor, 1), &coarseness);
+    return (uint16_t) (int) clip(rint(sensor->load->volts / BUS_STEP / coarseness) * coarseness, 0, limit);
+}
+
+static void begin_cycle(struct sensor *sensor, double at)
+{
+    unsigned mode = sensor->configuration & 7;
+    sensor->begun = at;
+    sensor->converting = mode & SHUNT_MODE ? SHUNT : mode & BUS_MODE ? BUS : IDLE;
+}
+
+/* A cycle is over: it is told by CNVR, and the next one follows without a pause where the mode says continuous. */
+static void end_cycle(struct sensor *sensor, double at)
+{
+    sensor->is_ready = 1;
+    if (sensor->configuration & CONTINUOUS)
+        begin_cycle(sensor, at);
+    else
+        sensor->converting = IDLE;
+}
+
+/* Do what was due until now: a register holds what was converted last, whatever the mode has become. */
+static void catch_up(struct sensor *sensor)
+{
+    while (sensor->converting != IDLE) {
+        int is_bus = sensor->converting == BUS;
+        double end = sensor->begun + duration(sensor, is_bus);
+        if (end > sensor->now())
+            return;
+        if (sensor->is_stuck)
+            ;
+        else if (is_bus)
+            sensor->bus_register = convert_bus(sensor);
+        else
+            sensor->shunt_register = convert_shunt(sensor);
+        if (!is_bus && sensor->configuration & BUS_MODE) {
+            sensor->converting = BUS;
+            sensor->begun = end;
+        } else {
+            end_cycle(sensor, end);
+        }
+    }
 }
 
 void sensor_reset(struct sensor *sensor)
 {
     sensor->configuration = POWER_ON;
-    sensor->configured_at = sensor->now();
+    sensor->shunt_register = sensor->bus_register = 0;
+    sensor->is_ready = 0;
     sensor->pointer = 0;
+    begin_cycle(sensor, sensor->now());
 }
 
-static int clip(double value, int low, int high)
+static uint16_t value(struct sensor *sensor)
 {
-    return value < low ? low : value > high ? high : (int) lrint(value);
-}
-
-static uint16_t shunt_register(const struct sensor *sensor, double from, double to)
-{
-    int limit = 4000 << (sensor->configuration >> 11 & 3);
-    return (uint16_t) clip(load_mean(sensor->load, from, to) * sensor->shunt / 10e-6, -limit, limit);
-}
-
-static uint16_t bus_register(const struct sensor *sensor)
-{
-    int limit = sensor->configuration & 0x2000 ? 8000 : 4000;
-    return (uint16_t) (clip(sensor->load->volts / 4e-3, 0, limit) << 3 | 2);
-}
-
-/* The two voltages are converted in turn, the shunt's first; a register holds what was converted last. */
-static uint16_t voltage_register(const struct sensor *sensor, int is_bus)
-{
-    double shunt_s = conversion(sensor->configuration >> 3 & 15);
-    double bus_s = conversion(sensor->configuration >> 7 & 15);
-    double since = sensor->now() - sensor->configured_at;
-    double end = is_bus ? shunt_s + bus_s : shunt_s;
-    double rounds = floor((since - end) / (shunt_s + bus_s));
-    double begun = sensor->configured_at + rounds * (shunt_s + bus_s);
-    if (rounds < 0 || (sensor->configuration & CONTINUOUS) != CONTINUOUS)
-        return 0;
-    return is_bus ? bus_register(sensor) : shunt_register(sensor, begun, begun + shunt_s);
-}
-
-static uint16_t value(const struct sensor *sensor)
-{
+    catch_up(sensor);
     switch (sensor->pointer) {
     case 0:
         return sensor->configuration;
     case 1:
+        return sensor->shunt_register;
     case 2:
-        return voltage_register(sensor, sensor->pointer == 2);
+        return (uint16_t) (sensor->bus_register << 3 | sensor->is_ready << 1);
+    case 3:
+        sensor->is_ready = 0; /* reading the power register clears CNVR; without calibration it holds 0 */
+        return 0;
     default:
         return 0;
     }
 }
 
+/* Writing the configuration abandons the conversion that goes on, and clears CNVR unless the mode is an idle one. */
 static void configure(struct sensor *sensor, uint16_t configuration)
 {
     if (sensor->pointer != 0)
         return;
-    sensor->configuration = configuration & RESET ? POWER_ON : configuration;
-    sensor->configured_at = sensor->now();
+    catch_up(sensor);
+    if (configuration & RESET) {
+        sensor_reset(sensor);
+        return;
+    }
+    sensor->configuration = configuration;
+    if (configuration & (SHUNT_MODE | BUS_MODE))
+        sensor->is_ready = 0;
+    begin_cycle(sensor, sensor->now());
 }
 
 static void take(struct sensor *sensor, uint8_t byte)
@@ -91,8 +176,9 @@ static void take(struct sensor *sensor, uint8_t byte)
 
 static uint8_t give(struct sensor *sensor)
 {
-    uint16_t whole = value(sensor);
-    return (uint8_t) (sensor->byte++ == 0 ? whole >> 8 : whole);
+    if (sensor->byte == 0)
+        sensor->given = value(sensor);
+    return (uint8_t) (sensor->byte++ == 0 ? sensor->given >> 8 : sensor->given);
 }
 
 static void hear(struct avr_irq_t *irq, uint32_t word, void *param)
@@ -105,7 +191,7 @@ static void hear(struct avr_irq_t *irq, uint32_t word, void *param)
     if (what & TWI_COND_STOP)
         sensor->is_selected = 0;
     if (what & TWI_COND_START) {
-        sensor->is_selected = !sensor->is_away && address >> 1 == ADDRESS;
+        sensor->is_selected = !sensor->is_away && address >> 1 == sensor->address;
         sensor->byte = 0;
         if (sensor->is_selected)
             avr_raise_irq(answer, avr_twi_irq_msg(TWI_COND_ACK, address, 1));

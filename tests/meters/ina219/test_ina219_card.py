@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from tests.meters.scripted_meter import frame, hello, mark, sample
+from tests.meters.scripted_meter import NOISE, frame, hello, mark, sample
 
 from robot_runner.core.errors import LinkError
 from robot_runner.meters.ina219.card import read_card
@@ -15,13 +15,15 @@ PERIOD = 5000
 WATTS = 0.613 * 12.4
 
 
-def recording(count: int, *, marks=(), start_us: int = 5000, first: int = 0, says_hello: bool = True) -> bytes:
+def recording(
+    count: int, *, marks=(), start_us: int = 5000, first: int = 0, says_hello: bool = True, noise: int = 1
+) -> bytes:
     """A recording of so many samples of a constant power; `marks` are (before which sample, is it on)."""
     pieces = [hello(first, start_us)] if says_hello else []
     for number in range(count):
         now = start_us + number * PERIOD
         pieces += [mark(first + number, now, is_on=is_on) for at, is_on in marks if at == number]
-        pieces.append(sample(first + number, now))
+        pieces.append(sample(first + number, now, 6130 + noise * NOISE[number % 4]))
     whole = b"".join(pieces)
     return whole + bytes(-len(whole) % 512)
 
@@ -79,7 +81,7 @@ def test_a_mark_before_the_first_sample_marks_from_the_first_sample_on(tmp_path)
 
 
 def test_a_recording_can_be_evaluated_as_a_whole_or_in_part(tmp_path):
-    (found,) = read_card(written(tmp_path, recording(401)))
+    (found,) = read_card(written(tmp_path, recording(401, noise=0)))
     assert found.evaluate().values()["Energy"] == pytest.approx(WATTS * 2.0)
     part = found.evaluate(Window(0.5, 1.25), shunt_ohm=0.2)
     assert part.values()["Energy"] == pytest.approx(WATTS * 0.75 / 2)

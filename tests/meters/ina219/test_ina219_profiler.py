@@ -59,7 +59,10 @@ def problems(context) -> list[str]:
 def test_a_meter_that_says_nothing_yields_no_value_and_a_warning(measure):
     context = measure([])
     assert dict(context.measures) == NOTHING
-    assert problems(context) == ["no sample arrived in the measured window, where 400 were expected"]
+    assert problems(context) == [
+        "no sample arrived in the measured window, where 400 were expected",
+        "no byte came in 6 s: is it the right port, and does the meter have power?",
+    ]
 
 
 def test_a_meter_that_needs_its_boot_loader_is_waited_for(measure, clock):

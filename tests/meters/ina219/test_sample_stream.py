@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.meters.scripted_meter import ScriptedMeter, hello, mark, sample
 
-from robot_runner.meters.ina219.frames import SampleStream
+from robot_runner.meters.ina219.sample_stream import SampleStream
 from robot_runner.testing import Chunk
 
 

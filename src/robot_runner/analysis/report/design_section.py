@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.report.blocks import Block, Cell, Facts, Paragraph, Part, Section, Table, Tone
 from robot_runner.analysis.report.charts import points_chart
-from robot_runner.analysis.report.material import correction_in_words, origin_badges
+from robot_runner.analysis.report.material import correction_in_words
 from robot_runner.analysis.report.tables import build_table, field, interval, number, text
 from robot_runner.analysis.wording import ALPHA, MINUS, listed, sentence, with_unit
 from robot_runner.core.words import counted, shown_duration
@@ -66,6 +66,12 @@ def order_in_words(material: Material) -> str:
     design = material.manifest("design", default={})
     if design.get("source") == "run_table.csv":
         return "as in a run table that was made by hand"
+    if design.get("is_reordered"):
+        return f"changed by hand in run_table.csv; planned: {_planned_order(material, design)}"
+    return _planned_order(material, design)
+
+
+def _planned_order(material: Material, design: Mapping[str, Any]) -> str:
     if not design.get("shuffle"):
         return "as written; not randomised" if "shuffle" in design else "not recorded"
     blocks = f" within blocks of {design['blocks']}" if design.get("blocks") else ""
@@ -162,7 +168,7 @@ def _part(material: Material, measure: MeasureStatistics) -> Part:
     blocks: list[Block] = [Paragraph(meaning, Tone.NOTE)] if meaning else []
     blocks += _description_tables(material, measure, label)
     blocks += [Paragraph(note, Tone.NOTE) for note in _notes(measure)]
-    return Part(f"describe-{measure.name}", label, tuple(blocks), origin_badges(measure.origin))
+    return Part(f"describe-{measure.name}", label, tuple(blocks), material.badges(measure))
 
 
 def _description_tables(material: Material, measure: MeasureStatistics, label: str) -> Iterator[Table]:

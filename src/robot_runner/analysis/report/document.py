@@ -54,6 +54,7 @@ def json_of_report(material: Material, *, made: str) -> str:
         "columns": {name: column for name, column in results.columns.items() if name in results.measures},
         "runs": results.runs.to_dict("records"),
         "quality": material.qualities,
+        "doubtful_values": material.doubted.to_dict("records"),
         "statistics": material.statistics,
         "threats": threats_of(material),
     }
@@ -130,5 +131,8 @@ def _badges(material: Material) -> Iterator[Badge]:
         yield Badge("simulated robot", Tone.WARNING, "Nothing in this report was measured on a real robot.")
     elif material.is_simulated:
         yield Badge("some values not measured", Tone.WARNING, "Some measures are simulated or estimated.")
+    if len(material.doubted):
+        doubt = f"{counted(len(material.doubted), 'value')} doubtful or missing"
+        yield Badge(doubt, Tone.WARNING, "Reasons, and what stands without them, are in this report.")
     if material.results.is_running:
         yield Badge("still being executed", Tone.WARNING)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.analysis.report.blocks import Badge, Tone
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.design.columns import RUN_ID, STATUS
+from robot_runner.core.events.measure import Quality
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.layout import ExperimentFolder
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from robot_runner.analysis.results import Results
-    from robot_runner.analysis.statistics.outcome import ExperimentStatistics
+    from robot_runner.analysis.statistics.outcome import ExperimentStatistics, MeasureStatistics
 
 __all__ = [
     "ALL_RUNS",
@@ -35,6 +36,11 @@ __all__ = [
 ]
 
 
+#: How the values of a measure can fall short, with an explanation for a badge.
+_DOUBTED = {
+    Quality.DOUBTFUL.value: "There are reasons to doubt these values: see Outcome of each run.",
+    Quality.MISSING.value: "These runs are done and have no value.",
+}
 #: What a plugin notes about its raw samples: `runs/<run id>/<plugin>/quality.json`.
 _FILE = "quality.json"
 
@@ -180,6 +186,19 @@ class Material:
     def qualities(self) -> tuple[RunQuality, ...]:
         """What plugins noted about their raw samples."""
         return read_qualities(ExperimentFolder(self.results.folder), list(self.runs[RUN_ID]))
+
+    @cached_property
+    def doubted(self) -> pd.DataFrame:
+        """The values of runs that are done which are doubtful or missing, as `Results.quality` has them."""
+        quality = self.results.quality
+        return quality[quality["quality"].astype("str") != Quality.GOOD.value].reset_index(drop=True)
+
+    def badges(self, measure: MeasureStatistics) -> tuple[Badge, ...]:
+        """Return labels for a measure whose values were not all measured, or are not all good."""
+        mine = self.doubted.loc[self.doubted["measure"] == measure.name, "quality"].astype("str")
+        counts = {word: int((mine == word).sum()) for word in _DOUBTED}
+        told = (Badge(f"{count:,} {word}", Tone.WARNING, _DOUBTED[word]) for word, count in counts.items() if count)
+        return (*origin_badges(measure.origin), *told)
 
     @cached_property
     def counts(self) -> Mapping[RunStatus, int]:

@@ -20,7 +20,7 @@ from robot_runner.analysis.report.blocks import (
     Tone,
 )
 from robot_runner.analysis.report.tables import Field, build_table, field, number, number_cell, text
-from robot_runner.analysis.wording import MISSING, listed
+from robot_runner.analysis.wording import MISSING, NUMBER, listed
 from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.words import counted, shown_duration
@@ -46,6 +46,8 @@ def outcome_section(material: Material) -> Section:
     if spans:
         blocks.append(_timeline(material, spans))
     blocks.append(Part("outcome-runs", "Each run", (_run_table(material),)))
+    if len(material.doubted):
+        blocks.append(Part("outcome-values", "Doubtful and missing values", (_value_table(material),)))
     if material.qualities:
         blocks.append(Part("outcome-quality", "Quality of the raw data", (_quality_table(material.qualities),)))
     return Section("outcome-of-each-run", "Outcome of each run", tuple(blocks))
@@ -110,6 +112,26 @@ def _run_table(material: Material) -> Table:
     caption = "All runs, in the order of the run table."
     table = build_table("runs", caption, material.runs.to_dict("records"), fields)
     return table.without_blank("What looked odd", "Attempts", "Took")
+
+
+def _value_table(material: Material) -> Table:
+    """Return the values that are not good; reasons that differ in numbers alone are told once."""
+    groups: dict[tuple[str, str, str], list[tuple[str, str]]] = {}
+    for run, measure, quality, reasons in material.doubted.itertuples(index=False):
+        groups.setdefault((measure, str(quality), NUMBER.sub("#", reasons)), []).append((str(run), reasons))
+
+    def reason(group: tuple[str, str, str]) -> str:
+        told = list(dict.fromkeys(reasons for _, reasons in groups[group]))
+        return f"{told[0]}{', and the like' if len(told) > 1 else ''}" if told[0] else "No reason was given."
+
+    fields = (
+        text("Measure", lambda group: group[0]),
+        text("Quality", lambda group: group[1], lambda _: Tone.WARNING),
+        number("Values", lambda group: len(groups[group])),
+        text("Runs", lambda group: listed(run for run, _ in groups[group])),
+        text("Reason", reason),
+    )
+    return build_table("doubtful values", "Values of runs that are done which are doubtful or missing.", groups, fields)
 
 
 def _values(heading: str, name: str, *, is_number: bool = True) -> Field:

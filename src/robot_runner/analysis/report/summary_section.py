@@ -19,7 +19,7 @@ from robot_runner.analysis.report.blocks import (
     Table,
     Tone,
 )
-from robot_runner.analysis.report.material import JOINT, origin_badges
+from robot_runner.analysis.report.material import JOINT
 from robot_runner.analysis.report.tables import Field, build_table, field, text
 from robot_runner.analysis.wording import MISSING, TIMES, listed, shown_number
 from robot_runner.core.storage.cells import RunStatus
@@ -57,7 +57,7 @@ def summary_section(material: Material, threats: Sequence[Remark]) -> Section:
     blocks += _means(material)
     hypotheses = material.statistics.hypotheses
     blocks += [Paragraph(each.conclusion, Tone.GOOD, lead=each.hypothesis.statement) for each in hypotheses]
-    blocks += map(_conclusion, material.statistics.measures)
+    blocks += [_conclusion(material, measure) for measure in material.statistics.measures]
     return Section("in-brief", "In brief", tuple(blocks))
 
 
@@ -111,13 +111,15 @@ def _plural(count: str, noun: str) -> str:
     return noun if count == "1" else f"{noun}s"
 
 
-def _conclusion(measure: MeasureStatistics) -> Paragraph:
+def _conclusion(material: Material, measure: MeasureStatistics) -> Paragraph:
     if measure.test is None:
         why = measure.not_computed[0].why if measure.not_computed else "there is nothing to compare"
         conclusion = f"Not tested: {why[:1].lower()}{why[1:].rstrip('.')}."
     else:
-        conclusion = " ".join(effect.conclusion for effect in measure.test.effects)
-    return Paragraph(conclusion, lead=measure.name, badges=origin_badges(measure.origin))
+        standings = [each for each in material.statistics.standings if each.measure == measure.name]
+        conclusions = [effect.conclusion for effect in measure.test.effects]
+        conclusion = " ".join([*conclusions, *(each.conclusion for each in standings if not each.statement)])
+    return Paragraph(conclusion, lead=measure.name, badges=material.badges(measure))
 
 
 def replication_section(material: Material) -> Section:

@@ -19,7 +19,7 @@ from robot_runner.analysis.report.blocks import (
     Table,
     Tone,
 )
-from robot_runner.analysis.report.material import correction_in_words, origin_badges
+from robot_runner.analysis.report.material import correction_in_words
 from robot_runner.analysis.report.measure_figures import quantile_figure
 from robot_runner.analysis.report.tables import Field, build_table, field, interval, number, p_value, text
 from robot_runner.analysis.wording import ALPHA, MISSING, RHO, listed, sentence, shown_interval, shown_number
@@ -51,6 +51,8 @@ def tests_section(material: Material) -> Section:
     if material.statistics.hypotheses:
         blocks.append(_hypothesis_table(material))
     blocks += [_part(material, measure) for measure in material.statistics.measures]
+    if material.statistics.standings:
+        blocks.append(Part("without-doubtful", "Without doubtful values", (_standing_table(material),)))
     if material.statistics.correlations:
         blocks.append(Part("correlations", "Correlations", (_correlation_table(material),)))
     blocks += _missed(material.statistics.not_computed)
@@ -77,7 +79,7 @@ def _part(material: Material, measure: MeasureStatistics) -> Part:
     if measure.power is not None:
         blocks.append(Paragraph(_power(measure.power), Tone.NOTE, lead="Power."))
     blocks += _missed(measure.not_computed)
-    badges = (_PLANNED if measure.is_planned else _EXPLORATORY, *origin_badges(measure.origin))
+    badges = (_PLANNED if measure.is_planned else _EXPLORATORY, *material.badges(measure))
     return Part(f"test-{measure.name}", label, tuple(blocks), badges)
 
 
@@ -89,6 +91,9 @@ def _test(material: Material, measure: MeasureStatistics) -> Iterator[Block]:
         return
     for effect in test.effects:
         yield Paragraph(effect.conclusion, Tone.GOOD)
+    for standing in material.statistics.standings:
+        if standing.measure == measure.name:
+            yield Paragraph(standing.conclusion, Tone.PLAIN if standing.stands else Tone.WARNING)
     method = test.method.value
     yield Paragraph(test.reason, lead=f"{method[:1].upper()}{method[1:]}.")
     caption = f"{material.results.label(measure.name)}: {method}."
@@ -154,6 +159,25 @@ def _hypothesis_table(material: Material) -> Table:
     )
     caption = "Hypotheses that were fixed before the experiment."
     return build_table("hypotheses", caption, material.statistics.hypotheses, fields)
+
+
+def _standing_table(material: Material) -> Table:
+    words = {None: "not known", True: "stands", False: "does not stand"}
+    fields = (
+        text("Measure", "measure"),
+        text("Conclusion about", "label"),
+        number("Runs left out", lambda each: len(each.left_out)),
+        p_value("p", "p_value"),
+        p_value("p without them", "p_value_without"),
+        field("Verdict", lambda each: Cell(each.stands, words[each.stands], _tone(each.stands))),
+    )
+    caption = "Whether conclusions stand when the runs are left out whose values are doubtful."
+    note = "p-values of hypotheses are adjusted; all other tables and figures are of all values."
+    return build_table("without doubtful", caption, material.statistics.standings, fields, note)
+
+
+def _tone(stands: bool | None) -> Tone:
+    return Tone.GOOD if stands else Tone.WARNING
 
 
 def _effect_table(name: str, caption: str, test: MeasureTest, alpha: float) -> Table:

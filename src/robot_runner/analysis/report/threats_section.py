@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.report.blocks import Block, Gallery, Paragraph, Remark, Remarks, Section, Tone
+from robot_runner.analysis.report.machine_threats import machine_threats
 from robot_runner.analysis.report.material import origin_badges
 from robot_runner.analysis.report.measure_figures import drift_figure
 from robot_runner.analysis.report.outcome_section import failures_in_words
-from robot_runner.analysis.wording import listed, shown_number
+from robot_runner.analysis.wording import NUMBER, listed, shown_number
+from robot_runner.core.events.measure import Quality
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import counted
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["threats_of", "threats_section"]
 
-_NUMBER = re.compile(r"\d+(?:[.,]\d+)*")
 _LOW_POWER = 0.8
 _FEW = 5
 
@@ -57,9 +57,9 @@ def threats_section(material: Material, threats: Sequence[Remark]) -> Section:
 def threats_of(material: Material) -> tuple[Remark, ...]:
     """Return all threats, those of one kind together."""
     kinds = {
-        "Conclusion validity": (_groups, _power, _plan),
-        "Internal validity": (_drifts, _order, _unfinished, _circumstances, _odd, _gaps),
-        "Construct validity": (_origins, _saturation),
+        "Conclusion validity": (_groups, _power, _plan, _doubtful),
+        "Internal validity": (_drifts, _order, _unfinished, _circumstances, machine_threats, _odd, _gaps),
+        "Construct validity": (_unread, _origins, _saturation),
         "External validity": (_constant_factors,),
     }
     return tuple(
@@ -93,6 +93,17 @@ def _plan(material: Material) -> Threats:
     missed = [*statistics.not_computed, *(each for measure in statistics.measures for each in measure.not_computed)]
     if missed:
         yield "Not everything could be computed", listed(each.what for each in missed), Tone.NOTE
+
+
+def _doubtful(material: Material) -> Threats:
+    """Yield, for each measure with doubtful values, how many they are and what stands without them."""
+    doubted = material.doubted[material.doubted["quality"].astype("str") == Quality.DOUBTFUL.value]
+    for name, rows in doubted.groupby("measure", sort=False):
+        mine = [each for each in material.statistics.standings if each.measure == name]
+        told = " ".join(each.conclusion for each in mine)
+        runs = counted(len(material.done), "run")
+        text = f"{len(rows):,} of {runs}: {listed(rows['run_id'])}; Outcome of each run has the reasons. {told}".strip()
+        yield f"{name} has doubtful values", text, Tone.WARNING if all(each.stands for each in mine) else Tone.BAD
 
 
 def _power(material: Material) -> Threats:
@@ -129,6 +140,9 @@ def _order(material: Material) -> Threats:
             "Runs were executed in the order in which they were written; what changes with time may pass for an effect."
         )
         yield "The order was not randomised", text, Tone.WARNING
+    if design.get("is_reordered"):
+        text = "The rows of run_table.csv were put into another order by hand, and runs were executed in that order."
+        yield "The order was changed by hand", text, Tone.WARNING
 
 
 def _unfinished(material: Material) -> Threats:
@@ -168,6 +182,11 @@ def _circumstances(material: Material) -> Threats:
     deviations: dict[str, object] = dict(material.manifest("deviations", default={}))
     for execution in executions:
         deviations |= execution.get("deviations") or {}
+    changed: list[dict[str, str]] = [each for each in material.manifest("table_deviations", default=[]) if each["run"]]
+    if changed:
+        cells = (f"{each['column']} of {each['run']} from {each['was']!r} to {each['is']!r}" for each in changed)
+        text = f"Cells of runs that were executed were changed in run_table.csv: {listed(cells, shown=20)}."
+        yield "Results were changed by hand", text, Tone.BAD
     if deviations:
         shown = listed((f"{name} = {value}" for name, value in deviations.items()), shown=20)
         text = f"Set on the command line, against what the config says: {shown}."
@@ -179,7 +198,7 @@ def _odd(material: Material) -> Threats:
     groups: dict[tuple[str, str], list[tuple[str, str, str]]] = {}
     frame = material.results.odd
     for run, owner, problem, fix in frame[["run_id", "owner", "problem", "fix"]].itertuples(index=False):
-        key = (str(owner), _NUMBER.sub("#", str(problem)))
+        key = (str(owner), NUMBER.sub("#", str(problem)))
         groups.setdefault(key, []).append((str(run), str(problem), str(fix or "")))
     for (owner, _), members in groups.items():
         runs = listed(dict.fromkeys(run for run, _, _ in members))
@@ -211,6 +230,19 @@ def _by_plugin(qualities: Iterable[RunQuality]) -> Iterable[tuple[str, list[RunQ
     for each in qualities:
         found.setdefault(each.plugin, []).append(each)
     return found.items()
+
+
+def _unread(material: Material) -> Threats:
+    readers, constant = material.results.readers, material.statistics.design.constant_factors
+    if readers is None:
+        return
+    for factor in material.results.factors:
+        if factor not in readers and factor not in constant:
+            text = (
+                f"No callback and no plugin looked at {factor} in any run: unless somebody applied it by hand, the "
+                "treatments differ in name only, and that no effect is found says nothing."
+            )
+            yield f"{factor} may never have been applied", text, Tone.BAD
 
 
 def _origins(material: Material) -> Threats:

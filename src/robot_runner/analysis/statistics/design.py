@@ -135,6 +135,7 @@ class Design:
         constant: those with one.
         block: the column of the blocks, or None.
         left_out: how many runs of the table are not done.
+        without: runs whose values are not used.
     """
 
     results: Results
@@ -143,6 +144,7 @@ class Design:
     constant: tuple[str, ...]
     block: str | None
     left_out: int
+    without: frozenset[str] = frozenset()
 
     def data(self, measure: str) -> MeasureData | None:
         """Return the data of a measure, or None where its values are no numbers."""
@@ -150,6 +152,8 @@ class Design:
         if isinstance(values.dtype, pd.StringDtype | pd.BooleanDtype) or values.dtype == object:
             return None
         every = self.frame.assign(**{VALUE: values.to_numpy(dtype=np.float64, na_value=np.nan)})
+        if self.without:
+            every = every[~every[RUN_ID].isin(self.without)].reset_index(drop=True)
         frame = every[every[VALUE].notna()].reset_index(drop=True)
         factors = tuple(name for name in self.factors if _distinct(frame[name]) > 1)
         return MeasureData(measure, frame, every, factors, self.block is not None)

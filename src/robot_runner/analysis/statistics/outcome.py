@@ -34,6 +34,7 @@ __all__ = [
     "Outlier",
     "Power",
     "RepetitionsNeeded",
+    "Standing",
 ]
 
 
@@ -254,6 +255,35 @@ class HypothesisOutcome:
 
 
 @dataclass(frozen=True, slots=True)
+class Standing:
+    """Whether a conclusion stands when the runs are left out whose values are doubtful.
+
+    Attributes:
+        factors: of the effect that it is about.
+        statement: the hypothesis that it is about; empty for an effect by itself.
+        left_out: the runs that were left out.
+        p_value: of all runs; adjusted where it is about a hypothesis.
+        p_value_without: of the runs that are left; None where it could not be computed.
+        stands: None where that could not be told.
+        conclusion: one sentence.
+    """
+
+    measure: str
+    factors: tuple[str, ...]
+    statement: str
+    left_out: tuple[str, ...]
+    p_value: float | None
+    p_value_without: float | None
+    stands: bool | None
+    conclusion: str
+
+    @property
+    def label(self) -> str:
+        """What it is about, in words: the hypothesis, or the effect as in `Task x Speed`."""
+        return self.statement or " x ".join(self.factors)
+
+
+@dataclass(frozen=True, slots=True)
 class ExperimentStatistics:
     """The statistics of an experiment.
 
@@ -263,6 +293,8 @@ class ExperimentStatistics:
         is_planned: whether measures, alpha and hypotheses were fixed before the experiment.
         measures: one each, planned ones first.
         warnings: threats to validity that the statistics themselves noticed: drift, imbalance, runs left out.
+        without_doubtful: the measures that have doubtful values, once more without these.
+        standings: whether conclusions about those stand.
     """
 
     alpha: float
@@ -274,6 +306,8 @@ class ExperimentStatistics:
     hypotheses: tuple[HypothesisOutcome, ...]
     warnings: tuple[str, ...]
     not_computed: tuple[NotComputed, ...] = field(default=())
+    without_doubtful: tuple[MeasureStatistics, ...] = ()
+    standings: tuple[Standing, ...] = ()
 
     def measure(self, name: str) -> MeasureStatistics:
         """Return the statistics of one measure.

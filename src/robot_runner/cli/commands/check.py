@@ -1,4 +1,4 @@
-"""Say everything that is wrong with a config, and touch nothing.
+"""Say everything that is wrong with a config, and touch nothing; with --probe, try its profilers for a moment.
 
 Each finding has its place and its fix. Exit code 0: the config can be executed; 2: it is refused.
 """
@@ -15,13 +15,17 @@ from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.parser import add_config, add_json, add_set
 from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.loader import parse_assignments
+from robot_runner.core.config.preparation import Preparation
+from robot_runner.core.execution.probe import probe_experiment
+from robot_runner.core.words import shown_value
 
 if TYPE_CHECKING:
     from argparse import Namespace
+    from collections.abc import Iterator
 
     from robot_runner.cli.parser import Parser
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.config.preparation import Preparation
+    from robot_runner.core.execution.probe import Probe
 
 __all__ = ["add_arguments", "execute"]
 
@@ -30,6 +34,9 @@ def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
     add_config(parser)
     add_set(parser)
+    parser.add_argument(
+        "--probe", action="store_true", help="also try each profiler for a moment; what moves is not touched"
+    )
     add_json(parser)
 
 
@@ -37,14 +44,24 @@ def execute(arguments: Namespace) -> int:
     """Print all findings, and what is fine."""
     with quiet_loading():
         preparation = prepare(Path(arguments.config), parse_assignments(arguments.set))
+        probe = probe_experiment(preparation.experiment) if arguments.probe and preparation.experiment else None
+    if probe is not None:
+        preparation = _judged(preparation, probe)
     if arguments.json:
-        print_json(_as_json(arguments.config, preparation))
+        print_json(_as_json(arguments.config, preparation, probe))
     else:
-        _print(output(), arguments.config, preparation)
+        _print(output(), arguments.config, preparation, probe)
     return 0 if preparation.experiment else REFUSED
 
 
-def _print(console: UserConsole, config: str, preparation: Preparation) -> None:
+def _judged(preparation: Preparation, probe: Probe) -> Preparation:
+    """Return the preparation with what a probe of the profilers found; one that is silent refuses the experiment."""
+    findings = sorted([*preparation.findings, *probe.findings], key=lambda each: not each.is_error)
+    is_refused = any(finding.is_error for finding in findings)
+    return Preparation(None if is_refused else preparation.experiment, tuple(findings))
+
+
+def _print(console: UserConsole, config: str, preparation: Preparation, probe: Probe | None) -> None:
     print_findings(console, preparation.findings)
     experiment = preparation.experiment
     if experiment is None:
@@ -60,6 +77,7 @@ def _print(console: UserConsole, config: str, preparation: Preparation) -> None:
             ("Order", order_in_words(experiment.model)),
             ("Plugins", ", ".join(plugin.name for plugin in experiment.plugins) or "none"),
             ("Measures", measures_in_words(experiment.columns)),
+            *_seen(probe),
             ("Robot", experiment.parameters.robot or "none"),
             ("Mode", experiment.parameters.operation_type.name),
             ("Results", shown_path(experiment.folder.root)),
@@ -68,13 +86,27 @@ def _print(console: UserConsole, config: str, preparation: Preparation) -> None:
     )
 
 
-def _as_json(config: str, preparation: Preparation) -> dict[str, Any]:
+def _seen(probe: Probe | None) -> Iterator[tuple[str, str]]:
+    """Yield what each profiler measured during the probe."""
+    heading = "Probe"
+    for profiler in probe.profilers if probe is not None else ():
+        values = ", ".join(
+            f"{name} {shown_value(each.value)} {each.unit}".rstrip() for name, each in profiler.measures.items()
+        )
+        yield heading, f"{profiler.plugin}: {values}"
+        heading = ""
+    if probe is not None and not probe.profilers:
+        yield heading, "no profiler tells anything before the mission"
+
+
+def _as_json(config: str, preparation: Preparation, probe: Probe | None) -> dict[str, Any]:
     experiment = preparation.experiment
     return {
         "config": config,
         "is_executable": experiment is not None,
         "findings": as_json(preparation.findings),
         "experiment": _experiment_as_json(experiment) if experiment else None,
+        **({} if probe is None else {"probe": probe.fields()}),
     }
 
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 from rich.text import Text
 
 from robot_runner.cli.console import UserConsole, output, print_facts, print_json, shown_path
-from robot_runner.cli.findings import as_json, print_odd
+from robot_runner.cli.findings import as_json, print_odd, quality_in_words
 from robot_runner.cli.parser import add_json, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
-from robot_runner.core.execution.status import ExperimentStatus, read_status
+from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
@@ -52,6 +52,7 @@ def _print(console: UserConsole, status: ExperimentStatus) -> None:
             ("State", _state(status)),
             ("Runs", _counts(status)),
             ("Now", _now(status)),
+            ("Quality", quality_in_words(status.bad_values)),
             ("Started", status.started_at or ""),
             ("Ended", status.finished_at or ""),
             ("Results", shown_path(status.folder)),

@@ -29,7 +29,7 @@ from robot_runner.core.errors import PluginError, RobotRunnerError, did_you_mean
 from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.execution.trial import try_plugin
 from robot_runner.core.plugin import Plugin, Profiler, find_plugin
-from robot_runner.core.words import one_line, shown_duration, shown_value
+from robot_runner.core.words import enumerated, one_line, shown_duration, shown_value
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -163,7 +163,9 @@ _MOST_LINES = 20
 
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
-    parser.add_argument("profiler", metavar="PROFILER", help="its name, `module:Class`, `file.py` or `file.py:Class`")
+    parser.add_argument(
+        "profiler", metavar="PROFILER", help="the profiler's name, `module:Class`, `file.py` or `file.py:Class`"
+    )
     parser.add_argument(
         "--seconds", metavar="S", type=float, default=_SECONDS, help="how long it measures, in seconds (%(default)g)"
     )
@@ -179,7 +181,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def execute(arguments: Namespace) -> int:
-    """Try the profiler; 0 where its run went well, 1 where it failed, 2 where it was refused."""
+    """Try the profiler; 0 where its run went well, 1 where it failed or yielded no value, 2 where it was refused."""
     _check(arguments)
     values = parse_assignments(arguments.set)
     with quiet_loading():
@@ -195,7 +197,7 @@ def execute(arguments: Namespace) -> int:
         _print(output(), plugin, trial, kept)
     if trial.outcome is None:
         return REFUSED
-    return 0 if trial.outcome.status is AttemptStatus.DONE else SOME_FAILED
+    return 0 if trial.outcome.status is AttemptStatus.DONE and not trial.missing else SOME_FAILED
 
 
 def _check(arguments: Namespace) -> None:
@@ -227,7 +229,7 @@ def _print(console: UserConsole, plugin: Plugin, trial: Trial, kept: Path | None
     kind = type(plugin)
     console.print(Text(kind.__name__, style="bold").append(f"  {kind.__module__}:{kind.__qualname__}", "not bold dim"))
     print_folded(console, "  ", (kind.__doc__ or "").strip().partition("\n\n")[0].replace("\n", " "), style="")
-    _print_section(console, "Events", [(event.name, _heard(event)) for event in trial.events])
+    _print_section(console, "Events", [(event.name, _called(event)) for event in trial.events])
     _print_section(console, "Measures", list(_measures(plugin, trial)))
     _print_section(console, "Raw data", [(file.name, _file(file)) for file in trial.raw_files] or [("", "none")])
     _print_section(console, "Samples", list(_quality(trial)))
@@ -243,11 +245,11 @@ def _print_section(console: UserConsole, heading: str, facts: Sequence[tuple[str
         print_facts(console, facts)
 
 
-def _heard(event: CalledEvent) -> str:
+def _called(event: CalledEvent) -> str:
     if not event.was_emitted:
         return "not reached"
-    if not event.is_heard:
-        return "not heard"
+    if not event.has_callback:
+        return "no callback"
     return "called" if event.seconds is None else f"called; {shown_duration(event.seconds)} to the next event"
 
 
@@ -261,7 +263,8 @@ def _measures(plugin: Plugin, trial: Trial) -> Iterator[tuple[str, str]]:
             yield measure.name, "no value"
         else:
             unit = "" if measure.unit == "1" else f" {measure.unit}".rstrip()
-            yield measure.name, f"{shown_value(found.value)}{unit}  ({found.origin.value})"
+            doubtful = ", doubtful" if found.doubts else ""
+            yield measure.name, f"{shown_value(found.value)}{unit}  ({found.origin.value}{doubtful})"
     for value in trial.refused:
         yield one_line(str(value["name"])), f"refused: {one_line(str(value['value']))}"
 
@@ -303,12 +306,16 @@ def _print_verdict(console: UserConsole, trial: Trial) -> None:
     console.print()
     print_findings(console, trial.findings)
     failure = trial.outcome.failure if trial.outcome else None
-    if failure is None:
+    if trial.missing:
+        missing = f"it measured nothing: no value of {enumerated(trial.missing)}"
+        console.print(Text("failed: ", style="bold red").append(missing, "not bold default"), soft_wrap=True)
+    elif failure is None:
         console.print("It went well." if not trial.findings else "It went through; look at the warnings.", style="bold")
-        return
-    console.print(Text("failed: ", style="bold red").append(one_line(str(failure)), "not bold default"), soft_wrap=True)
-    for line in failure.traceback.splitlines():
-        console.print(Text(f"  {line}", style="dim"), soft_wrap=True)
+    else:
+        said = one_line(str(failure))
+        console.print(Text("failed: ", style="bold red").append(said, "not bold default"), soft_wrap=True)
+        for line in failure.traceback.splitlines():
+            console.print(Text(f"  {line}", style="dim"), soft_wrap=True)
 
 
 def _as_json(plugin: Plugin, trial: Trial, kept: Path | None) -> dict[str, Any]:
@@ -321,13 +328,25 @@ def _as_json(plugin: Plugin, trial: Trial, kept: Path | None) -> dict[str, Any]:
         "failure": str(outcome.failure) if outcome and outcome.failure else None,
         "findings": as_json(trial.findings),
         "events": [
-            {"name": event.name, "is_heard": event.is_heard, "was_emitted": event.was_emitted, "seconds": event.seconds}
+            {
+                "name": event.name,
+                "is_heard": event.has_callback,
+                "was_emitted": event.was_emitted,
+                "seconds": event.seconds,
+            }
             for event in trial.events
         ],
         "measures": {
-            name: {"value": measure.value, "unit": measure.unit, "origin": measure.origin.value}
+            name: {
+                "value": measure.value,
+                "unit": measure.unit,
+                "origin": measure.origin.value,
+                "quality": measure.quality.value,
+                "doubts": list(measure.doubts),
+            }
             for name, measure in published.items()
         },
+        "missing": list(trial.missing),
         "refused": [dict(each) for each in trial.refused],
         "raw_files": [{"name": file.name, "bytes": file.size} for file in trial.raw_files],
         "quality": trial.quality,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import UserConsole, print_facts, shown_path
-from robot_runner.cli.findings import print_odd
+from robot_runner.cli.findings import print_odd, quality_in_words
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import counted, shown_duration
 
@@ -43,11 +43,13 @@ def print_verdict(console: UserConsole, finished: ExperimentFinished, progress: 
 
 
 def whereabouts(finished: ExperimentFinished, progress: Progress) -> list[tuple[str, str]]:
-    """Return where the results are, and which of them were not measured."""
+    """Return where the results are, and which of them are not good or were not measured."""
     facts = [("Results", shown_path(finished.run_table))]
     runs = ExperimentFolder.found_at(finished.folder).runs
     if runs.is_dir() and any(runs.iterdir()):
         facts.append(("", f"{shown_path(runs)}/<run>/ has what the run printed, and its raw data"))
+    if progress.bad_values:
+        facts.append(("Quality", f"{quality_in_words(progress.bad_values)} (`robot-runner explain` says why)"))
     return facts + [("Origin", line) for line in _origins(progress.origins)]
 
 

@@ -17,6 +17,7 @@ from robot_runner.cli.screens.plain import (
     closing,
     forget_typed,
     opening,
+    probing,
     request,
     terminal_input,
     treatments_in_words,
@@ -26,8 +27,10 @@ from robot_runner.core.execution.notices import (
     AttemptFinished,
     AttemptStarted,
     ExperimentStarted,
+    FindingsNoticed,
     InterruptionNoticed,
     Notice,
+    ProbeStarted,
     WaitingForUser,
 )
 from robot_runner.core.words import counted, one_line, shown_duration
@@ -92,6 +95,8 @@ class LiveScreen:
         """Take a notice; what is permanent is printed above the live part, the rest is shown at the next refresh."""
         self.progress.take(notice)
         match notice:
+            case ProbeStarted():
+                self._console.print(Text(probing(notice), style="dim"))
             case ExperimentStarted():
                 self._begin(notice)
             case AttemptStarted():
@@ -101,6 +106,9 @@ class LiveScreen:
                 self._finished.append(notice)
                 if self._clock() - self._printed >= (self.refresh_interval or 0):
                     self._print_finished()
+            case FindingsNoticed(findings):
+                self._print_finished()
+                print_findings(self._console, findings)
             case InterruptionNoticed(run_id):
                 self._print_finished()
                 self._print_lines([Text(closing(run_id), style="bold yellow")])

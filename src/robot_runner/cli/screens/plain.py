@@ -16,16 +16,19 @@ from robot_runner.cli.design_words import run_cells, run_columns
 from robot_runner.cli.findings import print_findings
 from robot_runner.cli.screens.progress import Progress
 from robot_runner.core.design.columns import REPETITION, numbered_run_id
+from robot_runner.core.events.measure import Quality
 from robot_runner.core.execution.notices import (
     AttemptFinished,
     AttemptStarted,
     ExperimentStarted,
+    FindingsNoticed,
     InterruptionNoticed,
     Notice,
+    ProbeStarted,
     WaitingForUser,
 )
 from robot_runner.core.execution.task import AttemptStatus
-from robot_runner.core.words import counted, one_line, shown_duration, shown_treatment, shown_value
+from robot_runner.core.words import counted, enumerated, one_line, shown_duration, shown_treatment, shown_value
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -34,6 +37,7 @@ if TYPE_CHECKING:
     from robot_runner.cli.console import UserConsole
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.design.run_table_model import RunTableModel
+    from robot_runner.core.events.measure import PublishedMeasure
     from robot_runner.core.execution.task import RunOutcome, RunTask
 
 __all__ = [
@@ -43,7 +47,9 @@ __all__ = [
     "forget_typed",
     "heading_of",
     "opening",
+    "probing",
     "request",
+    "shown_measure",
     "terminal_input",
     "treatments_in_words",
 ]
@@ -51,8 +57,8 @@ __all__ = [
 
 # Finished runs as rows of a table that grows: run, treatments, measures, and how long it took.
 
-#: A measure in four significant digits needs as much, with sign and exponent.
-_MEASURE = 9
+#: A measure in four significant digits needs as much, with exponent and question mark.
+_MEASURE = 10
 _TOOK = 11
 _INDENT = "  "
 
@@ -65,6 +71,13 @@ def heading_of(measure: str, unit: str) -> str:
         ('Energy (J)', 'Errors')
     """
     return f"{measure} ({unit})" if unit not in {"", "1"} else measure
+
+
+def shown_measure(published: PublishedMeasure | None) -> str:
+    """Return a value in four significant digits, with a question mark where it is doubtful; a missing one as a dash."""
+    if published is None:
+        return shown_value(None)
+    return shown_value(published.value) + ("?" if published.quality is Quality.DOUBTFUL else "")
 
 
 def treatments_in_words(task: RunTask, model: RunTableModel) -> str:
@@ -104,7 +117,7 @@ class RunRows:
         what = run_cells(self._model, task.run_id, task.combination, task.repetition)
         if outcome.status is AttemptStatus.DONE:
             published = (outcome.measures.get(name) for name in self._measures)
-            values = [shown_value(each.value if each else None) for each in published]
+            values = [shown_measure(each) for each in published]
             return Text(_INDENT + aligned(columns, [*what, *values, shown_duration(outcome.seconds)]))
         reason = one_line(str(outcome.failure)) if outcome.status is AttemptStatus.FAILED else "interrupted"
         again = "" if finished.is_last else f"attempt {task.attempt}, tried again: "
@@ -133,6 +146,11 @@ def forget_typed(descriptor: int | None) -> None:
     if descriptor is not None:
         with suppress(termios.error):
             termios.tcflush(descriptor, termios.TCIFLUSH)
+
+
+def probing(started: ProbeStarted) -> str:
+    """Return what is said while the profilers are tried."""
+    return f"Trying {enumerated(started.plugins)} for a moment, before anything moves ..."
 
 
 def opening(started: ExperimentStarted) -> list[str]:
@@ -191,6 +209,8 @@ class PlainScreen:
         """Print what is worth a line."""
         self.progress.take(notice)
         match notice:
+            case ProbeStarted():
+                self._print(probing(notice))
             case ExperimentStarted():
                 self._units = notice.columns
                 self._print(*opening(notice))
@@ -200,6 +220,8 @@ class PlainScreen:
                 self._print(f"{_named(task)} starts{f': {treatments}' if treatments else ''}")
             case AttemptFinished(task, outcome, is_last):
                 self._print(f"{_named(task)} {self._ended(outcome, is_last=is_last)}")
+            case FindingsNoticed(findings):
+                print_findings(self._console, findings)
             case InterruptionNoticed(run_id):
                 self._print(closing(run_id))
             case WaitingForUser():
@@ -227,7 +249,7 @@ class PlainScreen:
         shown = []
         for name, unit in self._units.items():
             published = outcome.measures.get(name)
-            value = shown_value(published.value if published else None)
+            value = shown_measure(published)
             shown.append(f"{name} {value} {unit}" if unit not in {"", "1"} else f"{name} {value}")
         return shown
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from robot_runner.core.events.measure import Quality
 from robot_runner.core.execution.notices import (
     AttemptFinished,
     AttemptStarted,
@@ -18,6 +19,7 @@ from robot_runner.core.execution.task import AttemptStatus
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from robot_runner.core.events.measure import PublishedMeasure
     from robot_runner.core.execution.notices import Notice
     from robot_runner.core.execution.task import RunTask
 
@@ -54,6 +56,7 @@ class Progress:
         current: the run that is being executed, if one is.
         run_ids: the runs that were executed in this session.
         origins: where the values of the run table came from, with the measures of each origin.
+        bad_values: the runs of this session whose values are not good, by measure and quality.
         is_waiting: whether the user is asked to go on.
         has_begun: whether any run was begun in this session.
     """
@@ -70,6 +73,7 @@ class Progress:
         self.current: CurrentRun | None = None
         self.run_ids: dict[str, None] = {}
         self.origins: dict[str, dict[str, None]] = {}
+        self.bad_values: dict[str, dict[str, list[str]]] = {}
         self.is_waiting = False
         self.has_begun = False
 
@@ -138,12 +142,20 @@ class Progress:
             if measure is not None and measure.value is not None:
                 self.origins.setdefault(measure.origin.value, {})[name] = None
         if notice.is_last:
+            if status is AttemptStatus.DONE:
+                self._take_qualities(notice.task.run_id, notice.outcome.measures)
             now = self._clock()
             self._seconds_of_runs += now - self._run_since
             self._run_since = now
             self.run_ids[notice.task.run_id] = None
             self.done += status is AttemptStatus.DONE
             self.failed += status is AttemptStatus.FAILED
+
+    def _take_qualities(self, run_id: str, measures: Mapping[str, PublishedMeasure]) -> None:
+        for name in self._columns:
+            quality = measures[name].quality if name in measures else Quality.MISSING
+            if quality is not Quality.GOOD:
+                self.bad_values.setdefault(name, {}).setdefault(quality.value, []).append(run_id)
 
 
 def _said(values: object) -> str:

@@ -12,7 +12,7 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
-from robot_runner.core.config.experiment import Author, authors_from_text, is_licence
+from robot_runner.core.config.authors import Author, authors_from_text, is_licence
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.errors import ConfigError
 from robot_runner.core.events.window import is_phase_name
@@ -20,13 +20,13 @@ from robot_runner.core.events.window import is_phase_name
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from robot_runner.core.design.run_table import RunTable
-    from robot_runner.core.design.run_table_model import RunTableModel
+    from robot_runner.core.design.run_table_model import RunTable, RunTableModel
     from robot_runner.core.plugin import Plugin
 
 __all__ = [
     "PARAMETERS",
     "REQUIRED",
+    "BadValuePolicy",
     "ExperimentConfig",
     "FailurePolicy",
     "OperationType",
@@ -49,6 +49,19 @@ class FailurePolicy(Enum):
 
     CONTINUE = "continue"
     STOP = "stop"
+
+
+class BadValuePolicy(Enum):
+    """What follows a value of the run table that is missing or not plausible.
+
+    KEEP: the run counts, and the value is kept with the reason.
+    TRY_AGAIN: the attempt counts as failed while `attempts` leaves another one; the last attempt's values are kept.
+    FAIL: the attempt counts as failed.
+    """
+
+    KEEP = "keep"
+    TRY_AGAIN = "try_again"
+    FAIL = "fail"
 
 
 class RunProcess(Enum):
@@ -161,8 +174,17 @@ def _not_from_text(text: str) -> NoReturn:
     raise ValueError(f"{text!r} cannot be set from outside")
 
 
+def _truth(text: str) -> bool:
+    return ("false", "true").index(text.casefold()) == 1
+
+
 def _whole(least: int, what: str) -> Kind:
     return Kind(f"a whole number{what}, {least} or more", lambda value: _is_integer(value) and value >= least, int)
+
+
+def _flag_from_text(text: str) -> bool | str:
+    """Return what a text says; one that says neither is returned as it is, and found to be malformed."""
+    return {"true": True, "false": False}.get(text.strip().casefold(), text)
 
 
 def _choice(choices: type[Enum]) -> Kind:
@@ -190,6 +212,7 @@ _ROS_GENERATION = Kind(
 ).or_any("1, 2, any or None")
 _ROS_DISTRIBUTION = Kind("", _is_text).or_any('the name of a ROS distribution, such as "noetic", any or None')
 _SECONDS = Kind("a positive number of seconds", _is_seconds, float)
+_FLAG = Kind("True or False", lambda value: isinstance(value, bool), _flag_from_text)
 _PLAN = Kind("an AnalysisPlan(...) in the config file", lambda value: isinstance(value, AnalysisPlan), _not_from_text)
 _AUTHORS = Kind(
     "a list of names or Author(...)",
@@ -199,6 +222,7 @@ _AUTHORS = Kind(
 )
 _LICENCE = Kind('an SPDX identifier such as "CC-BY-4.0", a URL', is_licence)
 _TEXT = Kind("a text", _is_text)
+_YES_OR_NO = Kind("True or False", lambda value: isinstance(value, bool), _truth)
 
 
 _PHASES = Kind(
@@ -253,6 +277,23 @@ class StaticParameters:
         FailurePolicy.CONTINUE,
     )
     attempts: int = _declare("How often a run is tried before it counts as failed.", _whole(1, ""), 1)
+    on_bad_value: BadValuePolicy = _declare(
+        "What follows a value of the run table that is missing, or beyond its measure's `low` or `high`: KEEP it with "
+        "the reason, TRY_AGAIN while there are attempts left, or FAIL the attempt.",
+        _choice(BadValuePolicy),
+        BadValuePolicy.KEEP,
+    )
+    quality_columns: bool = _declare(
+        "Whether each measure has a column `<measure>.quality` in the run table: good, doubtful or missing, and why.",
+        _FLAG,
+        default=False,
+    )
+    probe: bool = _declare(
+        "Whether each profiler is tried for a moment before the first run, so that one that is silent is found before "
+        "the robot moves.",
+        _FLAG,
+        default=True,
+    )
     run_deadline_in_s: float | None = _declare(
         "How long a run may take, in seconds of real time; None for no limit.", _SECONDS.or_none(), None
     )
@@ -270,6 +311,12 @@ class StaticParameters:
         "orchestrator itself (IN_PROCESS).",
         _choice(RunProcess),
         RunProcess.FORK,
+    )
+    watch_machines: bool = _declare(
+        "Whether the computers that profilers measure are watched for what else goes on there: load by others, swap, "
+        "throttling.",
+        _YES_OR_NO,
+        True,  # noqa: FBT003 - the default of the declaration
     )
     analysis: AnalysisPlan | None = _declare(
         "What is fixed for the analysis before the experiment: measures, level of significance, hypotheses.",
@@ -315,7 +362,7 @@ class Parameters(StaticParameters):
 class ExperimentConfig(StaticParameters):
     """An experiment: its static parameters, its run table, its plugins, and what happens at its events.
 
-    A method that is named like an event hears it: `before_experiment`, `before_run`, `start_run`,
+    A method that is named like an event is called at it: `before_experiment`, `before_run`, `start_run`,
     `start_measurement`, `launch_mission`, `stop_measurement`, `stop_run`, `populate_run_data`,
     `continue_experiment`, `after_experiment`. Deriving from this class gives the parameters their types and
     defaults; a class named `RobotRunnerConfig` that derives from nothing works as well.

@@ -1,4 +1,4 @@
-"""The run-table model: what an experiment varies, how often, and in which order."""
+"""The run-table model (what an experiment varies, how often, and in which order), and the run table made from it."""
 
 from __future__ import annotations
 
@@ -6,21 +6,22 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from math import prod
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, overload
 
-from robot_runner.core.design.columns import REPETITION, name_findings
+from robot_runner.core.design.columns import REPETITION, column_name, name_findings
 from robot_runner.core.design.exclusions import apply_exclusions
 from robot_runner.core.design.factor import Factor, full_factorial
-from robot_runner.core.design.run_table import RunOrder, RunTable, garbage_collection_paused, planned_runs
+from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, garbage_collection_paused, planned_runs
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from robot_runner.core.design.columns import NamedColumn
     from robot_runner.core.design.exclusions import Exclusion, Exclusions
     from robot_runner.core.design.factor import Combination
 
-__all__ = ["MAX_RUNS", "RunTableModel", "design_findings", "order_findings"]
+__all__ = ["MAX_RUNS", "RunTable", "RunTableModel", "design_findings", "order_findings"]
 
 
 # What keeps factors, repetitions, columns and order from making a design: each check lists all that it finds.
@@ -95,8 +96,9 @@ def _data_column_findings(columns: object, factors: Sequence[Factor], repetition
         return
     names_of_factors = {factor.name for factor in factors}
     seen = set()
-    for place, name in enumerate(columns):
+    for place, column in enumerate(columns):
         where = f"data_columns[{place}]"
+        name = column_name(column)
         yield from name_findings(name, kind="data column", repetitions=repetitions)
         if not isinstance(name, str):
             continue
@@ -136,6 +138,48 @@ def _blocks_fix(name: object, known: Iterable[str]) -> str:
     return did_you_mean(str(name), known)
 
 
+class RunTable(Sequence[PlannedRun]):
+    """All runs of an experiment in the order of execution. Immutable.
+
+    Attributes:
+        model: the model that it was made from.
+        order: how its runs were put in order, with the seed.
+
+    Example:
+        >>> table = RunTableModel([Factor("Task", ["Video", "Network"])], repetitions=2).plan()
+        >>> [(run.run_id, run.combination["Task"], run.repetition) for run in table]
+        [('r_1', 'Video', 1), ('r_2', 'Network', 1), ('r_3', 'Video', 2), ('r_4', 'Network', 2)]
+    """
+
+    def __init__(self, model: RunTableModel, runs: Iterable[PlannedRun], order: RunOrder) -> None:
+        self.model = model
+        self.order = order
+        self._runs = tuple(runs)
+
+    def __len__(self) -> int:
+        return len(self._runs)
+
+    @overload
+    def __getitem__(self, place: int) -> PlannedRun: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> Sequence[PlannedRun]: ...
+
+    def __getitem__(self, place: int | slice) -> PlannedRun | Sequence[PlannedRun]:
+        return self._runs[place]
+
+    def __iter__(self) -> Iterator[PlannedRun]:
+        return iter(self._runs)
+
+    def __repr__(self) -> str:
+        return f"<RunTable: {len(self)} runs, seed {self.order.seed}>"
+
+    @property
+    def seed(self) -> int:
+        """What its order comes from."""
+        return self.order.seed
+
+
 class RunTableModel:
     """The plan of all runs: the full factorial less the exclusions, each combination repeated, in some order.
 
@@ -147,7 +191,8 @@ class RunTableModel:
     Attributes:
         factors: what is varied.
         repetitions: how often each combination is executed; from two on the table has a column `Repetition`.
-        data_columns: the measures that the run table has columns for; None stands for all measures of all plugins.
+        data_columns: the measures that the run table has columns for, by name, or as a `Measure` where it is the
+            config's own; None stands for all measures of all plugins.
         warnings: findings that do not refuse the design, as on exclusions that remove nothing.
 
     Example:
@@ -166,7 +211,7 @@ class RunTableModel:
         factors: Iterable[Factor],
         exclude_combinations: Sequence[Exclusion] = (),
         repetitions: int = 1,
-        data_columns: Sequence[str] | None = None,
+        data_columns: Sequence[NamedColumn] | None = None,
         shuffle: bool = False,
         seed: int | None = None,
         blocks: str | Factor | None = None,

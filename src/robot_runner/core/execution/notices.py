@@ -17,13 +17,22 @@ __all__ = [
     "AttemptStarted",
     "ExperimentFinished",
     "ExperimentStarted",
+    "FindingsNoticed",
     "InterruptionNoticed",
     "Notice",
     "Observer",
+    "ProbeStarted",
     "RunRecord",
     "SilentObserver",
     "WaitingForUser",
 ]
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeStarted:
+    """Profilers are tried for a moment, before anything else happens."""
+
+    plugins: Sequence[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +80,13 @@ class AttemptFinished:
 
 
 @dataclass(frozen=True, slots=True)
+class FindingsNoticed:
+    """A run that was just recorded shows something about all that follow; it is said again at the end."""
+
+    findings: Sequence[Finding]
+
+
+@dataclass(frozen=True, slots=True)
 class WaitingForUser:
     """SEMI: the next run starts once the user says so."""
 
@@ -113,10 +129,12 @@ class ExperimentFinished:
 
 
 Notice = (
-    ExperimentStarted
+    ProbeStarted
+    | ExperimentStarted
     | AttemptStarted
     | RunRecord
     | AttemptFinished
+    | FindingsNoticed
     | WaitingForUser
     | InterruptionNoticed
     | ExperimentFinished

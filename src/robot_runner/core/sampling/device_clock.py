@@ -16,6 +16,8 @@ __all__ = ["ClockMap", "fit_clock"]
 _LARGEST_SKEW = 0.01
 #: Over less time, s, the jitter of arrival (some milliseconds) would pass for skew.
 _SHORTEST_BASE = 10.0
+#: Over less time than that, a skew is believed that moved the arrivals by more than a busy machine delays bytes, s.
+_BEYOND_JITTER = 0.1
 
 _Point = tuple[float, float]
 
@@ -27,6 +29,7 @@ class ClockMap:
     Attributes:
         offset: the run's time when the device's clock showed 0, s.
         rate: seconds of the run that go by in one second of the device.
+        drift: by how much that differs from 1 as it was found; where that is more than a clock can be off, the rate is 1.
 
     Example:
         >>> ClockMap(offset=100.0, rate=1.0).to_run(2.5)
@@ -35,19 +38,31 @@ class ClockMap:
 
     offset: float
     rate: float = 1.0
+    drift: float = 0.0
 
     def to_run(self, device_time: float) -> float:
-        """Return the run's time at a time of the device's clock, both in seconds."""
-        return self.offset + self.rate * device_time
+        """Return the run's time at a time of the device's clock, both in seconds; in whole microseconds.
+
+        No two clocks are known to each other better than that; and so a moment has one time, whenever the device was
+        switched on.
+        """
+        return round(self.offset + self.rate * device_time, 6)
 
 
-def fit_clock(device_times: Sequence[float], received_times: Sequence[float]) -> ClockMap:
+def fit_clock(
+    device_times: Sequence[float], received_times: Sequence[float], *, largest_skew: float = _LARGEST_SKEW
+) -> ClockMap:
     """Return the map that fits messages stamped by a device and received by the run, both in s, in order.
 
     A message is received some time after it was stamped, never before. So the best line runs below all points
     (stamp, arrival) and as close to them as it can: an edge of their lower convex hull. Source: Moon, Skelly,
     Towsley, Estimation and removal of clock skew from network delay measurements (INFOCOM 1999). Where the messages
     span too little time to tell skew from jitter, the rate is taken as 1 and the least delay gives the offset.
+
+    Args:
+        device_times: when each message was stamped, by the device's clock.
+        received_times: when it arrived, by the run's.
+        largest_skew: up to where a skew, in parts of one, is believed and mended; a larger one is told as `drift` only.
 
     Raises:
         PluginError: there are no messages.
@@ -59,18 +74,21 @@ def fit_clock(device_times: Sequence[float], received_times: Sequence[float]) ->
     if not len(device_times):
         raise PluginError("no messages to compare clocks with", where="fit_clock", fix="Call it once samples arrived.")
     hull = _lower_hull((stamp, arrival - stamp) for stamp, arrival in zip(device_times, received_times, strict=True))
-    skew = _skew(hull, (device_times[0] + device_times[-1]) / 2)
-    return ClockMap(min(delay - skew * stamp for stamp, delay in hull), 1.0 + skew)
+    drift = _skew(hull, device_times[0], device_times[-1])
+    skew = drift if abs(drift) <= largest_skew else 0.0
+    return ClockMap(min(delay - skew * stamp for stamp, delay in hull), 1.0 + skew, drift)
 
 
-def _skew(hull: Sequence[_Point], middle: float) -> float:
+def _skew(hull: Sequence[_Point], first: float, last: float) -> float:
     """Return how much faster the run's clock goes, from the hull's edge below the middle or its nearest wide chord."""
-    left = [point for point in hull if point[0] <= middle - _SHORTEST_BASE / 2]
-    right = [point for point in hull if point[0] >= middle + _SHORTEST_BASE / 2]
-    if not left or not right:
+    middle, base = (first + last) / 2, min(_SHORTEST_BASE, (last - first) / 3)
+    left = [point for point in hull if point[0] <= middle - base / 2]
+    right = [point for point in hull if point[0] >= middle + base / 2]
+    if base <= 0 or not left or not right:
         return 0.0
-    skew = (right[0][1] - left[-1][1]) / (right[0][0] - left[-1][0])
-    return skew if abs(skew) <= _LARGEST_SKEW else 0.0
+    (sooner, least), (later, most) = left[-1], right[0]
+    is_sure = later - sooner >= _SHORTEST_BASE or abs(most - least) > _BEYOND_JITTER
+    return (most - least) / (later - sooner) if is_sure else 0.0
 
 
 def _lower_hull(points: Iterable[_Point]) -> list[_Point]:

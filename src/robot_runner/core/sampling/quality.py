@@ -105,8 +105,8 @@ def write_quality(
 MINIMUM_COVERAGE = 95.0
 #: A pause longer than this many periods of sampling is a gap: what happened in it was not seen.
 _GAP_PERIODS = 5.0
-#: Percentage of the expected samples below which their number is worth a warning.
-_MINIMUM_COUNT = 98.0
+#: By how many percent the samples may be fewer than expected; one sample depends on where the window's edges fall.
+_FEWER = 2.0
 #: Jitter (95th percentile) in periods above which the samples are not what their rate says.
 _JITTER_PERIODS = 0.5
 #: Percentage of the window: samples that may stand further than this beside their true place can bend a value so far.
@@ -139,7 +139,8 @@ class SampleQuality:
         period: the nominal time between two samples, s.
         largest_gap: the longest time without a sample, the window's edges included, s.
         coverage: percentage of the window outside gaps; a gap is a pause of more than five periods.
-        jitter: of the times between the window's samples; None for fewer than two samples.
+        jitter: of the times between the window's samples, those that were taken for its edges left out; None for fewer
+            than two samples.
         duplicates: samples that came twice and were left out.
         lost: samples that were taken or due and never arrived.
         corrupt: messages that arrived damaged and were left out.
@@ -202,7 +203,7 @@ class SampleQuality:
         if not self.got and not self.is_bracketed:
             yield f"no sample arrived in the measured window, where {self.expected} were expected"
             return
-        if self.got < self.expected * _MINIMUM_COUNT / 100:
+        if self.expected - self.got > max(1.0, self.expected * _FEWER / 100):
             yield f"{self.got} samples arrived of {self.expected} expected"
         if self.largest_gap > _GAP_PERIODS * self.period:
             yield (
@@ -246,7 +247,7 @@ def quality_of(  # noqa: PLR0913 - each is one thing that a sensor may know of i
         period=period,
         largest_gap=max(gaps),
         coverage=100.0 * (1.0 - unseen / window.duration) if window.duration else 0.0,
-        jitter=jitter_of(within),
+        jitter=jitter_of(times[bisect_right(times, window.start) : bisect_left(times, window.end)]),
         duplicates=duplicates,
         lost=lost,
         corrupt=corrupt,

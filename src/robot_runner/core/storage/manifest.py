@@ -17,7 +17,7 @@ from robot_runner.core.storage.safe_write import write_beside_and_rename
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["FORMAT", "describe_host", "describe_software", "read_manifest", "write_manifest"]
+__all__ = ["FORMAT", "describe_host", "describe_software", "is_damaged", "read_manifest", "write_manifest"]
 
 #: Version of the experiment folder's format; a newer one is refused by readers.
 FORMAT = 1
@@ -56,6 +56,17 @@ def write_manifest(path: Path, manifest: Mapping[str, Any]) -> None:
     write_beside_and_rename(path, lambda file: file.write(text))
 
 
+def is_damaged(path: Path) -> bool:
+    """Return whether a file that is there cannot be any version's manifest: empty, torn, or something else."""
+    try:
+        manifest = json.loads(path.read_bytes())
+    except ValueError:
+        return True
+    except OSError:
+        return False
+    return not isinstance(manifest, dict) or not isinstance(manifest.get("format"), int)
+
+
 def read_manifest(path: Path) -> dict[str, Any]:
     """Return the manifest of an experiment folder.
 
@@ -69,7 +80,9 @@ def read_manifest(path: Path) -> dict[str, Any]:
             "there is no experiment here", where=str(path.parent), fix="Name the folder that holds manifest.json."
         ) from error
     except (OSError, ValueError) as error:
-        raise StorageError(f"it cannot be read: {error}", where=str(path), fix="Restore it from a backup.") from error
+        raise StorageError(
+            f"the manifest cannot be read: {error}", where=str(path), fix="Restore it from a backup."
+        ) from error
     if not isinstance(manifest, dict) or not isinstance(manifest.get("format"), int):
         raise StorageError("the file is no manifest of an experiment", where=str(path), fix="Restore it from a backup.")
     if manifest["format"] > FORMAT:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,11 +10,11 @@ from typing import TYPE_CHECKING
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.serial_line import Chunk
-from robot_runner.meters.ina219.frames import FrameDecoder, Hello, SampleStream
+from robot_runner.meters.ina219.frames import FrameDecoder, Hello
 from robot_runner.meters.ina219.registers import evaluate_registers
+from robot_runner.meters.ina219.sample_stream import SampleStream
 
 if TYPE_CHECKING:
-    from array import array
     from collections.abc import Iterator
 
     from robot_runner.core.events.context import Clock
@@ -49,8 +50,9 @@ class CardRecording:
 
     @property
     def times(self) -> array[float]:
-        """When each sample was taken, s since the first one, by the device's clock."""
-        return self.stream.device_seconds
+        """When each sample was taken, s since the first stamp, by the device's clock."""
+        lag = self.stream.lag
+        return array("d", (stamp - lag for stamp in self.stream.device_seconds)) if lag else self.stream.device_seconds
 
     @property
     def marked(self) -> tuple[Window, ...]:
@@ -118,7 +120,7 @@ def _is_beginning(block: bytes) -> bool:
 
 def _stream_of(data: bytes) -> SampleStream:
     stream = SampleStream(has_arrivals=False)
-    stream.take([Chunk(0.0, data)])
+    stream.take(Chunk(0.0, data[at : at + _BLOCK]) for at in range(0, len(data), _BLOCK))
     stream.finish()
     return stream
 
@@ -161,6 +163,7 @@ class CardMeter:
         self._before = _state(self._file)
         self._start = clock.now()
         self._window: Window | None = None
+        self._found: tuple[CardRecording, Window] | None = None
 
     def begin(self) -> None:
         """Begin the window on the run's clock; with that of the mark it is only compared."""
@@ -172,17 +175,23 @@ class CardMeter:
         if self._window is None:
             self._window = Window(self._start, self._clock.now())
 
-    def evaluate(self) -> Evaluation:
+    def evaluate(self, window: Window | None, part: Window | None = None) -> Evaluation:
         """Wait for the file and return what its newest marked span amounts to.
+
+        The span stands for the window; a part of the window is taken to lie as far behind the span's beginning.
 
         Raises:
             LinkError: the file did not come, holds no recording, or its newest recording has no mark.
         """
-        self._wait()
-        recording, marked = _newest(read_card(self._file), str(self._file))
-        evaluation = recording.evaluate(marked, shunt_ohm=self._shunt_ohm, rate_hz=self._rate_hz)
+        if self._found is None:
+            self._wait()
+            self._found = _newest(read_card(self._file), str(self._file))
+        recording, marked = self._found
+        wanted = _moved(part, window, marked) if part and window else marked
+        evaluation = recording.evaluate(wanted, shunt_ohm=self._shunt_ohm, rate_hz=self._rate_hz)
         details = {**evaluation.details, "clock": "the device's, from the recording's first sample"}
-        return replace(evaluation, doubts=(*evaluation.doubts, *self._doubts(marked)), details=details)
+        doubts = (*evaluation.doubts, *self._doubts(marked, window or self._window))
+        return replace(evaluation, doubts=doubts, details=details)
 
     def _wait(self) -> None:
         deadline = self._clock.now() + self._patience
@@ -195,13 +204,18 @@ class CardMeter:
                 )
             self._clock.sleep(_POLL)
 
-    def _doubts(self, marked: Window) -> tuple[str, ...]:
-        if self._window is None:
+    def _doubts(self, marked: Window, window: Window | None) -> tuple[str, ...]:
+        if window is None:
             return ()
-        lasted = self._window.duration
+        lasted = window.duration
         if abs(marked.duration - lasted) <= _REACTION + _DIFFERENCE * lasted:
             return ()
         return (f"the mark lasted {marked.duration:.1f} s and the measurement {lasted:.1f} s: is it this run's?",)
+
+
+def _moved(part: Window, window: Window, marked: Window) -> Window:
+    shift = marked.start - window.start
+    return Window(min(part.start + shift, marked.end), min(part.end + shift, marked.end))
 
 
 def _newest(recordings: list[CardRecording], where: str) -> tuple[CardRecording, Window]:

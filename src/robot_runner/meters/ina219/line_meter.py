@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 from robot_runner.core.events.window import Window
-from robot_runner.meters.ina219.frames import SampleStream
+from robot_runner.meters.ina219.doubts import silence
 from robot_runner.meters.ina219.registers import evaluate_registers
+from robot_runner.meters.ina219.sample_stream import SampleStream
 
 if TYPE_CHECKING:
     from robot_runner.core.events.context import Clock
@@ -26,7 +28,7 @@ class Meter(Protocol):
     has_samples_at_once: bool
 
     def begin(self) -> None:
-        """Begin the measured window.
+        """Begin to take samples.
 
         Raises:
             LinkError: the sensor cannot be reached.
@@ -34,15 +36,19 @@ class Meter(Protocol):
         ...
 
     def end(self) -> None:
-        """End the measured window; a second call does nothing.
+        """End taking samples; a second call does nothing.
 
         Raises:
             LinkError: the sensor was lost; the samples until then are kept.
         """
         ...
 
-    def evaluate(self) -> Evaluation:
+    def evaluate(self, window: Window | None, part: Window | None = None) -> Evaluation:
         """Return what was measured, after `end`.
+
+        Args:
+            window: the run's measured window on its clock; None for all the time in which samples were taken.
+            part: a phase within it that the values are to be about; None for the whole of it.
 
         Raises:
             LinkError: there are no samples to be had.
@@ -54,7 +60,7 @@ class Meter(Protocol):
 #: loader and one for its card (docs/ina219-protocol.md).
 _PATIENCE = 4.0
 _POLL = 0.01
-#: How long the sample behind the end of the window usually takes, s: a period, and the latency of a USB bridge (16 ms).
+#: How long the sample behind the end usually takes, s: a period, what it lags, and the latency of a USB bridge (16 ms).
 _AFTERMATH = 0.03
 #: How long to wait for it at most, s, where a busy machine hands bytes over late.
 _LONGEST_AFTERMATH = 0.5
@@ -81,10 +87,11 @@ class LineMeter:
         self._rate_hz = rate_hz
         self._stream = SampleStream()
         self._start = clock.now()
-        self._window: Window | None = None
+        self._opened = clock.now()
+        self._sampled: Window | None = None
 
     def begin(self) -> None:
-        """Wait for a first sample, for a few seconds at most, then begin the window.
+        """Wait for a first sample, for a few seconds at most.
 
         Raises:
             LinkError: the line was lost.
@@ -97,16 +104,16 @@ class LineMeter:
         self._start = self._clock.now()
 
     def end(self) -> None:
-        """End the window and take what arrived; a second call does nothing.
+        """Take what arrived; a second call does nothing.
 
         Raises:
             LinkError: the line was lost; what arrived until then is kept.
         """
-        if self._window is not None:
+        if self._sampled is not None:
             return
-        self._window = Window(self._start, self._clock.now())
+        self._sampled = Window(self._start, self._clock.now())
         try:
-            self._take_the_rest(self._window.end)
+            self._take_the_rest(self._sampled.end)
         finally:
             self._stream.finish()
 
@@ -119,13 +126,17 @@ class LineMeter:
             if times and times[-1] >= end:
                 return
 
-    def evaluate(self) -> Evaluation:
-        """Return what was measured until `end`, or until now."""
-        return evaluate_registers(
+    def evaluate(self, window: Window | None, part: Window | None = None) -> Evaluation:
+        """Return what was measured in a window; None stands for the time from `begin` to `end`, or to now."""
+        sampled = self._sampled or Window(self._start, self._clock.now())
+        evaluation = evaluate_registers(
             self._stream,
             self._stream.times(),
-            self._window or Window(self._start, self._clock.now()),
+            part or window or sampled,
             shunt_ohm=self._shunt_ohm,
             rate_hz=self._rate_hz,
             is_simulated=self._line.is_simulated,
         )
+        silent = silence(self._stream, sampled.end - self._opened)
+        doubts = (silent, *evaluation.doubts) if silent else evaluation.doubts
+        return replace(evaluation, doubts=doubts, sampled=sampled)

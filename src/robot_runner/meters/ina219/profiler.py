@@ -9,21 +9,23 @@ from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.links.connect import SIMULATED, connect_host, is_simulated, open_serial_line
 from robot_runner.core.links.host import LOCAL, FileHost
 from robot_runner.core.links.serial_line import found_ports, port_problem
 from robot_runner.core.links.ssh_host import ssh_findings
-from robot_runner.core.plugin import Profiler
+from robot_runner.core.plugin import Profiler, probe_window
+from robot_runner.core.sampling.evaluation import publish_measures
 from robot_runner.meters.ina219.card import CardMeter
 from robot_runner.meters.ina219.line_meter import LineMeter
 from robot_runner.meters.ina219.registers import DEFAULT_RATE
 from robot_runner.meters.ina219.sysfs import DEFAULT_SYSFS_RATE, SysfsMeter, find_sensor
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.events.window import Window
     from robot_runner.core.plugin import Circumstances
     from robot_runner.meters.ina219.line_meter import Meter
     from robot_runner.meters.ina219.registers import Evaluation
@@ -129,9 +131,23 @@ def _sysfs_findings(where: str, folder: str) -> list[Finding]:
     return []
 
 
+def _limits(limits: Sequence[float] | None, where: str) -> tuple[float, float] | None:
+    if limits is None:
+        return None
+    if len(limits) == 2 and limits[0] < limits[1]:  # noqa: PLR2004 - the lower and the upper one
+        return limits[0], limits[1]
+    fix = "Give the lower and the upper one in W, as in plausible_w=(2, 30)."
+    raise PluginError(f"plausible_w is {limits!r}", where=where, fix=fix)
+
+
 _REMEDY = "Look at the sensor, its cable and samples.csv before you use this run."
 #: What one row of samples.csv takes, and how long a mission is taken to be where it is unknown: the paper's, s.
 _BYTES_PER_ROW, _USUAL_SECONDS = 55, 95
+
+
+_ENERGY = "Energy drawn over the measured window: the integral of power by the trapezoid rule."
+_ENERGY_PT = "The paper's E = P x t: the mean of the power samples times the window's duration."
+_MEAN_POWER = "Mean power over the measured window: Energy divided by its duration."
 
 
 class Ina219(Profiler):
@@ -151,10 +167,12 @@ class Ina219(Profiler):
         ssh_config: a file to take the place of your ssh config.
         shunt_ohm: resistance of the shunt, ohm; None takes what the meter says (0.1 ohm if it says nothing).
         rate_hz: nominal rate of sampling, Hz; None takes what the meter says (200 Hz if it says nothing; a driver: 50).
+        plausible_w: between which power is plausible, W, such as `(2, 30)`; samples outside make the values doubtful.
         namespace: whose meter it is, on several simulated robots.
 
     Raises:
-        PluginError: the shunt or the rate is not positive, or two ways to the sensor are named.
+        PluginError: the limits are in no order, the shunt or the rate is not positive, or two ways to the sensor are
+            named.
 
     Example:
         >>> Ina219(port="/dev/ttyUSB0", shunt_ohm=0.05).measures[0].unit
@@ -162,9 +180,9 @@ class Ina219(Profiler):
     """
 
     measures: Sequence[Measure] = (
-        Measure("Energy", "J", "Energy drawn over the measured window: the integral of power by the trapezoid rule."),
-        Measure("EnergyPt", "J", "The paper's E = P x t: the mean of the power samples times the window's duration."),
-        Measure("MeanPower", "W", "Mean power over the measured window: Energy divided by its duration."),
+        Measure("Energy", "J", _ENERGY, over=Over.SUM),
+        Measure("EnergyPt", "J", _ENERGY_PT, over=Over.SUM),
+        Measure("MeanPower", "W", _MEAN_POWER, over=Over.MEAN),
     )
     needs: ClassVar[str] = "An INA219 on a serial line, a card or a kernel driver, or robot='simulated'."
 
@@ -180,6 +198,7 @@ class Ina219(Profiler):
         ssh_config: str | Path | None = None,
         shunt_ohm: float | None = None,
         rate_hz: float | None = None,
+        plausible_w: tuple[float, float] | None = None,
         namespace: str = "",
     ) -> None:
         super().__init__(name=name)
@@ -198,7 +217,9 @@ class Ina219(Profiler):
         self.card_patience_s = card_patience_s
         self.shunt_ohm = shunt_ohm
         self.rate_hz = rate_hz
+        self.plausible_w = _limits(plausible_w, self.name)
         rate = rate_hz or (DEFAULT_RATE if sysfs is None else DEFAULT_SYSFS_RATE)
+        self.probe_s = None if card is not None else probe_window(rate)  # a card's file comes after the mission
         self.bytes_per_run = round(rate * _USUAL_SECONDS * _BYTES_PER_ROW)
         self._meter: Meter | None = None
         self._evaluation: Evaluation | None = None
@@ -209,7 +230,7 @@ class Ina219(Profiler):
         yield from self._clashes(circumstances)
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
-        """Open the way to the sensor and begin the measured window.
+        """Open the way to the sensor and begin to take samples.
 
         Raises:
             LinkError: the sensor cannot be reached.
@@ -220,7 +241,7 @@ class Ina219(Profiler):
         self._meter = meter
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """End the measured window and take what the line has kept.
+        """Take what the line has kept.
 
         Raises:
             LinkError: the sensor was lost meanwhile; the samples until then are kept all the same.
@@ -241,16 +262,19 @@ class Ina219(Profiler):
             LinkError: the file from the meter's card did not come, or is not what was expected.
         """
         if self._meter is None:
-            context.warn("nothing was measured: the measurement was never started", fix=_REMEDY)
-            for measure in self.measures:
-                context.publish(measure.name, None)
+            context.doubt("nothing was measured: the measurement was never started", fix=_REMEDY)
+            publish_measures(context, self.measures, lambda _: {})
             return
-        evaluation = self._evaluate(self._meter, context)
+        meter, mission = self._meter, context.window
+        evaluation = self._evaluate(meter, context)
         for problem in evaluation.warnings():
-            context.warn(problem, fix=_REMEDY)
+            context.doubt(problem, fix=_REMEDY)
+
+        def evaluated(window: Window) -> Mapping[str, float | None]:
+            return (evaluation if window == mission else meter.evaluate(mission, window)).values()
+
         origin = Origin.SIMULATED if evaluation.is_simulated else Origin.MEASURED
-        for name, value in evaluation.values().items():
-            context.publish(name, value, origin=origin)
+        publish_measures(context, self.measures, evaluated, origin=origin)
 
     @property
     def _where(self) -> str:
@@ -258,7 +282,7 @@ class Ina219(Profiler):
 
     def _evaluate(self, meter: Meter, context: RobotRunnerContext) -> Evaluation:
         if self._evaluation is None:
-            self._evaluation = meter.evaluate()
+            self._evaluation = replace(meter.evaluate(context.window), limits=self.plausible_w)
             self._evaluation.write(context.raw_data_folder)
         return self._evaluation
 

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.sampling.quality import Column, quality_of, write_quality, write_samples
 from robot_runner.core.sampling.series import Series, energy, energy_from_mean_power
+from robot_runner.meters.ina219.doubts import power_doubts, settings_doubts, stream_doubts, within
+from robot_runner.meters.ina219.sample_stream import Trouble
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -16,13 +18,12 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.window import Window
     from robot_runner.core.sampling.quality import SampleQuality
-    from robot_runner.meters.ina219.frames import SampleStream
+    from robot_runner.meters.ina219.sample_stream import SampleStream
 
 __all__ = [
     "BUS_VOLT_PER_STEP",
     "DEFAULT_RATE",
     "DEFAULT_SHUNT",
-    "POWER_ON_CONFIGURATION",
     "SHUNT_VOLT_PER_STEP",
     "Calibration",
     "Evaluation",
@@ -37,9 +38,6 @@ __all__ = [
 SHUNT_VOLT_PER_STEP = 10e-6
 #: One step of the bus voltage register (0x02), V; the voltage stands in its bits 15 to 3.
 BUS_VOLT_PER_STEP = 4e-3
-#: The configuration of a sensor that was without power: 32 V, ±320 mV, single 12-bit conversions.
-POWER_ON_CONFIGURATION = 0x399F
-
 _BUS_SHIFT = 3
 #: What the protocol promises where the device says nothing of itself: 16 V, ±320 mV, two conversions averaged.
 _USUAL_CONFIGURATION = 0x1CCF
@@ -100,22 +98,20 @@ class Ranges:
         return sum(abs(shunt) >= self.shunt or bus >> _BUS_SHIFT >= self.bus for shunt, bus in pairs)
 
 
-#: Periods of sampling over which a sample may stand for the edge of the window, or for an edge without one beyond it.
-_REACH = 5.0
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluation:
-    """The power samples of a run, wherever they came from.
+    """The power samples of a run, wherever they came from, and what they amount to over a window.
 
     Attributes:
-        window: the measured window.
-        power: W, drawn by the robot, at times in s.
-        quality: of the samples.
+        window: that the values are about.
+        power: W, drawn by the robot, at times in s; also outside the window.
+        quality: of the samples in the window.
         columns: what was read, as it was read, and what it means; written beside `time_s` and `power_W`.
         details: of the meter, plain values.
         doubts: what the meter's own ways make doubtful, one sentence each.
         is_simulated: whether a simulated sensor took the samples.
+        sampled: the span of time in which samples were taken.
+        limits: between which power is plausible, W.
     """
 
     window: Window
@@ -125,12 +121,15 @@ class Evaluation:
     details: Mapping[str, Any]
     doubts: tuple[str, ...] = ()
     is_simulated: bool = False
+    sampled: Window | None = None
+    limits: tuple[float, float] | None = None
 
     def values(self) -> Mapping[str, float | None]:
         """Return energy (J), energy as P x t (J) and mean power (W); all None where too little was seen."""
-        reach = _REACH * self.quality.period
+        # Where the samples suffice, a gap at an edge is bridged as one inside: by the sample beside it.
+        reach = self.window.duration
         joules = energy(self.power, self.window, reach=reach) if self.quality.is_sufficient else None
-        if joules is None:
+        if joules is None or self.window.duration <= 0:
             return {"Energy": None, "EnergyPt": None, "MeanPower": None}
         return {
             "Energy": joules,
@@ -143,14 +142,19 @@ class Evaluation:
         yield from self.quality.warnings()
         if not self.quality.is_sufficient and self.quality.got:
             yield "the samples do not cover the measured window, so no energy was computed from them"
+        joules = self.values()["Energy"]
+        if self.quality.saturated and joules is not None:
+            share = 100 * self.quality.saturated / max(self.quality.got, 1)
+            yield f"the energy is at least {joules:.1f} J: {share:.1f} % of the samples were clipped"
         yield from self.doubts
+        yield from power_doubts(self.power, self.window, self.limits)
 
     def write(self, folder: Path) -> None:
         """Write `samples.csv` and `quality.json`."""
         times, power = Column("time_s", self.power.times), Column("power_W", self.power.values)
         write_samples(folder / "samples.csv", (times, *self.columns, power))
         details = {"is_simulated": self.is_simulated, **self.details}
-        write_quality(folder / "quality.json", self.quality, self.window, details)
+        write_quality(folder / "quality.json", self.quality, self.window, details, sampled=self.sampled)
 
 
 #: What holds where neither the user nor the device says otherwise: the paper's 200 Hz, and the shunt of the common
@@ -173,18 +177,20 @@ def evaluate_registers(
     Args:
         stream: the samples.
         times: when each was taken, s.
-        window: the measured one, on the clock of `times`.
+        window: that the values are about, on the clock of `times`.
         shunt_ohm: resistance of the shunt, ohm.
         rate_hz: nominal rate, Hz.
         is_simulated: whether a simulated sensor took them.
     """
     hello = stream.hello
-    shunt = shunt_ohm or (hello.shunt_ohm if hello else 0.0) or DEFAULT_SHUNT
+    said = stream.sensing or hello
+    shunt = shunt_ohm or (said.shunt_ohm if said else 0.0) or DEFAULT_SHUNT
     rate = rate_hz or (float(hello.rate_hz) if hello else 0.0) or DEFAULT_RATE
     calibration = Calibration(shunt)
     current = array("d", map(calibration.current, stream.shunt_raw))
     voltage = array("d", map(calibration.voltage, stream.bus_raw))
-    ranges = Ranges.of(hello.configuration if hello else 0)
+    troubles, seen = stream.troubles(window, times), within(times, window)
+    ranges = Ranges.of(said.configuration if said else 0)
     return Evaluation(
         window=window,
         power=Series(times, array("d", map(mul, current, voltage))),
@@ -192,10 +198,10 @@ def evaluate_registers(
             times,
             window,
             rate,
-            duplicates=stream.duplicates,
-            lost=stream.lost,
-            corrupt=stream.counts.corrupt,
-            saturated=ranges.count_saturated(stream.shunt_raw, stream.bus_raw),
+            duplicates=troubles[Trouble.DUPLICATE],
+            lost=troubles[Trouble.LOST],
+            corrupt=troubles[Trouble.CORRUPT],
+            saturated=ranges.count_saturated(stream.shunt_raw[seen], stream.bus_raw[seen]),
         ),
         columns=(
             Column("shunt_raw", stream.shunt_raw, "%d"),
@@ -204,7 +210,7 @@ def evaluate_registers(
             Column("voltage_V", voltage, "%.3f"),
         ),
         details=_details(stream, shunt, rate),
-        doubts=tuple(_doubts(stream, shunt, rate)),
+        doubts=(*stream_doubts(stream, window, times, voltage), *settings_doubts(stream, shunt, rate)),
         is_simulated=is_simulated,
     )
 
@@ -214,25 +220,9 @@ def _details(stream: SampleStream, shunt: float, rate: float) -> dict[str, Any]:
         "shunt_ohm": shunt,
         "rate_hz": rate,
         "restarts": stream.restarts,
+        "clock_drift": stream.drift,
+        "bytes": stream.bytes,
         "line": asdict(stream.counts),
         "hello": None if stream.hello is None else asdict(stream.hello),
+        "sensing": None if stream.sensing is None else asdict(stream.sensing),
     }
-
-
-def _doubts(stream: SampleStream, shunt: float, rate: float) -> Iterator[str]:
-    if stream.restarts:
-        times = "once" if stream.restarts == 1 else f"{stream.restarts} times"
-        yield f"the power meter was restarted {times}"
-    if stream.counts.foreign_versions:
-        yield "the power meter speaks another version of the protocol"
-    if 0 in stream.configurations:
-        yield "the power meter answered, its sensor did not: look at the four wires between them"
-    if POWER_ON_CONFIGURATION in stream.configurations:
-        yield "the sensor was without power for a moment and measured in another range for up to a second"
-    hello = stream.hello
-    if hello is None:
-        return
-    if abs(hello.shunt_ohm - shunt) > 0.001 * shunt:
-        yield f"the power meter says that its shunt has {hello.shunt_ohm:g} ohm, not {shunt:g} ohm"
-    if hello.rate_hz != rate:
-        yield f"the power meter says that it samples at {hello.rate_hz} Hz, not at {rate:g} Hz"

@@ -11,6 +11,7 @@ from robot_runner.core.events.window import Window
 from robot_runner.core.links.host import ReportingSampler
 from robot_runner.core.sampling.quality import Column, quality_of
 from robot_runner.core.sampling.series import Series
+from robot_runner.meters.ina219.doubts import stuck_doubts, voltage_doubts
 from robot_runner.meters.ina219.registers import Evaluation
 
 if TYPE_CHECKING:
@@ -27,7 +28,10 @@ AUTO = "auto"
 
 #: Where the two drivers put their devices.
 _PATTERNS = ("/sys/class/hwmon/hwmon*/name", "/sys/bus/iio/devices/iio:device*/name")
-_CHIPS = ("ina219", "ina220", "ina226", "ina230", "ina231")
+#: The largest voltage at the shunt, V, by the chips' data sheets; the drivers leave the INA219's gain at 1/8.
+_SHUNT_RANGES = {"ina219": 0.32, "ina220": 0.32, "ina226": 0.08192, "ina230": 0.08192, "ina231": 0.08192}
+_CHIPS = tuple(_SHUNT_RANGES)
+_OTHERS = "For another sensor, such as an INA3221 or INA238, use the profiler PowerRails."
 
 _HWMON = ("power1_input", "curr1_input", "in1_input")
 _HWMON_SHUNT = "shunt_resistor"
@@ -118,7 +122,7 @@ def find_sensor(host: FileHost, folder: str = AUTO, *, where: str) -> SysfsSenso
         problem, fix = f"there are {len(folders)} sensors", f"Name one: sysfs={' or '.join(map(repr, folders))}."
     else:
         problem = "no driver in /sys shows an INA219"
-        fix = "Load the driver ina2xx for it (docs/ina219.md), or name the sensor's folder: sysfs='/sys/...'."
+        fix = f"Load the driver ina2xx for it (docs/ina219.md), or name its folder: sysfs='/sys/...'. {_OTHERS}"
     raise LinkError(problem, where=where, fix=fix)
 
 
@@ -138,7 +142,8 @@ def _open_sensor(host: FileHost, folder: str, where: str) -> SysfsSensor:
         raise LinkError(f"{folder}: {error}", where=where, fix="Look at the sensor's files there.") from error
     lacking = sorted({*_HWMON, _HWMON_SHUNT} - found.keys())
     problem = f"{folder} shows no INA219: it has no {', '.join(lacking)}" if found else f"there is nothing at {folder}"
-    raise LinkError(problem, where=where, fix="Name the sensor's folder, or leave it to sysfs='auto'.")
+    fix = f"Name the sensor's folder, or leave it to sysfs='auto'. {_OTHERS}"
+    raise LinkError(problem, where=where, fix=fix)
 
 
 #: Hz; each sample is two or three transfers on the sensor's bus, made by the kernel while the reader waits.
@@ -195,14 +200,16 @@ class SysfsMeter:
             if self._sampler is not None:
                 self._sampler.stop()
 
-    def evaluate(self) -> Evaluation:
-        """Return what was measured; samples that could not be read are left out and counted."""
+    def evaluate(self, window: Window | None, part: Window | None = None) -> Evaluation:
+        """Return what was measured in a window; samples that could not be read are left out and counted."""
         samples = self._sampler.stop() if self._sampler is not None else ()
         readings = [(each.time, self._sensor.read(each.lines, shunt_ohm=self._shunt_ohm)) for each in samples]
         good = [(time, reading) for time, reading in readings if reading is not None]
         times = array("d", [time for time, _ in good])
-        window = self._window or Window(self._start, self._clock.now())
-        failed = len(readings) - len(good)
+        sampled = self._window or Window(self._start, self._clock.now())
+        window = part or window or sampled
+        failed = sum(reading is None and window.start <= time <= window.end for time, reading in readings)
+        seen = [reading for time, reading in good if window.start <= time <= window.end]
         report = self._report()
         return Evaluation(
             window=window,
@@ -212,14 +219,25 @@ class SysfsMeter:
                 window,
                 report.rate if report else self._rate,
                 failed=failed,
+                saturated=sum(self._is_clipped(reading) for reading in seen),
                 first_failure="a file of the driver could not be read" if failed else "",
                 cpu_seconds=report.cpu_seconds if report else None,
                 clock_uncertainty=report.clock.uncertainty if report and report.clock else None,
             ),
             columns=_columns([reading.current for _, reading in good], [reading.voltage for _, reading in good]),
             details=self._details(report),
-            doubts=self._doubts(report),
+            doubts=(
+                *self._doubts(report),
+                *voltage_doubts([reading.voltage for reading in seen]),
+                *stuck_doubts(seen, window.duration, len(seen)),
+            ),
+            sampled=sampled,
         )
+
+    def _is_clipped(self, reading: Reading) -> bool:
+        """Whether a reading stands at the end of the shunt's range, but for half a step of hwmon's (1 mA)."""
+        largest = _SHUNT_RANGES.get(self._sensor.chip)
+        return largest is not None and (abs(reading.current) + 0.0005) * self._shunt_ohm >= largest
 
     def _report(self) -> SamplingReport | None:
         return self._sampler.report() if isinstance(self._sampler, ReportingSampler) else None

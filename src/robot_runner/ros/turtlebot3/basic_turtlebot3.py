@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import csv
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, ClassVar, TextIO
+from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot
 from robot_runner.core.plugin import System
-from robot_runner.ros.turtlebot3.mission import CircularMission, Performer, Phase, Task
+from robot_runner.core.treatments import factors_of
+from robot_runner.ros.turtlebot3.mission import CircularMission, Performer, PhaseLog
 from robot_runner.ros.turtlebot3.odometry import Odometer, Trajectory
-from robot_runner.ros.turtlebot3.steered_robot import Robot
+from robot_runner.ros.turtlebot3.steered_robot import Robot, Task
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -20,30 +20,8 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
     from robot_runner.ros.turtlebot3.mission import Performance, Phase
-    from robot_runner.ros.turtlebot3.odometry import Pose
 
-__all__ = ["BasicTurtlebot3", "PhaseLog"]
-
-
-_HEADING = ("number", "phase", "task", "start_s", "end_s", "x_m", "y_m", "heading_rad")
-
-
-class PhaseLog:
-    """Writes one row a phase: its times on the run's clock, and the pose of the odometry at its end."""
-
-    def __init__(self, file: TextIO) -> None:
-        self._file = file
-        self._rows = csv.writer(file, lineterminator="\n")
-        self._rows.writerow(_HEADING)
-        self._count = 0
-
-    def add(self, phase: Phase, task: Task | None, start: float, end: float, pose: Pose) -> None:
-        """Write the row of a phase that is over, and flush it."""
-        self._count += 1
-        numbers = (f"{number:.4f}" for number in (start, end, pose.x, pose.y, pose.heading))
-        self._rows.writerow((self._count, phase.kind.value, task.value if task else "", *numbers))
-        self._file.flush()
-
+__all__ = ["BasicTurtlebot3"]
 
 _KNOWN_TASKS = tuple(task.value.capitalize() for task in Task)
 #: How far from its beginning, m, a mission may end before the run is warned of.
@@ -116,7 +94,7 @@ class BasicTurtlebot3(System):
         if circumstances.robot is None:
             yield Finding.error(
                 f"plugin {self.name}",
-                "it operates a robot, and the experiment names none",
+                "the plugin operates a robot, and the experiment names none",
                 "Name it in the config: robot = 'simulated'. Or: --set robot=simulated.",
             )
         yield from self._check_namespace(circumstances)
@@ -134,7 +112,8 @@ class BasicTurtlebot3(System):
     def launch_mission(self, context: RobotRunnerContext) -> None:
         """Execute the mission.
 
-        Its phases go to `phases.csv` and, as they begin, to the other plugins; its way goes to `trajectory.csv`.
+        Its phases go to `phases.csv` and, as they begin, to the other plugins; its way goes to `trajectory.csv`. They
+        are phases of the run, too: `sleep`, `forward`, `task` and `rotate`, for which the config's `phases` may ask.
         """
         task, robot = self._task_of(context), self._reached_robot()
 
@@ -150,7 +129,7 @@ class BasicTurtlebot3(System):
                 (context.raw_data_folder / "phases.csv").open("w", encoding="ascii", newline="")
             )
             performer = Performer(self.mission, task, robot, context.clock, PhaseLog(file))
-            self._performance = performer.perform(announce)
+            self._performance = performer.perform(announce, context.phase)
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Stop the robot and leave it."""
@@ -162,7 +141,7 @@ class BasicTurtlebot3(System):
         """Publish duration, distance and pose error; no values where the mission did not take place."""
         performance = self._performance
         if performance is None:
-            context.warn("the mission did not take place", fix="Look at the run's log.")
+            context.doubt("the mission did not take place", fix="Look at the run's log.")
             for measure in self.measures:
                 context.publish(measure.name, None)
             return
@@ -188,13 +167,14 @@ class BasicTurtlebot3(System):
             if isinstance(other, BasicTurtlebot3) and other.namespace.strip("/") == own:
                 yield Finding.error(
                     f"plugin {self.name}",
-                    f"it operates the robot of the namespace '/{own}', and so does {other.name!r}",
+                    f"the plugin operates the robot of the namespace '/{own}', and so does {other.name!r}",
                     f"Give each its robot's namespace, as in {type(self).__name__}(namespace='/alice').",
                 )
 
     def _check_tasks(self, circumstances: Circumstances) -> Iterator[Finding]:
         where = f"plugin {self.name}"
-        treatments = None if self.task_factor is None else circumstances.factors.get(self.task_factor)
+        is_bound = "task" in factors_of(self)
+        treatments = None if self.task_factor is None or is_bound else circumstances.factors.get(self.task_factor)
         if treatments is not None and self.task is not None:
             yield Finding.error(
                 where,
@@ -214,8 +194,8 @@ class BasicTurtlebot3(System):
         yield from _unknown_tasks(f"factor {self.task_factor!r}", treatments or ())
 
     def _task_of(self, context: RobotRunnerContext) -> Task:
-        treatments = context.combination
-        chosen = treatments.get(self.task_factor, self.task) if self.task_factor else self.task
+        factor = None if "task" in factors_of(self) else self.task_factor
+        chosen = self.task if factor is None else context.combination.get(factor, self.task)
         task = None if chosen is None else Task.named(chosen)
         if task is None:
             raise PluginError(

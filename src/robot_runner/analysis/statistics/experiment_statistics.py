@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -13,6 +14,7 @@ from robot_runner.analysis.statistics.design import design_of
 from robot_runner.analysis.statistics.outcome import ExperimentStatistics, HypothesisOutcome, MeasureStatistics
 from robot_runner.analysis.statistics.post_hoc import adjusted, compare_pairs
 from robot_runner.analysis.statistics.power import power_of
+from robot_runner.analysis.statistics.robustness import doubtful_runs, standing_effects, standing_hypotheses
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.statistics.tests import carry_out
 from robot_runner.analysis.wording import p_in_words
@@ -65,9 +67,9 @@ def measure_statistics(
     column = design.results.columns[name]
     data = design.data(name)
     if data is None or not len(data.frame) or float(np.max(np.abs(data.values))) > _LARGEST:
-        why = "it is not a number." if data is None else "no run that is done has a value."
+        why = "the measure is not a number." if data is None else "no run that is done has a value."
         if data is not None and len(data.frame):
-            why = f"it has values beyond {_LARGEST:g}, which cannot be reckoned with."
+            why = f"the measure has values beyond {_LARGEST:g}, too large to compute with."
         gathered.missing.append(NotComputed(f"statistics of {name}", why))
         return MeasureStatistics(name, column.unit, column.origin, is_planned, not_computed=tuple(gathered.missing))
     choice = gathered.take(choose_test(data, alpha))
@@ -103,7 +105,7 @@ def _described(gathered: _Gathered, data: MeasureData, factors: tuple[str, ...])
 
 def _power(gathered: _Gathered, data: MeasureData, alpha: float) -> Power | None:
     if len(data.factors) > 1:
-        why = f"it is for one factor, and {len(data.factors)} are varied: power depends on the effects of all of them."
+        why = f"power depends on the effects of all {len(data.factors)} factors; it is computed for one factor only."
         return gathered.take(NotComputed("power", why))
     if not data.factors:
         return None
@@ -193,6 +195,7 @@ def analyse(
 ) -> ExperimentStatistics:
     """Compute the statistics of an experiment from the runs that are done.
 
+    All values count; measures that have doubtful ones are computed once more without these, to see what stands.
     What the analysis plan fixed before the experiment is marked as planned, everything else as exploratory; so is
     everything where alpha or the correction are other than the plan's.
 
@@ -217,13 +220,24 @@ def analyse(
     keeps_plan = plan is not None and (chosen_alpha, chosen_correction) == (plan.alpha, plan.correction)
     planned = plan.measures if plan is not None and keeps_plan else ()
     design = design_of(results)
-    computed = tuple(
-        measure_statistics(design, name, alpha=chosen_alpha, correction=chosen_correction, is_planned=name in planned)
-        for name in _chosen(results, measures, planned)
-    )
+
+    def compute(design: Design, name: str) -> MeasureStatistics:
+        is_planned = name in planned
+        return measure_statistics(design, name, alpha=chosen_alpha, correction=chosen_correction, is_planned=is_planned)
+
+    computed = tuple(compute(design, name) for name in _chosen(results, measures, planned))
     numeric = [data for each in computed if each.overall and (data := design.data(each.name)) is not None]
     correlations, missing = correlations_of(numeric[:_MOST_CORRELATED], chosen_correction)
     hypotheses = plan.hypotheses if plan is not None and keeps_plan else ()
+    judged = judge(hypotheses, computed, chosen_alpha, chosen_correction)
+    doubtful = doubtful_runs(results)
+    without = tuple(
+        compute(replace(design, without=frozenset(doubtful[each.name])), each.name)
+        for each in computed
+        if each.name in doubtful and each.test is not None
+    )
+    again = {each.name: each for each in without}
+    rejudged = judge(hypotheses, [again.get(each.name, each) for each in computed], chosen_alpha, chosen_correction)
     return ExperimentStatistics(
         alpha=chosen_alpha,
         correction=chosen_correction,
@@ -231,9 +245,14 @@ def analyse(
         design=design.summary(),
         measures=computed,
         correlations=correlations,
-        hypotheses=judge(hypotheses, computed, chosen_alpha, chosen_correction),
+        hypotheses=judged,
         warnings=tuple(_warnings(design, computed)),
         not_computed=(*missing, *_not_correlated(numeric)),
+        without_doubtful=without,
+        standings=(
+            *standing_effects(computed, without, doubtful),
+            *standing_hypotheses(judged, rejudged, {name: doubtful[name] for name in again}),
+        ),
     )
 
 

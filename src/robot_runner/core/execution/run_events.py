@@ -8,10 +8,12 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.watched_combination import WatchedCombination
 from robot_runner.core.errors import MeasureError, RobotRunnerError, did_you_mean
 from robot_runner.core.events.context import Resources, RobotRunnerContext
 from robot_runner.core.events.manager import CLOSED_BY, CallbackFailure, Emission, RobotRunnerEvents
-from robot_runner.core.events.measure import CONFIG_OWNER, MeasureBroker, Origin
+from robot_runner.core.events.measure import CONFIG_OWNER, Origin
+from robot_runner.core.events.measure_broker import MeasureBroker
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.interruption import InterruptGate, RunInterrupted
 from robot_runner.core.links.connect import is_simulated, open_clock
@@ -54,7 +56,9 @@ def run_contexts(
                 run_number=task.run_number,
                 run_count=task.run_count,
                 attempt=task.attempt,
-                combination=task.combination,
+                combination=WatchedCombination(
+                    task.combination, lambda factor: report("read", {"owner": owner, "factor": factor})
+                ),
                 repetition=task.repetition,
                 run_seed=task.run_seed,
                 run_path=run_path,

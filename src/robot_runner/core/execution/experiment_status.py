@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding
+from robot_runner.core.events.measure import Quality, quality_of_value
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -16,7 +17,7 @@ from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
 __all__ = ["ExperimentStatus", "read_status"]
@@ -32,6 +33,7 @@ class ExperimentStatus:
         current_run, current_event: what is being executed, or None.
         failures: why each failed run failed, one line each.
         findings: what looked odd.
+        bad_values: the runs that are done whose values are not good, by measure and quality.
         finished_at: when it ended last (UTC), or None while it is executed or if it was killed.
     """
 
@@ -47,6 +49,7 @@ class ExperimentStatus:
     current_event: str | None
     failures: tuple[str, ...]
     findings: tuple[Finding, ...]
+    bad_values: Mapping[str, Mapping[str, Sequence[str]]]
     started_at: str | None
     finished_at: str | None
 
@@ -78,6 +81,7 @@ def read_status(folder: Path) -> ExperimentStatus:
             f"{run}: {reason}" for run, reason in history.failures.items() if statuses.get(run) is RunStatus.FAILED
         ),
         findings=tuple(history.findings),
+        bad_values=history.bad_values,
         started_at=history.started_at,
         finished_at=history.finished_at,
     )
@@ -101,6 +105,8 @@ class _History:
         self.finished_at: str | None = None
         self._since_table: dict[str, RunStatus] = {}
         self._ends: dict[str, RunStatus] = {}
+        self._measures: Collection[str] = ()
+        self._qualities: dict[str, dict[str, Quality]] = {}
 
     def read(self, files: ExperimentFolder) -> None:
         # The journal comes first: a table written meanwhile is newer than what the journal adds to it, never older.
@@ -110,6 +116,7 @@ class _History:
                 take(record)
         if files.run_table.exists() and files.schema.exists():
             layout = TableLayout.of_schema(read_schema(files.schema))
+            self._measures = layout.measures
             rows = read_run_table(files.run_table, layout)
             self.statuses = {rows.run_id(place): rows.status(place) for place in range(len(rows))}
             if not layout.spelling.tells_apart(RunStatus.TODO, RunStatus.FAILED):
@@ -117,6 +124,15 @@ class _History:
                 failed = {run for run, end in self._ends.items() if end is RunStatus.FAILED}
                 self.statuses |= dict.fromkeys(todo & failed, RunStatus.FAILED)
         self.statuses |= self._since_table
+
+    @property
+    def bad_values(self) -> dict[str, dict[str, list[str]]]:
+        bad: dict[str, dict[str, list[str]]] = {}
+        for run, qualities in self._qualities.items():
+            for name, quality in qualities.items() if self.statuses.get(run) is RunStatus.DONE else ():
+                if name in self._measures:
+                    bad.setdefault(name, {}).setdefault(quality.value, []).append(run)
+        return bad
 
     def _take_experiment_started(self, record: Mapping[str, Any]) -> None:
         self.started_at = record["at"]
@@ -136,11 +152,19 @@ class _History:
         ends = {"done": RunStatus.DONE, "failed": RunStatus.FAILED}
         self._ends[record["run"]] = self._since_table[record["run"]] = ends.get(record["status"], RunStatus.TODO)
         self.failures[record["run"]] = record["failure"] or ""
+        told = {
+            name: quality_of_value(each["value"], each.get("doubts", ())) for name, each in record["measures"].items()
+        }
+        self._qualities[record["run"]] = {name: each for name, each in told.items() if each is not Quality.GOOD}
         self.current_run = self.current_event = None
 
     def _take_table_written(self, record: Mapping[str, Any]) -> None:
         del record
         self._since_table.clear()
+
+    def _take_deviation(self, record: Mapping[str, Any]) -> None:
+        problem = f"{record['column']} was changed by hand from {record['was']!r} to {record['is']!r}"
+        self.findings.append(Finding.warning(record["run"] or "run_table.csv", problem))
 
     def _take_finding(self, record: Mapping[str, Any]) -> None:
         where = f"{record['run']}, {record['owner']}"

@@ -1,0 +1,132 @@
+"""Whether conclusions stand when the runs are left out whose values are doubtful."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from robot_runner.analysis.statistics.outcome import Standing
+from robot_runner.analysis.wording import listed, p_in_words
+from robot_runner.core.events.measure import Quality
+from robot_runner.core.words import counted
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from robot_runner.analysis.results import Results
+    from robot_runner.analysis.statistics.outcome import HypothesisOutcome, MeasureStatistics
+    from robot_runner.analysis.statistics.tested import Effect
+
+__all__ = ["doubtful_runs", "standing_effects", "standing_hypotheses"]
+
+#: Only of two treatments it can be said which way an effect goes.
+_TWO = 2
+
+
+def doubtful_runs(results: Results) -> dict[str, tuple[str, ...]]:
+    """Return the runs that are done and whose value is doubtful, by measure; measures without any are left out."""
+    quality = results.quality
+    doubtful = quality[quality["quality"] == Quality.DOUBTFUL.value]
+    return {str(name): tuple(rows["run_id"]) for name, rows in doubtful.groupby("measure", sort=False)}
+
+
+def standing_effects(
+    measures: Sequence[MeasureStatistics],
+    without: Sequence[MeasureStatistics],
+    left_out: Mapping[str, Sequence[str]],
+) -> Iterator[Standing]:
+    """Yield, for each effect on a measure that has doubtful values, whether what was concluded stands without them.
+
+    Args:
+        measures: the statistics of all values.
+        without: those of the measures that have doubtful values, computed without these.
+        left_out: the runs whose values are doubtful, by measure.
+    """
+    by_name = {measure.name: measure for measure in without}
+    for measure in measures:
+        if measure.name in by_name and measure.test is not None:
+            for effect in measure.test.effects:
+                yield _standing_effect(measure, effect, by_name[measure.name], left_out[measure.name])
+
+
+def standing_hypotheses(
+    outcomes: Sequence[HypothesisOutcome],
+    without: Sequence[HypothesisOutcome],
+    left_out: Mapping[str, Sequence[str]],
+) -> Iterator[Standing]:
+    """Yield, for each hypothesis about a measure that has doubtful values, whether its outcome stands without them."""
+    for now, then in zip(outcomes, without, strict=True):
+        measure = now.hypothesis.measure
+        if measure not in left_out or now.is_supported is None:
+            continue
+        p_value = then.adjusted_p_value
+        if p_value is None:
+            text, stands = "it could not be tested", None
+        else:
+            stands = now.is_supported == then.is_supported
+            supported = "support" if then.is_supported else "do not support"
+            text = f"the data {'still ' if stands else ''}{supported} it ({p_in_words(p_value)} after correction)"
+        yield Standing(
+            measure,
+            tuple(now.hypothesis.factors),
+            now.hypothesis.statement,
+            tuple(left_out[measure]),
+            now.adjusted_p_value,
+            p_value,
+            stands,
+            f"{_without(measure, left_out[measure])} {text}{_verdict(stands)}",
+        )
+
+
+def _standing_effect(
+    measure: MeasureStatistics, effect: Effect, without: MeasureStatistics, runs: Sequence[str]
+) -> Standing:
+    then = _same_effect(effect, without)
+    p_value = None if then is None else then.p_value
+    what = f"effect of {effect.label} on {measure.name}"
+    if then is None or p_value is None or effect.is_significant is None:
+        why = without.not_computed[0].why if without.not_computed else "no test fits the runs that are left."
+        text, stands = f"the {what} cannot be tested: {why.rstrip('.')}", None
+    else:
+        turned = _turned(measure, without, effect)
+        stands = effect.is_significant == then.is_significant and not (then.is_significant and turned)
+        text = f"the {what} is {_changed(effect, then, turned=turned)} ({p_in_words(p_value)})"
+    conclusion = f"{_without(measure.name, runs)} {text}{_verdict(stands)}"
+    return Standing(measure.name, effect.factors, "", tuple(runs), effect.p_value, p_value, stands, conclusion)
+
+
+def _same_effect(effect: Effect, without: MeasureStatistics) -> Effect | None:
+    effects = without.test.effects if without.test is not None else ()
+    return next((each for each in effects if set(each.factors) == set(effect.factors)), None)
+
+
+def _changed(effect: Effect, then: Effect, *, turned: bool) -> str:
+    if effect.is_significant and then.is_significant:
+        return "significant in the other direction" if turned else "still significant"
+    if then.is_significant:
+        return "significant"
+    return "no longer significant" if effect.is_significant else "still not significant"
+
+
+def _turned(measure: MeasureStatistics, without: MeasureStatistics, effect: Effect) -> bool:
+    """Return whether the larger of two treatments is the other one now."""
+    largest = [_largest(each, effect.factors) for each in (measure, without)]
+    return None not in largest and largest[0] != largest[1]
+
+
+def _largest(measure: MeasureStatistics, factors: Sequence[str]) -> str | None:
+    means = {
+        each.treatments[factors[0]]: each.mean
+        for each in measure.by_treatment
+        if set(each.treatments) == set(factors) and each.mean is not None
+    }
+    return max(means, key=lambda name: means[name]) if len(means) == _TWO else None
+
+
+def _without(measure: str, runs: Sequence[str]) -> str:
+    return f"Without the {counted(len(runs), 'run')} whose {measure} is doubtful ({listed(runs)}),"
+
+
+def _verdict(stands: bool | None) -> str:
+    if stands is None:
+        return "; whether the conclusion stands is not known."
+    return ": the conclusion stands." if stands else ": the conclusion does not stand."

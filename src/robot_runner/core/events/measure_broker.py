@@ -1,0 +1,106 @@
+"""The one gate for measures, and the notice board of one run."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import Finding, MeasureError
+from robot_runner.core.events.measure import PublishedMeasure, as_measure_value
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from robot_runner.core.events.measure import MeasureColumns, Origin
+
+__all__ = ["MeasureBroker", "ReportRecord"]
+
+#: Takes what happens in a run as it happens: a kind and its plain fields.
+ReportRecord = Callable[[str, dict[str, Any]], None]
+
+
+class MeasureBroker:
+    """Takes what is published in one run, refuses what was not declared, and reports the rest at once.
+
+    Plugins may publish from threads of their own.
+    """
+
+    def __init__(self, run_id: str, columns: MeasureColumns, report: ReportRecord) -> None:
+        self._run_id = run_id
+        self._columns = columns
+        self._report = report
+        self._lock = threading.Lock()
+        self._measures: dict[str, PublishedMeasure] = {}
+        self._shared: dict[str, dict[str, object]] = {}
+        self._findings: list[Finding] = []
+
+    @property
+    def measures(self) -> Mapping[str, PublishedMeasure]:
+        """What was published so far, by column of the run table."""
+        return self._measures
+
+    @property
+    def shared(self) -> Mapping[str, Mapping[str, object]]:
+        """The key-value pairs shared so far, by plugin."""
+        return self._shared
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """The warnings recorded so far."""
+        return tuple(self._findings)
+
+    def publish(self, owner: str, name: str, value: object, origin: Origin) -> None:
+        """Take one measure; a later value of the same measure replaces the earlier.
+
+        Raises:
+            MeasureError: the name was not declared, the type is wrong, or the number is not finite. The value
+                that was refused is reported all the same, so that it is kept with the run.
+        """
+        try:
+            column = self._columns.column_for(owner, name)
+            plain = as_measure_value(column.name, value, where=f"{owner}, run {self._run_id}")
+        except MeasureError:
+            self._report("refused", {"owner": owner, "name": str(name), "value": repr(value)})
+            raise
+        published = PublishedMeasure(column.name, plain, owner, column.measure.unit, origin)
+        with self._lock:
+            self._measures[column.name] = published
+            fields = {"name": column.name, "value": plain, "owner": owner, "origin": origin.value}
+            self._report("measure", fields)
+
+    def share(self, owner: str, values: Mapping[str, object]) -> None:
+        """Pass key-value pairs on to the subscribers of the following events."""
+        with self._lock:
+            self._shared.setdefault(owner, {}).update(values)
+            self._report("shared", {"owner": owner, "values": dict(values)})
+
+    def warn(self, owner: str, problem: str, fix: str) -> None:
+        """Record a warning finding about this run."""
+        self._record_finding(owner, problem, fix, {})
+
+    def doubt(self, owner: str, problem: str, fix: str, measures: Sequence[str] = ()) -> None:
+        """Record a warning finding that makes values of this run doubtful.
+
+        Args:
+            owner: who doubts.
+            problem: the reason.
+            fix: what can be done about it.
+            measures: whose values; none named: all that the owner declared.
+
+        Raises:
+            MeasureError: the owner declared no such measure.
+        """
+        columns = [self._columns.column_for(owner, name).name for name in measures]
+        doubted = columns or [column.name for column in self._columns.declared if column.owner == owner]
+        self._record_finding(owner, problem, fix, {"measures": doubted})
+
+    def _record_finding(self, owner: str, problem: str, fix: str, more: dict[str, Any]) -> None:
+        with self._lock:
+            self._findings.append(Finding.warning(f"{self._run_id}, {owner}", problem, fix))
+            self._report("finding", {"owner": owner, "problem": problem, "fix": fix, **more})
+
+    def note_clock(self, owner: str, facts: Mapping[str, object]) -> None:
+        """Keep how another computer's clock stood to the run's."""
+        with self._lock:
+            self._report("clock", {"owner": owner, **facts})

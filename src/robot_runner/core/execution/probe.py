@@ -1,0 +1,247 @@
+"""The probe: each profiler is tried for a moment before anything moves, so that a silent meter is found in time."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.config.parameters import Parameters, RunProcess
+from robot_runner.core.errors import ExecutionError, Finding
+from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents, methods_of
+from robot_runner.core.events.measure import CONFIG_OWNER
+from robot_runner.core.execution.executor import Watch, executor_for
+from robot_runner.core.execution.interruption import Interruption
+from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder, RunTask, seed_of_run
+from robot_runner.core.links.connect import is_simulated
+from robot_runner.core.plugin import Profiler
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.lock import ExperimentLock
+from robot_runner.core.words import enumerated
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.events.measure import MeasureColumn, PublishedMeasure
+    from robot_runner.core.execution.task import RunOutcome
+
+__all__ = ["Probe", "Probed", "probe_experiment", "probe_profilers", "probed_profilers", "without_values"]
+
+#: The id of the run that a probe is, in its findings and in the contexts of its callbacks.
+_RUN = "probe"
+#: How long an event may take beyond the window, s: to connect to another computer, or for a board to boot.
+_PATIENCE = 30.0
+#: Where a profiler says that it sets something up before a run, a moment without that would tell nothing of it.
+_SET_UP = (RobotRunnerEvents.BEFORE_EXPERIMENT, RobotRunnerEvents.BEFORE_RUN)
+_PROBED = (
+    RobotRunnerEvents.START_RUN,
+    RobotRunnerEvents.START_MEASUREMENT,
+    RobotRunnerEvents.STOP_MEASUREMENT,
+    RobotRunnerEvents.STOP_RUN,
+    RobotRunnerEvents.POPULATE_RUN_DATA,
+)
+_WITHOUT = "Or go without the probe: --no-probe, or probe = False in the config."
+
+
+@dataclass(frozen=True, slots=True)
+class Probed:
+    """What was seen of one profiler.
+
+    Attributes:
+        plugin: its name.
+        measures: what it published.
+        reasons: what it said of its values.
+        fixes: what it said can be done about that.
+        missing: the measures without a value, where none has one.
+        failure: what it raised, or how the process ended that it was tried in.
+    """
+
+    plugin: str
+    measures: Mapping[str, PublishedMeasure] = field(default_factory=dict)
+    reasons: tuple[str, ...] = ()
+    fixes: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+    failure: str = ""
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield an error where it did not measure, else a warning for each doubt."""
+        where = f"plugin {self.plugin}"
+        if self.failure:
+            yield Finding.error(where, f"the probe failed: {self.failure}", f"Look at the device. {_WITHOUT}")
+        elif self.missing:
+            because = f": {'; '.join(self.reasons)}" if self.reasons else ""
+            fix = " ".join(dict.fromkeys([*filter(None, self.fixes), _WITHOUT]))
+            yield Finding.error(where, f"the probe got no value of {enumerated(self.missing)}{because}", fix)
+        else:
+            for reason, fix in zip(self.reasons, self.fixes, strict=True):
+                yield Finding.warning(where, f"the probe is doubtful: {reason}", fix)
+
+    def fields(self) -> dict[str, Any]:
+        """Return the same as plain data, for the journal."""
+        values = {name: published.value for name, published in self.measures.items()}
+        return {"measures": values, "reasons": list(self.reasons), "failure": self.failure}
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """What was seen of all profilers that were probed.
+
+    Attributes:
+        seconds: real time that it took.
+        window: how long they measured, s.
+    """
+
+    seconds: float
+    window: float
+    profilers: tuple[Probed, ...]
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Return an error for each profiler that did not measure, and a warning for each doubt about the others."""
+        return tuple(finding for profiler in self.profilers for finding in profiler.findings())
+
+    def refuse_silent(self) -> None:
+        """Refuse to go on where a profiler did not measure.
+
+        Raises:
+            ExecutionError: one did not; all findings are listed, errors first.
+        """
+        ordered = sorted(self.findings, key=lambda finding: not finding.is_error)
+        if ordered and ordered[0].is_error:
+            raise ExecutionError.of_findings(ordered)
+
+    def fields(self) -> dict[str, Any]:
+        """Return the same as plain data, for the journal."""
+        seen = {profiler.plugin: profiler.fields() for profiler in self.profilers}
+        return {"seconds": round(self.seconds, 3), "window": self.window, "profilers": seen}
+
+
+def probed_profilers(experiment: Experiment) -> list[Profiler]:
+    """Return the profilers that a probe tells something of.
+
+    Left out are all where the robot is the embedded simulation, whose meters give nothing to doubt, and each that says
+    so (`probe_s` is None) or sets something up in `before_experiment` or `before_run`, which a probe does not call.
+    """
+    if is_simulated(experiment.parameters.robot):
+        return []
+    set_up = {each.owner for event in _SET_UP for each in experiment.events.subscribers(event)}
+    profilers = [plugin for plugin in experiment.plugins if isinstance(plugin, Profiler)]
+    return [each for each in profilers if each.probe_s is not None and each.name not in set_up]
+
+
+def probe_experiment(experiment: Experiment) -> Probe:
+    """Probe the profilers of an experiment that is not being executed; nothing of it is kept.
+
+    Raises:
+        ExecutionError: it is being executed, and its meters are in use.
+    """
+    run = next(iter(experiment.model.plan()))
+    seed = seed_of_run(0, run.run_id)
+    task = RunTask(run.run_id, run.number, 1, 1, run.combination, run.repetition, 0, seed)
+    with ExitStack() as opened:
+        if experiment.folder.lock.exists():
+            opened.enter_context(ExperimentLock(experiment.folder.lock))
+        return probe_profilers(experiment, task, opened.enter_context(Interruption()))
+
+
+def probe_profilers(experiment: Experiment, task: RunTask, interruption: Interruption) -> Probe:
+    """Try all profilers that can be probed in one run without a mission; systems and the config are not called.
+
+    A profiler that raises ends such a run, so that another one follows without it: all findings come at once.
+
+    Args:
+        experiment: whose profilers they are.
+        task: the run whose treatments they see.
+        interruption: the user's; it ends the probe.
+    """
+    started = time.monotonic()
+    left, seen = probed_profilers(experiment), []
+    window = max((each.probe_s or 0.0 for each in left), default=0.0)
+    while left:
+        outcome = _tried(experiment, left, window, task, interruption)
+        if outcome.status is AttemptStatus.INTERRUPTED:
+            break
+        failed = _failed(left, outcome)
+        ended = failed if failed or outcome.failure is None else left  # it died, and nobody knows whose fault that was
+        seen += [_probed(each, experiment, outcome) for each in ended or left]
+        left = [each for each in left if each not in ended] if ended else []
+    return Probe(time.monotonic() - started, window, tuple(seen))
+
+
+def without_values(columns: Sequence[MeasureColumn], measures: Mapping[str, PublishedMeasure]) -> tuple[str, ...]:
+    """Return the names of these columns of a profiler where none of them has a value; nothing where one has."""
+    names = [column.name for column in columns]
+    silent = all(name not in measures or measures[name].value is None for name in names)
+    return tuple(names) if silent else ()
+
+
+def _failed(profilers: Sequence[Profiler], outcome: RunOutcome) -> list[Profiler]:
+    failures = (*([outcome.failure] if outcome.failure else []), *outcome.later_failures)
+    owners = {failure.owner for failure in failures}
+    return [each for each in profilers if each.name in owners]
+
+
+def _probed(profiler: Profiler, experiment: Experiment, outcome: RunOutcome) -> Probed:
+    failures = (*([outcome.failure] if outcome.failure else []), *outcome.later_failures)
+    own = [str(failure) for failure in failures if failure.owner == profiler.name] or [str(each) for each in failures]
+    phases = {f"{measure.name}.{phase}" for measure in profiler.measures for phase in experiment.parameters.phases}
+    columns = [
+        column
+        for column in experiment.columns.declared
+        if column.owner == profiler.name and column.measure.name not in phases
+    ]
+    measures = {column.name: outcome.measures[column.name] for column in columns if column.name in outcome.measures}
+    said = [each for each in outcome.findings if each.where == f"{_RUN}, {profiler.name}"]
+    return Probed(
+        profiler.name,
+        measures,
+        tuple(each.problem for each in said),
+        tuple(each.fix for each in said),
+        without_values([column for column in columns if column.is_in_table] or columns, measures),
+        "; ".join(own),
+    )
+
+
+def _tried(
+    experiment: Experiment, profilers: Sequence[Profiler], window: float, task: RunTask, interruption: Interruption
+) -> RunOutcome:
+    with TemporaryDirectory(prefix="robot-runner-probe-", ignore_cleanup_errors=True) as folder:
+        trial = _trial_of(experiment, profilers, window, Path(folder))
+        watch = Watch(
+            interruption=interruption,
+            report=lambda _kind, _fields: None,
+            refresh=lambda: None,
+            refresh_interval=None,
+            noticed_interruption=lambda: None,
+        )
+        builder = OutcomeBuilder(_RUN, trial.columns)
+        return executor_for(trial).execute(replace(task, run_id=_RUN), builder, watch)
+
+
+def _trial_of(experiment: Experiment, profilers: Sequence[Profiler], window: float, folder: Path) -> Experiment:
+    """Return an experiment of these profilers alone, whose mission is that so much real time goes by."""
+    changed = {
+        "phases": (),
+        "run_deadline_in_s": None,
+        "event_deadline_in_s": window + _PATIENCE,
+        "run_process": RunProcess.FORK,  # always: what a profiler leaves open or broken must not stay in this process
+    }
+    events = EventManager()
+    for profiler in profilers:
+        for event, callback in methods_of(profiler):
+            if event in _PROBED:
+                events.subscribe(event, callback, owner=profiler.name, kind=OwnerKind.PROFILER)
+    events.subscribe(
+        RobotRunnerEvents.LAUNCH_MISSION, lambda: time.sleep(window), owner=CONFIG_OWNER, kind=OwnerKind.CONFIG
+    )
+    return replace(
+        experiment,
+        parameters=Parameters(**{**vars(experiment.parameters), **changed}),
+        plugins=tuple(profilers),
+        events=events,
+        folder=ExperimentFolder(folder),
+    )

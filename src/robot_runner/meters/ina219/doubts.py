@@ -1,0 +1,153 @@
+"""What makes the samples of a power meter doubtful, each with its figure."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from itertools import groupby
+from statistics import fmean
+from typing import TYPE_CHECKING
+
+from robot_runner.meters.ina219.sample_stream import Trouble
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from robot_runner.core.events.window import Window
+    from robot_runner.core.sampling.series import Series
+    from robot_runner.meters.ina219.sample_stream import SampleStream
+
+__all__ = [
+    "POWER_ON_CONFIGURATION",
+    "power_doubts",
+    "settings_doubts",
+    "silence",
+    "stream_doubts",
+    "stuck_doubts",
+    "voltage_doubts",
+    "within",
+]
+
+#: The configuration of a sensor that was without power: 32 V, ±320 mV, single 12-bit conversions.
+POWER_ON_CONFIGURATION = 0x399F
+
+#: So many readings on end are not alike by chance. A converter of 12 bits shows noise of about a step, and a robot's
+#: current is never still: even if only one reading in ten differed from the one before, 150 alike would come once in
+#: seven million (0.9 ** 150 = 1.4e-7). At 200 Hz they take 0.75 s, so that a trial of a second is enough.
+_ALIKE = 150
+#: Quartzes and ceramic resonators are truer than this, parts of one (an Arduino Nano's: 0.5 % by its data sheet).
+_LARGEST_DRIFT = 0.01
+#: A supply below this is none, V: the INA219 itself needs 3 V, and no robot lives on less.
+_LOWEST_VOLTAGE = 0.5
+_LOOK = "look at the four wires between them"
+
+
+def within(times: Sequence[float], window: Window) -> slice:
+    """Return which of the samples lie in a window."""
+    return slice(bisect_left(times, window.start), bisect_right(times, window.end))
+
+
+def stuck_doubts(readings: Iterable[object], seconds: float, count: int) -> Iterator[str]:
+    """Yield where readings stood still, of `count` readings that took so many seconds.
+
+    Example:
+        >>> list(stuck_doubts([7] * 150 + [8] * 50, 1.0, 200))
+        ['the sensor read the same for 0.8 s (150 readings on end): one that measures shows noise']
+    """
+    longest = max((sum(1 for _ in same) for _, same in groupby(readings)), default=0)
+    if longest >= _ALIKE:
+        lasted = seconds * longest / count
+        yield f"the sensor read the same for {lasted:.1f} s ({longest} readings on end): one that measures shows noise"
+
+
+def power_doubts(power: Series, window: Window, limits: tuple[float, float] | None) -> Iterator[str]:
+    """Yield what is implausible about power (W) in a window; `limits` are those that were declared, W."""
+    values = power.values[within(power.times, window)]
+    if not len(values):
+        return
+    mean = fmean(values)
+    if mean < 0:
+        yield f"the mean power is {mean:.2f} W: VIN+ and VIN- of the sensor are swapped, or the robot feeds its battery"
+    if limits is None:
+        return
+    low, high = limits
+    outside = [value for value in values if not low <= value <= high]
+    if outside:
+        worst = max(outside, key=lambda value: max(low - value, value - high))
+        yield (
+            f"{len(outside)} of {len(values)} samples lie outside the plausible {low:g} to {high:g} W, "
+            f"the furthest at {worst:.2f} W"
+        )
+
+
+def voltage_doubts(volts: Sequence[float]) -> Iterator[str]:
+    """Yield where the bus had no voltage."""
+    dead = sum(1 for each in volts if each < _LOWEST_VOLTAGE)
+    if dead:
+        yield f"{dead} of {len(volts)} samples saw no voltage: is VIN- connected to the robot, and the battery in?"
+
+
+def stream_doubts(
+    stream: SampleStream, window: Window, times: Sequence[float], volts: Sequence[float]
+) -> Iterator[str]:
+    """Yield what the line, the device and the sensor make doubtful in a window of `times`."""
+    yield from _line_doubts(stream, stream.troubles(window, times))
+    if abs(stream.drift) > _LARGEST_DRIFT:
+        way = "slow" if stream.drift > 0 else "fast"
+        yield (
+            f"the meter's clock goes {100 * abs(stream.drift):.1f} % {way} by the arrivals of its samples, "
+            "which no resonator does; the samples were placed by their arrivals"
+        )
+    if 0 in stream.configurations:
+        yield f"the power meter answered, its sensor did not: {_LOOK}"
+    if POWER_ON_CONFIGURATION in stream.configurations:
+        yield "the sensor was without power for a moment and measured in another range for up to a second"
+    seen = within(times, window)
+    yield from voltage_doubts(volts[seen])
+    yield from stuck_doubts(stream.shunt_raw[seen], window.duration, len(stream.shunt_raw[seen]))
+
+
+def _line_doubts(stream: SampleStream, troubles: Mapping[Trouble, int]) -> Iterator[str]:
+    if restarts := troubles[Trouble.RESTART]:
+        yield f"the power meter was restarted {'once' if restarts == 1 else f'{restarts} times'}"
+    if troubles[Trouble.FOREIGN]:
+        yield "the power meter speaks another version of the protocol"
+    if standing := troubles[Trouble.STANDING_STAMP]:
+        yield f"the meter's clock stood still while {standing} samples arrived"
+    if numbered := troubles[Trouble.STANDING_NUMBER]:
+        yield f"{numbered} samples carried the number of the one before: what was lost among them cannot be told"
+    if (dropped := troubles[Trouble.DROPPED]) and not troubles[Trouble.CORRUPT]:
+        yield f"{dropped} bytes on the line belonged to no frame"
+    if stream.bytes_since_frame > _LONGEST_FRAME and len(stream):
+        yield f"the last {_amount(stream.bytes_since_frame)} on the line held no frame"
+
+
+#: Bytes; what is left of a frame that was cut off is shorter.
+_LONGEST_FRAME = 72
+_KILOBYTE = 1000
+
+
+def silence(stream: SampleStream, seconds: float) -> str | None:
+    """Return what came from a meter that gave no sample for so many seconds; None where there are samples."""
+    if len(stream):
+        return None
+    if not stream.bytes:
+        return f"no byte came in {seconds:.0f} s: is it the right port, and does the meter have power?"
+    amount = f"{_amount(stream.bytes)} came in {seconds:.0f} s"
+    if not stream.counts.frames:
+        return f"{amount}, none of it frames: wrong baud rate, or another device?"
+    if stream.counts.foreign_versions:
+        return f"{amount}, in frames of another version of the protocol"
+    return f"{amount}, frames among it, but no sample of this sensor"
+
+
+def _amount(count: int) -> str:
+    return f"{count / 1000:.3g} kB" if count >= _KILOBYTE else f"{count} bytes"
+
+
+def settings_doubts(stream: SampleStream, shunt: float, rate: float) -> Iterator[str]:
+    """Yield where the device says of its shunt (ohm) and rate (Hz) what the user does not."""
+    hello = stream.sensing or stream.hello
+    if hello is not None and abs(hello.shunt_ohm - shunt) > 0.001 * shunt:
+        yield f"the power meter says that its shunt has {hello.shunt_ohm:g} ohm, not {shunt:g} ohm"
+    if stream.hello is not None and stream.hello.rate_hz != rate:
+        yield f"the power meter says that it samples at {stream.hello.rate_hz} Hz, not at {rate:g} Hz"

@@ -1,0 +1,247 @@
+"""The stream of samples in columns: what was lost, what came twice, and when each sample was taken."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from bisect import bisect_left, bisect_right
+from collections import Counter
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+from robot_runner.core.sampling.device_clock import fit_clock
+from robot_runner.meters.ina219.frames import FIRST_SENSOR, FrameDecoder, Hello, Mark, SampleFrame, Sensing
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from robot_runner.core.events.window import Window
+    from robot_runner.core.links.serial_line import Chunk
+    from robot_runner.meters.ina219.frames import DecoderCounts, Frame
+
+__all__ = ["SampleStream", "StampedMark", "Trouble"]
+
+
+_SEQUENCES = 1 << 16
+_STAMPS = 1 << 32
+#: A difference of stamps this large means that time went back: the device was restarted (docs/ina219-protocol.md).
+_BACKWARDS = 1 << 31
+#: The device's clock cannot run ahead of ours by this much, s; a restart after more than 36 min looks so.
+_IMPLAUSIBLE_LEAD = 60.0
+#: Up to where the device's clock is mended by the arrivals, in parts of one: however wrong it is, they are right.
+_LARGEST_SKEW = 0.5
+
+
+class Trouble(Enum):
+    """What may happen to a stream."""
+
+    LOST = "samples that the sequence numbers say are missing"
+    DUPLICATE = "samples that came twice"
+    RESTART = "the device started anew"
+    CORRUPT = "frames whose checksum was wrong"
+    DROPPED = "bytes that belonged to no good frame"
+    FOREIGN = "frames of another version"
+    STANDING_STAMP = "samples with the time stamp of the one before"
+    STANDING_NUMBER = "samples with the number of the one before"
+
+
+@dataclass(frozen=True, slots=True)
+class StampedMark:
+    """When the meter's mark changed.
+
+    Attributes:
+        seconds: since the first sample, by the device's clock.
+        is_on: whether the measured window begins here; else it ends.
+    """
+
+    seconds: float
+    is_on: bool
+
+
+class SampleStream:
+    """Takes the chunks of a serial line and holds the samples of one sensor in columns, in the order of arrival.
+
+    Args:
+        has_arrivals: whether the chunks say when they arrived; False for what was recorded without a clock, where the
+            lives of a device that was restarted are laid end to end.
+        address: of the sensor, where it is not the device's first one.
+
+    Attributes:
+        shunt_raw: the shunt voltage registers.
+        bus_raw: the bus voltage registers.
+        device_seconds: the device's clock at each sample, unwrapped, s since the first sample of its life; where there
+            are no arrivals, since the first of all.
+        hello: what the device said of itself last, or None.
+        sensing: what it said of this sensor last, or None: the first firmware does not.
+        configurations: every configuration of the sensor that was told of; 0 where it did not answer the device.
+        marks: when the mark changed.
+        bytes: how many came.
+        bytes_since_frame: how many of them came after the last chunk that completed a frame.
+        drift: by how much the device's clock was off, in parts of one, positive where it is slow; known after `times`.
+    """
+
+    def __init__(self, *, has_arrivals: bool = True, address: int = FIRST_SENSOR) -> None:
+        self.address = address
+        self.shunt_raw = array("h")
+        self.bus_raw = array("H")
+        self.device_seconds = array("d")
+        self.hello: Hello | None = None
+        self.sensing: Sensing | None = None
+        self.configurations: set[int] = set()
+        self.marks: list[StampedMark] = []
+        self.bytes = 0
+        self.bytes_since_frame = 0
+        self.drift = 0.0
+        self._troubles: list[tuple[int, Trouble, int]] = []  # before which sample, what, and how often
+        self._decoder = FrameDecoder()
+        self._received = array("d")
+        self._lives = [0]  # where in the columns each life of the device begins
+        self._last: SampleFrame | None = None
+        self._has_arrivals = has_arrivals
+        self._implausible_lead = _IMPLAUSIBLE_LEAD if has_arrivals else math.inf
+
+    def __len__(self) -> int:
+        return len(self.shunt_raw)
+
+    @property
+    def counts(self) -> DecoderCounts:
+        """What the line brought besides good frames."""
+        return self._decoder.counts
+
+    @property
+    def lost(self) -> int:
+        """Samples that the sequence numbers say are missing."""
+        return self.troubles()[Trouble.LOST]
+
+    @property
+    def duplicates(self) -> int:
+        """Samples that came twice; only the first is held."""
+        return self.troubles()[Trouble.DUPLICATE]
+
+    @property
+    def restarts(self) -> int:
+        """How often the device started anew."""
+        return self.troubles()[Trouble.RESTART]
+
+    @property
+    def lag(self) -> float:
+        """How far the middle of what a sample averages lies before its stamp, s; 0 where the device does not say."""
+        return self.sensing.lag_s if self.sensing is not None else 0.0
+
+    def troubles(self, window: Window | None = None, times: Sequence[float] = ()) -> Mapping[Trouble, int]:
+        """Return how often what happened, in a window of `times` or altogether; 0 for what did not."""
+        low, high = 0, len(self)
+        if window is not None:
+            low, high = bisect_left(times, window.start), bisect_right(times, window.end)
+        found: Counter[Trouble] = Counter()
+        for before, trouble, count in self._troubles:
+            if low <= before <= high:
+                found[trouble] += count
+        return found
+
+    def take(self, chunks: Iterable[Chunk]) -> None:
+        """Decode what arrived."""
+        for chunk in chunks:
+            self.bytes += len(chunk.data)
+            before = self.counts
+            self._add(self._decoder.feed(chunk.data), chunk.received_at)
+            self._note_counts(before, chunk.data)
+
+    def finish(self) -> None:
+        """Decode what is held back; call it once nothing more will arrive."""
+        before = self.counts
+        frames = self._decoder.finish()
+        if len(self):
+            self._add(frames, self._received[-1])
+        self._note_counts(before, b"")
+
+    def times(self) -> array[float]:
+        """Return the middle of what each sample averages, s on the run's clock, never falling.
+
+        The stamps are the device's; they are brought to the run's clock by comparing them with the arrivals.
+        """
+        times = array("d")
+        self.drift = 0.0
+        for begin, end in zip(self._lives, [*self._lives[1:], len(self)], strict=True):
+            if begin == end:
+                continue
+            stamps = self.device_seconds[begin:end]
+            clock = fit_clock(stamps, self._received[begin:end], largest_skew=_LARGEST_SKEW)
+            self.drift = max(self.drift, clock.drift, key=abs)
+            offset, rate = clock.offset - self.lag, clock.rate
+            earliest = times[-1] if times else float("-inf")
+            times.extend(max(offset + rate * stamp, earliest) for stamp in stamps)
+        return times
+
+    def _add(self, frames: Iterable[Frame], received_at: float) -> None:
+        for frame in frames:
+            if isinstance(frame, SampleFrame):
+                if frame.address == self.address:
+                    self._add_sample(frame, received_at)
+            elif isinstance(frame, Hello):
+                self.hello = frame
+                if self.address == FIRST_SENSOR:
+                    self.configurations.add(frame.configuration)
+            elif isinstance(frame, Sensing):
+                self._take_sensing(frame)
+            else:
+                self._add_mark(frame)
+
+    def _take_sensing(self, sensing: Sensing) -> None:
+        """Take what is said of this sensor; that of the first one comes right behind the hello."""
+        is_first = self.hello is not None and self.hello.configuration == sensing.configuration
+        if self.address == sensing.address or (self.address == FIRST_SENSOR and self.sensing is None and is_first):
+            self.sensing = sensing
+            self.configurations.add(sensing.configuration)
+
+    def _note(self, trouble: Trouble, count: int = 1) -> None:
+        if count:
+            self._troubles.append((len(self), trouble, count))
+
+    def _note_counts(self, before: DecoderCounts, data: bytes) -> None:
+        now = self.counts
+        self._note(Trouble.CORRUPT, now.corrupt - before.corrupt)
+        if self._has_arrivals:  # a recording has zeros behind each mark's end, and behind its last frame
+            self._note(Trouble.DROPPED, now.dropped_bytes - before.dropped_bytes)
+        self._note(Trouble.FOREIGN, now.foreign_versions - before.foreign_versions)
+        size = len(data) if self._has_arrivals else len(data.strip(b"\0"))
+        self.bytes_since_frame = 0 if now.frames > before.frames else self.bytes_since_frame + size
+
+    def _add_sample(self, sample: SampleFrame, received_at: float) -> None:
+        seconds = self._seconds_of(sample, received_at)
+        if seconds is None:
+            self._note(Trouble.DUPLICATE)
+            return
+        self.device_seconds.append(seconds)
+        self._received.append(received_at)
+        self.shunt_raw.append(sample.shunt_raw)
+        self.bus_raw.append(sample.bus_raw)
+        self._last = sample
+
+    def _add_mark(self, mark: Mark) -> None:
+        seconds = 0.0
+        if self._last is not None:
+            step = (mark.microseconds - self._last.microseconds) % _STAMPS
+            seconds = self.device_seconds[-1] + (step * 1e-6 if step < _BACKWARDS else 0.0)
+        self.marks.append(StampedMark(seconds, mark.is_on))
+
+    def _seconds_of(self, sample: SampleFrame, received_at: float) -> float | None:
+        """Return the seconds of the device's clock, unwrapped, or None for a sample that is there already."""
+        last = self._last
+        if last is None:
+            return 0.0
+        step = (sample.microseconds - last.microseconds) % _STAMPS
+        if step == 0 and sample.sequence == last.sequence:
+            return None
+        elapsed = step * 1e-6
+        if step >= _BACKWARDS or elapsed > received_at - self._received[-1] + self._implausible_lead:
+            self._note(Trouble.RESTART)
+            self._lives.append(len(self))
+            return 0.0 if self._has_arrivals else self.device_seconds[-1]
+        if sample.sequence == last.sequence:
+            self._note(Trouble.STANDING_NUMBER)
+        else:
+            self._note(Trouble.LOST, (sample.sequence - last.sequence - 1) % _SEQUENCES)
+            self._note(Trouble.STANDING_STAMP, step == 0)
+        return self.device_seconds[-1] + elapsed
