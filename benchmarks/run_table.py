@@ -24,7 +24,7 @@ from robot_runner.core.storage.table_columns import TableLayout
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from robot_runner.core.design.run_table import RunTable
+    from robot_runner.core.design.run_table_model import RunTable
 
 _SIDE = 1000  # treatments of each of the two factors
 _TIMES = 3

@@ -29,6 +29,6 @@ class RobotRunnerConfig(ExperimentConfig):
         run_table.randomize_runs_order()
         return run_table
 
-    # Named like an event, so it hears that event; nothing has to be subscribed. What it prints goes to the run's log.
+    # Named like an event, so it is called there; nothing has to be subscribed. What it prints goes to the run's log.
     def launch_mission(self, context: RobotRunnerContext) -> None:
         print(f"{context.run_id}: the mission with the task {context.combination['Task']} is over")

@@ -35,7 +35,7 @@ class RobotRunnerConfig(ExperimentConfig):
         )
 
     def before_run(self, context: RobotRunnerContext) -> None:
-        # Heard in the orchestrating process: it remembers, and what it prints is seen on the terminal.
+        # Called in the orchestrating process: it remembers, and what it prints is seen on the terminal.
         if context.combination["Room"] != self.room:
             self.room = context.combination["Room"]
             print(f"From here on the robot is in the {self.room}.")

@@ -12,8 +12,8 @@ from tests.legacy.earlier_configs import ROBOT, RUNNER, planned
 from robot_runner.core.config.dialects import prepare
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import ExecutionError
+from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.recovery import Resumption
-from robot_runner.core.execution.status import read_status
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.run_table_reading import read_run_table

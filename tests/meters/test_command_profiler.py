@@ -201,7 +201,7 @@ def test_a_column_that_is_not_there_is_told_with_those_that_are(measure):
     column = CommandColumn("milliwatts", Measure("Power", "W", "Power."))
     context = measure(columns=[column])
     assert context.measures["Power"] is None
-    assert "its output has no column 'milliwatts'; it has 'time_ms', 'watts'" in problems(context)[0]
+    assert "the program's output has no column 'milliwatts'; it has 'time_ms', 'watts'" in problems(context)[0]
 
 
 def test_a_parse_function_that_raises_costs_its_values_and_not_the_run(measure):
@@ -210,7 +210,7 @@ def test_a_parse_function_that_raises_costs_its_values_and_not_the_run(measure):
 
     context = measure(parse=broken, startup_s=0.1)
     assert set(context.measures.values()) == {None}
-    assert problems(context) == ["its output cannot be read: ZeroDivisionError: of all things"]
+    assert problems(context) == ["the program's output cannot be read: ZeroDivisionError: of all things"]
 
 
 def test_values_carry_the_origin_that_was_given(measure):

@@ -196,7 +196,7 @@ def test_a_killed_keeper_fails_its_attempt_and_the_run_is_closed_and_the_experim
     )
     assert experiment.end() == 1, experiment.output
     assert experiment.statuses == ["Failed", "Done", "Failed", "Done"]
-    assert "r_1, r_3: launch_mission of config: its keeper was killed by SIGKILL" in experiment.output
+    assert "r_1, r_3: launch_mission of config: the run's keeper was killed by SIGKILL" in experiment.output
     assert experiment.wait_for("closed r_1")
     assert experiment.wait_for("closed r_3")
     assert (experiment.folder / "journal.jsonl").read_text().count("before the keeper was killed") == 2
@@ -216,7 +216,7 @@ def test_a_killed_keeper_whose_run_hangs_in_c_costs_the_attempt_and_nobody_is_le
     )
     assert experiment.end() == 1, experiment.output
     assert experiment.statuses == ["Done", "Failed", "Done", "Done"]
-    assert "its keeper was killed by SIGKILL" in experiment.output
+    assert "the run's keeper was killed by SIGKILL" in experiment.output
     assert experiment.nobody_is_left()
 
 

@@ -12,10 +12,10 @@ Start = Callable[..., Any]
 FAULTS = {
     "exception": ("raise RuntimeError('the wheel fell off')", "RuntimeError: the wheel fell off"),
     "sys.exit": ("sys.exit(0)", "SystemExit: 0"),
-    "os._exit": ("os._exit(3)", "its process exited with code 3"),
-    "segmentation fault": ("ctypes.string_at(0)", "its process was killed by SIGSEGV"),
-    "abort": ("os.abort()", "its process was killed by SIGABRT"),
-    "killed": ("os.kill(os.getpid(), signal.SIGKILL)", "its process was killed by SIGKILL"),
+    "os._exit": ("os._exit(3)", "the run's process exited with code 3"),
+    "segmentation fault": ("ctypes.string_at(0)", "the run's process was killed by SIGSEGV"),
+    "abort": ("os.abort()", "the run's process was killed by SIGABRT"),
+    "killed": ("os.kill(os.getpid(), signal.SIGKILL)", "the run's process was killed by SIGKILL"),
     "out of memory": (
         "resource.setrlimit(resource.RLIMIT_AS, (1 << 29, 1 << 29)); bytearray(1 << 30)",
         "MemoryError",
@@ -27,10 +27,10 @@ FAULTS = {
         "took longer than event_deadline_in_s = 3 s",
     ),
     "stopped": ("os.kill(os.getpid(), signal.SIGSTOP)", "took longer than event_deadline_in_s = 3 s"),
-    "closes every descriptor": ("os.closerange(0, 256)", "its process exited with code"),
+    "closes every descriptor": ("os.closerange(0, 256)", "the run's process exited with code"),
     "nonsense in the pipe": (
         "[shout(number) for number in range(3, 20)]; os._exit(5)",
-        "its process exited with code 5",
+        "the run's process exited with code 5",
     ),
 }
 

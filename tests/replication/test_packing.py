@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from tests.replication.small_experiment import RUNS, SECRET, home
 
-from robot_runner.core.config.experiment import Author
+from robot_runner.core.config.authors import Author
 from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.lock import ExperimentLock
 from robot_runner.replication.packing import Packing, pack

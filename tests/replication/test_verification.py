@@ -102,7 +102,7 @@ def test_names_that_leave_the_folder_are_refused(packed, tmp_path, name):
     path = _rezipped(packed, tmp_path / "evil.zip", lambda each, data: (each, data))
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr(name, "mine")
-    assert _refusal(path).problem in {"its name leaves the folder", "its name is absolute"}
+    assert _refusal(path).problem in {"the file's name leaves the folder", "the file's name is absolute"}
     assert not (tmp_path.parent / "outside.txt").exists()
     assert not Path("/outside.txt").exists()
 

@@ -1,4 +1,7 @@
-"""Arrows point down: the import contracts of pyproject.toml hold, cover every package, and notice a breach."""
+"""Arrows point down: the import contracts of pyproject.toml hold, cover every package, and notice a breach.
+
+No files import each other in a circle, either: not even for types only, or within a function.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import grimp
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -70,3 +74,42 @@ def test_a_breach_is_noticed(module: str, imported: str, contract: str, verdict_
     (said,) = (text for name, text in verdict_on_breaches.items() if name.startswith(contract))
     name = "robot_runner." + module.removesuffix(".py").replace("/", ".")
     assert re.search(rf"{name} -> {imported} \(l\." if imported else rf"- {name}\n", said), said
+
+
+def _circles(package: str) -> list[tuple[str, ...]]:
+    """Return the circles among the files of a package, each once, from its alphabetically first module.
+
+    All imports count: those of a package's modules, for types only and within functions, too.
+    """
+    graph = grimp.build_graph(package, cache_dir=None)
+    edges = ((module, other) for module in graph.modules for other in graph.find_modules_directly_imported_by(module))
+    chains = (graph.find_shortest_chain(other, module) for module, other in edges)
+    found = [chain for chain in chains if chain is not None]
+    return sorted({chain[chain.index(min(chain)) :] + chain[: chain.index(min(chain))] for chain in found})
+
+
+def test_no_files_import_each_other_in_a_circle() -> None:
+    assert _circles("robot_runner") == []
+
+
+def test_a_circle_is_noticed_however_it_is_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = {
+        "__init__": "",
+        "run": "from circular_study import robot, table",
+        "robot": "def drive() -> None:\n    from circular_study.wheels import turn",
+        "wheels": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from circular_study.motor import Motor",
+        "motor": "from .robot import drive",
+        "table": "import circular_study.rows",
+        "rows": "from . import table",
+        "words": "",
+    }
+    package = tmp_path / "circular_study"
+    package.mkdir()
+    for name, text in files.items():
+        (package / f"{name}.py").write_text(text + "\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    found = _circles("circular_study")
+    assert [[module.removeprefix("circular_study.") for module in circle] for circle in found] == [
+        ["motor", "robot", "wheels"],
+        ["rows", "table"],
+    ]

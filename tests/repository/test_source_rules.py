@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,3 +65,8 @@ def test_no_except_is_bare() -> None:
 
 def test_no_module_is_a_drawer() -> None:
     assert _broken(lambda module: bool(DRAWERS & set(module.relative_to(SOURCE).with_suffix("").parts))) == []
+
+
+def test_a_file_name_means_one_thing() -> None:
+    names = Counter(module.name for module in MODULES if module.name != "__init__.py")
+    assert [name for name, count in names.items() if count > 1] == []

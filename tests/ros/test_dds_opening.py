@@ -11,7 +11,8 @@ import pytest
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import RobotName
-from robot_runner.ros.dds_link import DdsSettings, findings, open_dds_link
+from robot_runner.ros.dds_link import findings, open_dds_link
+from robot_runner.ros.graph_addresses import DdsSettings
 
 
 def test_options_are_read_before_the_environment():

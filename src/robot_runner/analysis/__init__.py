@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.report.writing import write_report as write_report
     from robot_runner.analysis.results import Results as Results
     from robot_runner.analysis.results import load_results as load_results
-    from robot_runner.analysis.statistics.experiment import analyse as analyse
+    from robot_runner.analysis.statistics.experiment_statistics import analyse as analyse
     from robot_runner.analysis.statistics.outcome import ExperimentStatistics as ExperimentStatistics
 else:
     __getattr__, __dir__ = open_door(__name__, require_libraries)

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.analysis.export import export_results
+from robot_runner.analysis.exporting import ExportContent, export_results
 from robot_runner.analysis.run_frame import History, RunFrame, column_descriptions, read_history, read_run_frame
 from robot_runner.analysis.sample_files import (
     PhaseSpans,
@@ -162,7 +162,7 @@ class Results:
 
         Columns: `run_id`, `event` (ordered categorical), `at` (datetime64, UTC), `clock_s` (s on the run's clock) and
         `since_start_s` (s since the event `start_measurement`); the last two are missing for `before_run` and
-        `continue`, which are not heard on the run's clock.
+        `continue`, which take place outside the run and its clock.
 
         Raises:
             AnalysisError: there is no such run.
@@ -249,7 +249,15 @@ class Results:
         Raises:
             StorageError: a file cannot be written.
         """
-        return export_results(self, None if folder is None else Path(folder))
+        content = ExportContent(
+            self.name,
+            self.folder,
+            {"run_table.parquet": self.runs, "phases.parquet": self.phases(), "events.parquet": self.events()},
+            self.sample_files,
+            lambda kind, runs: self.samples(kind.plugin, file=kind.name, runs=runs),
+            self.unit,
+        )
+        return export_results(content, None if folder is None else Path(folder))
 
     @property
     def _files(self) -> ExperimentFolder:

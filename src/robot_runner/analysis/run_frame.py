@@ -183,7 +183,7 @@ EVENTS = tuple(event.value for event in RobotRunnerEvents if event.belongs_to_ru
 #: The event from which times of a run are counted.
 START = RobotRunnerEvents.START_MEASUREMENT.value
 
-#: These are heard in the orchestrating process, whose clock is another than the run's.
+#: The callbacks of these are executed in the orchestrating process, whose clock is another than the run's.
 _OF_ANOTHER_CLOCK = frozenset(event.value for event in ORCHESTRATED_EVENTS)
 
 

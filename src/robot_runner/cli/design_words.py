@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from robot_runner.core.design.factor import Factor
-    from robot_runner.core.design.run_table import PlannedRun
+    from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.events.measure import MeasureColumn, MeasureColumns
 

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 from robot_runner.core.errors import RobotRunnerError, did_you_mean, nearest
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
-    from robot_runner.cli.commands import CommandModule
-
 __all__ = [
+    "CommandModule",
     "Parser",
     "UsageError",
     "add_config",
@@ -88,6 +87,17 @@ class Parser(argparse.ArgumentParser):
     @property
     def _help_fix(self) -> str:
         return f"See `{self.prog} --help`."
+
+
+class CommandModule(Protocol):
+    """The module of a command."""
+
+    def add_arguments(self, parser: Parser) -> None:
+        """Add what the command takes."""
+
+    def execute(self, arguments: argparse.Namespace) -> int:
+        """Do what the arguments say, and return the exit code."""
+        ...
 
 
 def parser_of(command: str, module: CommandModule) -> Parser:

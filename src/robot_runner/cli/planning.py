@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from robot_runner.core.config.loader import LoadedConfig
-    from robot_runner.core.design.run_table import PlannedRun
+    from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.errors import Finding
     from robot_runner.core.events.measure import MeasureColumns

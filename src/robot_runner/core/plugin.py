@@ -54,7 +54,7 @@ class Circumstances:
 
 
 class Plugin:
-    """What systems and profilers share. A method named like an event hears that event and gets its context.
+    """What systems and profilers share. A method named like an event is called at it and gets its context.
 
     Attributes:
         measures: what each run yields through this plugin; an instance may have others than its class, where they
@@ -96,7 +96,7 @@ class System(Plugin):
     """
 
     def make_safe(self, context: RobotRunnerContext) -> None:
-        """Stop whatever moves. Called after a failed run, once its closing events were heard; may be called twice."""
+        """Stop whatever moves. Called after a failed run, once its closing events are over; may be called twice."""
 
 
 class Profiler(Plugin):

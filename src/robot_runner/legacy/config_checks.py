@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.source import read_tree
 from robot_runner.core.errors import ConfigError, Finding, did_you_mean, nearest
-from robot_runner.legacy.experiment import check_callback
+from robot_runner.legacy.earlier_experiment import check_callback
 from robot_runner.legacy.profilers.profiler_catalogue import EarlierPlugin, plugin_of
 from robot_runner.legacy.recognition import Dialect, Recognised, is_earlier_import
 from robot_runner.legacy.run_ids import Clone, clone_around

@@ -34,7 +34,7 @@ from robot_runner.legacy.config_checks import (
     check_subscriptions,
     is_robot_operated,
 )
-from robot_runner.legacy.experiment import EarlierExperiment
+from robot_runner.legacy.earlier_experiment import EarlierExperiment
 from robot_runner.legacy.profilers.self_measure import COLUMN, SelfMeasure
 from robot_runner.legacy.run_tables import EarlierDesign, design_of
 from robot_runner.legacy.session import Session, active_session

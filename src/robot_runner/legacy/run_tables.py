@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.columns import reserved_names
 from robot_runner.core.design.factor import Factor, treatment_text
 from robot_runner.core.design.listed_runs import ListedRun, ListedRunTableModel
-from robot_runner.core.design.run_table import RunOrder
+from robot_runner.core.design.planned_runs import RunOrder
 from robot_runner.core.errors import ConfigError, did_you_mean
 from robot_runner.core.storage.table_columns import EARLIER_SPELLING
 from robot_runner.legacy.stand_ins.machinery import RunProgress

@@ -1,4 +1,4 @@
-"""The profiler that hears what the robot says of its battery."""
+"""The profiler of the state that the robot publishes of its battery."""
 
 from __future__ import annotations
 
@@ -108,7 +108,8 @@ class Battery(Profiler):
         """Return what stands in the way: no robot."""
         if circumstances.robot is None:
             fix = "Name one in the config: robot = 'simulated'. Or: --set robot=simulated."
-            return [Finding.error(f"plugin {self.name}", "it hears the robot, and the experiment names none", fix)]
+            problem = "the battery is that of a robot, and the experiment names none"
+            return [Finding.error(f"plugin {self.name}", problem, fix)]
         return []
 
     def start_run(self, context: RobotRunnerContext) -> None:

@@ -182,7 +182,7 @@ class CommandProfiler(Profiler):
         try:
             self._measured = self._read(process.records, self._window, ending)
         except Exception as error:  # noqa: BLE001 - a parse function may raise anything; the meter costs its values only
-            self._fault = f"its output cannot be read: {type(error).__name__}: {error}"
+            self._fault = f"the program's output cannot be read: {type(error).__name__}: {error}"
             return
         self._write(context.raw_data_folder, self._measured)
 
@@ -219,7 +219,8 @@ class CommandProfiler(Profiler):
         there = dict.fromkeys(name for row in measured.rows for name in row)
         missing = [column.source for column in self.columns if column.source not in there]
         if measured.rows and missing:
-            yield f"its output has no column {', '.join(map(repr, missing))}; it has {', '.join(map(repr, there))}"
+            lacking, found = (", ".join(map(repr, names)) for names in (missing, there))
+            yield f"the program's output has no column {lacking}; it has {found}"
 
     def _values(self, context: RobotRunnerContext, measured: Measured) -> Mapping[str, float | None]:
         moments = list(dict.fromkeys(measured.times))  # some programs write several rows at once

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from typing import Self
 
-    from robot_runner.core.config.experiment import Author
+    from robot_runner.core.config.authors import Author
     from robot_runner.replication.contents import LeftOut
 
 __all__ = ["About", "container_commands", "containerfile", "image_name", "readme"]

@@ -64,17 +64,17 @@ def fault_of_name(name: str) -> str | None:
     Example:
         >>> fault_of_name("runs/r_1/log.txt")
         >>> fault_of_name("../.bashrc"), fault_of_name("/etc/passwd")
-        ('its name leaves the folder', 'its name is absolute')
+        ("the file's name leaves the folder", "the file's name is absolute")
     """
     if not name or not name.isprintable() or "\\" in name:
-        return "its name has characters that no name in a package may have"
+        return "the file's name has characters that no name in a package may have"
     if name.startswith("/") or _DRIVE.match(name):
-        return "its name is absolute"
+        return "the file's name is absolute"
     parts = name.split("/")
     if ".." in parts:
-        return "its name leaves the folder"
+        return "the file's name leaves the folder"
     if "" in parts or "." in parts:
-        return "its name is not in its shortest form"
+        return "the file's name is not in its shortest form"
     return None
 
 

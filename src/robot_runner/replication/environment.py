@@ -23,18 +23,31 @@ from robot_runner.core.errors import Finding, PackageError
 from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.replication.contents import REQUIREMENTS, WHEELS
 from robot_runner.replication.distributions import canonical, closure, installed_distributions
-from robot_runner.replication.index_hashes import PLATFORMS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from robot_runner.replication.distributions import InstalledDistribution
 
-__all__ = ["PackageRecord", "RecordedEnvironment", "imported_names", "make_environment", "record_environment"]
+__all__ = [
+    "PLATFORMS",
+    "PackageRecord",
+    "RecordedEnvironment",
+    "imported_names",
+    "make_environment",
+    "record_environment",
+]
 
 _OUR_NAME = "robot-runner"
 _DEADLINE_S = 3600.0
 _SHOWN_LINES = 8
+_GLIBC = ("manylinux2014", *(f"manylinux_2_{minor}" for minor in (17, 24, 26, 27, 28, 31, 34, 35, 36)))
+#: Where else an experiment is replicated, as pip calls it: the oldest first, whose files fit most machines.
+PLATFORMS: Mapping[str, tuple[str, ...]] = {
+    "Linux on x86-64": tuple(f"{each}_x86_64" for each in _GLIBC),
+    "Linux on aarch64": tuple(f"{each}_aarch64" for each in _GLIBC),
+    "macOS on arm64": ("macosx_14_0_arm64",),
+}
 #: Which distributions bring each top-level module.
 _owners = cache(packages_distributions)
 

@@ -237,7 +237,7 @@ class _Explaining:
         kind = str(plugin.get("class", "")).rpartition(":")[2]
         package = f" ({plugin['package']} {plugin.get('version')})" if plugin.get("package") else ""
         named = f"{owner}, " if kind != owner and kind else ""
-        yield "Plugin", f"{named}{kind or owner}{package}" if owner else "none: nobody published it"
+        yield "Plugin", f"{named}{kind or owner}{package}" if owner else "none: no plugin published it"
         yield "Config", _shown(self._lines.of_plugin(owner, kind))
 
     def _raw_files(self, owner: str) -> Iterator[str]:

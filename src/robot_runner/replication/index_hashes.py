@@ -22,27 +22,20 @@ from urllib.parse import urlsplit
 
 from robot_runner.core.errors import Finding
 from robot_runner.replication.distributions import canonical
+from robot_runner.replication.environment import PLATFORMS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.replication.environment import PackageRecord, RecordedEnvironment
 
-__all__ = ["PLATFORMS", "IndexAnswer", "ask_index", "findings_of_hashes", "with_index_hashes"]
+__all__ = ["IndexAnswer", "ask_index", "findings_of_hashes", "with_index_hashes"]
 
 _DEADLINE_S = 300.0
 #: Of one connection; pip's own retries would make a network that is not there a matter of minutes.
 _CONNECTION_S = 15
 #: Where so many packages are not found, and none is, there is no index.
 _MOST_MISSES = 5
-
-_GLIBC = ("manylinux2014", *(f"manylinux_2_{minor}" for minor in (17, 24, 26, 27, 28, 31, 34, 35, 36)))
-#: Where else an experiment is replicated, as pip calls it: the oldest first, whose files fit most machines.
-PLATFORMS: Mapping[str, tuple[str, ...]] = {
-    "Linux on x86-64": tuple(f"{each}_x86_64" for each in _GLIBC),
-    "Linux on aarch64": tuple(f"{each}_aarch64" for each in _GLIBC),
-    "macOS on arm64": ("macosx_14_0_arm64",),
-}
 
 _NO_WHEEL = "pip finds no wheel of that version"
 _NO_INDEX = "no package index answers, or it has none of them"

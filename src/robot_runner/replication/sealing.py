@@ -24,7 +24,7 @@ from robot_runner.replication.redaction import Redactor, is_binary
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from robot_runner.core.config.experiment import Author
+    from robot_runner.core.config.authors import Author
     from robot_runner.core.storage.table_schema import ColumnDescription
     from robot_runner.replication.about import About
     from robot_runner.replication.distributions import InstalledDistribution
@@ -165,7 +165,7 @@ class Sealing:
         except OSError as error:
             raise storage_error(Path(distribution.name), "read", error) from error
         if not files or secrets:
-            why = f"the package holds {_in_words(secrets)}" if secrets else "its code cannot be found"
+            why = f"the package holds {_in_words(secrets)}" if secrets else "the package's code cannot be found"
             self.left_out.append(LeftOut(f"wheel of {distribution.name}", why))
             return
         stored = self._archive.add(f"{contents.WHEELS}/{wheel_name(distribution)}", [wheel.getvalue()])

@@ -36,7 +36,6 @@ __all__ = [
     "ros_topic",
     "ros_type",
     "wire_topic",
-    "wire_type_name",
 ]
 
 
@@ -81,17 +80,6 @@ def ros_service(wire_name: str) -> str | None:
     if wire_name.startswith(f"{_REQUEST}/") and wire_name.endswith(_REQUEST_END):
         return wire_name.removeprefix(_REQUEST).removesuffix(_REQUEST_END)
     return None
-
-
-def wire_type_name(message_type: str, kind: str = "msg") -> str:
-    """Return the DDS type of a ROS type.
-
-    Example:
-        >>> wire_type_name("geometry_msgs/Twist"), wire_type_name("std_srvs/Trigger_Request", "srv")
-        ('geometry_msgs::msg::dds_::Twist_', 'std_srvs::srv::dds_::Trigger_Request_')
-    """
-    package, _, name = message_type.partition("/")
-    return f"{package}::{kind}::dds_::{name}_"
 
 
 def ros_type(wire_name: str) -> str:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robot_runner.core.errors import Finding, LinkError, did_you_mean
+from robot_runner.core.errors import Finding, LinkError
+from robot_runner.ros.graph_addresses import DdsSettings
 from robot_runner.ros.graph_link import GraphLink
 from robot_runner.ros.graph_links import missing_of, not_installed
-from robot_runner.ros.graph_transport import domain_id, receive_clock
-from robot_runner.ros.type_store import ROS2_DISTROS
+from robot_runner.ros.graph_transport import receive_clock
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -20,58 +18,10 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import Clock
     from robot_runner.core.links.robot import RobotLink, RobotName
 
-__all__ = ["DdsSettings", "findings", "open_dds_link"]
+__all__ = ["findings", "open_dds_link"]
 
-_OPTIONS = ("domain", "distro", "types")
-_WHERE = "robot"
 _PACKAGES = ("cyclonedds", "rosbags")
 _WAY = "over DDS"
-
-
-@dataclass(frozen=True, slots=True)
-class DdsSettings:
-    """How the graph is reached: what `robot = "dds:option=value,..."` and the environment say.
-
-    Attributes:
-        domain: DDS domain id, 0 to 232.
-        distro: distribution of ROS 2 on the robot; None to tell from the graph.
-        types: files and folders with further message types.
-
-    Example:
-        >>> DdsSettings.of({"domain": "7", "distro": "humble"}, {}).domain
-        7
-    """
-
-    domain: int
-    distro: str | None
-    types: tuple[Path, ...] = ()
-
-    @classmethod
-    def of(cls, options: Mapping[str, str], environment: Mapping[str, str] | None = None) -> DdsSettings:
-        """Read options, and `ROS_DOMAIN_ID` and `ROS_DISTRO` where they are left out.
-
-        Raises:
-            LinkError: there is no such option, or it cannot have this value.
-        """
-        variables = os.environ if environment is None else environment
-        for name in options:
-            if name not in _OPTIONS:
-                raise LinkError(f"dds has no option {name!r}", where=_WHERE, fix=did_you_mean(name, _OPTIONS))
-        distro = options.get("distro")
-        if distro is None and variables.get("ROS_DISTRO") in ROS2_DISTROS:
-            distro = variables["ROS_DISTRO"]
-        _check_distro(distro)
-        types = tuple(Path(part).expanduser() for part in options.get("types", "").split(os.pathsep) if part)
-        return cls(domain_id(options, variables), distro, types)
-
-
-def _check_distro(distro: str | None) -> None:
-    if distro is not None and distro not in ROS2_DISTROS:
-        raise LinkError(
-            f"{distro!r} is no distribution of ROS 2 that is known",
-            where=_WHERE,
-            fix=did_you_mean(distro, ROS2_DISTROS),
-        )
 
 
 def findings(name: RobotName) -> list[Finding]:

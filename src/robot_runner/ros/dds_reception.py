@@ -14,7 +14,6 @@ from cyclonedds.core import DDSException, GuardCondition, InstanceState, ReadCon
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl import types as idl
 
-from robot_runner.ros.dds_graph import wire_type_name
 from robot_runner.ros.message_codec import FILLER
 from robot_runner.ros.shapes import Shape
 
@@ -34,6 +33,7 @@ __all__ = [
     "delete",
     "service_wire_type",
     "topic_wire_type",
+    "wire_type_name",
 ]
 
 _logger = logging.getLogger(__name__)
@@ -78,6 +78,17 @@ class RawSample:
     def __init__(self, data: bytes) -> None:
         self.data = data
         self.sample_info: Any = None
+
+
+def wire_type_name(message_type: str, kind: str = "msg") -> str:
+    """Return the DDS type of a ROS type.
+
+    Example:
+        >>> wire_type_name("geometry_msgs/Twist"), wire_type_name("std_srvs/Trigger_Request", "srv")
+        ('geometry_msgs::msg::dds_::Twist_', 'std_srvs::srv::dds_::Trigger_Request_')
+    """
+    package, _, name = message_type.partition("/")
+    return f"{package}::{kind}::dds_::{name}_"
 
 
 @lru_cache(maxsize=512)

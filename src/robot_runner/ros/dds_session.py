@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from uuid import UUID
 
-    from robot_runner.ros.dds_link import DdsSettings
     from robot_runner.ros.dds_reception import RawSample, WireType
+    from robot_runner.ros.graph_addresses import DdsSettings
 
 __all__ = ["DISCOVERY_TOPIC", "SETTLING", "Nodes", "Session"]
 

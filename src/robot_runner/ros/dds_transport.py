@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
     from robot_runner.core.links.robot import Message
     from robot_runner.ros.dds_graph import Endpoint
-    from robot_runner.ros.dds_link import DdsSettings
     from robot_runner.ros.dds_reception import RawSample, WireType
+    from robot_runner.ros.graph_addresses import DdsSettings
     from robot_runner.ros.graph_transport import Reception
 
 __all__ = ["DdsTransport"]
@@ -175,7 +175,7 @@ class _Publisher:
             less = incompatibility(reader.qos, offered)
             if less is not None:
                 raise LinkError(
-                    f"its subscriber asks for more than the QoS {str(qos)!r} offers: {less}",
+                    f"a subscriber asks for more than the QoS {str(qos)!r} offers: {less}",
                     where=self._topic,
                     fix="Publish with the QoS 'reliable' or 'transient_local'.",
                 )
@@ -244,7 +244,7 @@ class _Subscription:
             less = incompatibility(self._asked, writer.qos)
             if less is not None:
                 raise LinkError(
-                    f"its publisher offers less than the QoS {str(self._qos)!r} asks for: {less}",
+                    f"a publisher offers less than the QoS {str(self._qos)!r} asks for: {less}",
                     where=self._topic,
                     fix="Leave the QoS out, so that it fits the publishers.",
                 )

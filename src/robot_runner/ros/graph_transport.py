@@ -28,7 +28,6 @@ __all__ = [
     "Transport",
     "already_offered",
     "check_type",
-    "domain_id",
     "nobody_publishes",
     "receive_clock",
     "service_timeout",
@@ -36,10 +35,6 @@ __all__ = [
     "silent_publishers",
     "wrong_service_type",
 ]
-
-
-#: Domains above this have UDP ports past 65535 (RTPS 2.2, 9.6.1.1: 7400 + 250 · domain + …).
-_MAX_DOMAIN = 232
 
 
 class GraphTypes(Protocol):
@@ -188,27 +183,6 @@ class Transport(Protocol):
 def receive_clock(clock: Clock) -> Callable[[], int]:
     """Return what stamps raw messages, in ns: this machine's time, or a simulation's where the run has one."""
     return time.time_ns if isinstance(clock, SystemClock) else lambda: int(clock.now() * 1e9)
-
-
-def domain_id(options: Mapping[str, str], environment: Mapping[str, str]) -> int:
-    """Return the DDS domain that the option `domain` names, or else the environment.
-
-    Raises:
-        LinkError: it is no domain.
-
-    Example:
-        >>> domain_id({"domain": "7"}, {}), domain_id({}, {"ROS_DOMAIN_ID": "3"}), domain_id({}, {})
-        (7, 3, 0)
-    """
-    named = "domain" in options
-    text = options["domain"] if named else environment.get("ROS_DOMAIN_ID") or "0"
-    if text.isascii() and text.isdigit() and int(text) <= _MAX_DOMAIN:
-        return int(text)
-    raise LinkError(
-        f"the domain id is {text!r}",
-        where="robot" if named else "ROS_DOMAIN_ID",
-        fix=f"Give a whole number from 0 to {_MAX_DOMAIN}, the ROS_DOMAIN_ID of the robot.",
-    )
 
 
 def check_type(topic: str, wanted: str, found: Iterable[str], *, owner: str = "") -> None:

@@ -8,9 +8,9 @@ from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.links.host import LOCAL
 from robot_runner.core.links.robot import RobotName
+from robot_runner.ros.graph_addresses import RosbridgeAddress
 from robot_runner.ros.ros1_master import Master
 from robot_runner.ros.ros_environment import RosEnvironment, find_ros, installed_ros, ros_of_host, ros_of_master
-from robot_runner.ros.rosbridge_link import RosbridgeAddress
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -56,7 +56,7 @@ class _Connection:
             self._keep_deadline()
             piece = self._socket.recv(count - len(data))
             if not piece:
-                raise ConnectionResetError("it closed the connection")
+                raise ConnectionResetError("the service closed the connection")
             data += piece
         return bytes(data)
 
@@ -151,6 +151,6 @@ def _refused(name: str, uri: str, wanted: str, refused: str) -> LinkError:
         return LinkError(f"the service refuses: {refused}", where=name, fix="Look at the log of its node.")
     true = service_type(name, uri, timeout=1.0)
     if true == wanted:
-        problem = f"its node has another version of {wanted}"
+        problem = f"the service's node has another version of {wanted}"
         return LinkError(problem, where=name, fix="Install the same version of its package on both machines.")
     return wrong_service_type(name, true, wanted)

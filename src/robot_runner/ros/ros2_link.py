@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, LinkError, did_you_mean
 from robot_runner.core.events.context import SystemClock
+from robot_runner.ros.graph_addresses import domain_id
 from robot_runner.ros.graph_link import GraphLink
-from robot_runner.ros.graph_transport import domain_id, receive_clock
+from robot_runner.ros.graph_transport import receive_clock
 from robot_runner.ros.ros_environment import find_ros
 
 if TYPE_CHECKING:

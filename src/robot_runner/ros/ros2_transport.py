@@ -227,7 +227,7 @@ class _Subscription:
         less = _incompatibility(profile, publisher.qos_profile)
         if less is not None:
             raise LinkError(
-                f"its publisher {_owner(publisher)} offers less than is asked for: {less}",
+                f"the publisher {_owner(publisher)} offers less than is asked for: {less}",
                 where=self._topic,
                 fix="Leave qos out, so that the subscription fits its publishers.",
             )

@@ -208,7 +208,7 @@ def found_robot() -> FoundRobot:
         if found is not None:
             return found
     raise LinkError(
-        "robot is 'auto', and no robot is found: no ROS is sourced, no ROS 1 master answers, nobody listens at "
+        "robot is 'auto', and no robot is found: no ROS is sourced, no ROS 1 master answers, no server listens at "
         f"{_BRIDGE[0]}:{_BRIDGE[1]} (rosbridge), and nothing is published over DDS (or cyclonedds is not installed)",
         where="robot",
         fix="Say how it is reached, as in --set robot=rosbridge://robot:9090. Or: --set robot=simulated.",
@@ -244,7 +244,7 @@ def _bridge() -> FoundRobot | None:
     except OSError:
         return None
     host, port = _BRIDGE
-    return FoundRobot(f"rosbridge://{host}:{port}", f"somebody listens at {host}:{port}, where a rosbridge is")
+    return FoundRobot(f"rosbridge://{host}:{port}", f"a server listens at {host}:{port}, where a rosbridge is")
 
 
 def _dds() -> FoundRobot | None:

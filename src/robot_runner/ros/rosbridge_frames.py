@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from cbor2 import CBORTag
     from websockets.sync.client import ClientConnection
 
-    from robot_runner.ros.rosbridge_link import RosbridgeAddress
+    from robot_runner.ros.graph_addresses import RosbridgeAddress
 
 __all__ = ["FrameReader", "as_json", "closed_reason", "connect", "from_protocol", "read", "send_errors", "to_protocol"]
 

@@ -17,7 +17,7 @@ from robot_runner.ros.rosbridge_frames import FrameReader, as_json, closed_reaso
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from robot_runner.ros.rosbridge_link import RosbridgeAddress
+    from robot_runner.ros.graph_addresses import RosbridgeAddress
 
 __all__ = ["Reply", "Session"]
 
@@ -233,7 +233,7 @@ class Session:
         except send_errors() as error:
             self._lose(closed_reason(error))
         finally:
-            self._lose("it closed the connection")
+            self._lose("the server closed the connection")
 
     def _take(self, operation: dict[str, Any]) -> None:
         match operation["op"]:

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from robot_runner.core.links.robot import Message
+    from robot_runner.ros.graph_addresses import RosbridgeAddress
     from robot_runner.ros.graph_transport import Reception
-    from robot_runner.ros.rosbridge_link import RosbridgeAddress
     from robot_runner.ros.shapes import Shape
 
 __all__ = ["RosbridgeTransport"]

@@ -16,7 +16,7 @@ from robot_runner.ros.type_store import ROS2_DISTROS
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from robot_runner.ros.rosbridge_link import RosbridgeAddress
+    from robot_runner.ros.graph_addresses import RosbridgeAddress
     from robot_runner.ros.rosbridge_session import Reply, Session
 
 __all__ = ["RobotTypes", "Rosapi"]

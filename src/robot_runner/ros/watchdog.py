@@ -90,7 +90,7 @@ class Watchdog:
     def __init__(self, *, heartbeat_timeout: float = 0.4, command_timeout: float = 0.0) -> None:
         if heartbeat_timeout < 0 or command_timeout < 0:
             raise LinkError(
-                f"its time-outs are {heartbeat_timeout!r} s and {command_timeout!r} s",
+                f"the time-outs are {heartbeat_timeout!r} s and {command_timeout!r} s",
                 where="the watchdog",
                 fix="Give 0 or more.",
             )

@@ -207,7 +207,7 @@ class Listening:
         self._topic = topic
 
     def close(self) -> None:
-        """Hear no more messages; closing twice does nothing."""
+        """Receive no more messages; closing twice does nothing."""
         self._topic.forget(self)
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["COMMAND_TOPICS", "SERVICES", "SimulatedTurtlebot3", "Simulation"]
 
 
-#: The topics that the robot hears, with their types.
+#: The topics that the robot subscribes to, with their types.
 COMMAND_TOPICS = {"cmd_vel": "geometry_msgs/Twist"}
 
 #: The services that the robot offers, with their types.

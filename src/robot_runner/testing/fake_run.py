@@ -1,4 +1,4 @@
-"""A run without an experiment around it: the six events, heard by plugins that are under test."""
+"""A run without an experiment around it: the six events, and the plugins that are under test."""
 
 from __future__ import annotations
 
@@ -251,7 +251,7 @@ class Rehearsal:
 
     Args:
         context: the run's, as `make_context` makes it.
-        plugins: who hears.
+        plugins: whose callbacks are called.
 
     Raises:
         ConfigError: a callback's signature does not fit.
@@ -280,7 +280,7 @@ class Rehearsal:
             raise failure.error
 
     def execute(self, mission: Callable[[], None]) -> None:
-        """Emit all six events, with `mission` beside what hears `launch_mission`.
+        """Emit all six events, with `mission` beside the callbacks of `launch_mission`.
 
         What was opened is closed and the systems are made safe before anything is raised.
         """

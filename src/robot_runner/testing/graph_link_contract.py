@@ -157,7 +157,7 @@ class GraphLinkContract(RobotLinkContract):
             self.received_on(link, "/alice/chatter", _STRING, robot, {"data": "a"})
             robot.publish("/alice/chatter", _STRING, {"data": "b"})
             found = self.received_on(link, "chatter", _STRING, robot, {"data": "c"})
-            require(found[-1]["data"] in {"b", "c"}, f"it receives {found[-1]}")
+            require(found[-1]["data"] in {"b", "c"}, f"the subscriber receives {found[-1]}")
 
     def test_many_messages_arrive_in_order_and_without_loss(self) -> None:
         """Hold that what is published and subscribed reliably is all there."""
@@ -192,7 +192,7 @@ class GraphLinkContract(RobotLinkContract):
             finally:
                 is_over.set()
                 counting.join()
-            require(found["data"] % 7 == 0, f"it returned {found}")
+            require(found["data"] % 7 == 0, f"`wait_for` returned {found}")
             require(time.monotonic() - begun < PATIENCE, "`wait_for` went on waiting when the message was there")
 
     def test_a_last_message_is_there_for_later_subscribers(self) -> None:
@@ -204,7 +204,7 @@ class GraphLinkContract(RobotLinkContract):
             received: list[Message] = []
             link.subscribe("map_name", _STRING, received.append, qos=Qos.TRANSIENT_LOCAL)
             self.until(lambda: received, "a later subscriber receives nothing", timeout=self.discovery)
-            require(received[0] == {"data": "arena"}, f"it says {received[0]}")
+            require(received[0] == {"data": "arena"}, f"the last message is {received[0]}")
 
     def test_a_topic_with_another_type_is_refused(self) -> None:
         """Hold that both types are named, to subscribers and to publishers."""
@@ -262,7 +262,7 @@ class GraphLinkContract(RobotLinkContract):
                     received = self.received_on(
                         robot, topic, message_type, link, velocity_command(message_type, 0.2, 0.0)
                     )
-                    require(_speed(message_type, received[-1]) > 0, f"it received {received[-1]}")
+                    require(_speed(message_type, received[-1]) > 0, f"the robot received {received[-1]}")
                 finally:
                     link.close()
                 self.until(partial(_has_been_stopped, message_type, received), f"the last command is {received[-1]}")

@@ -34,7 +34,7 @@ def refusal(attempt: Callable[[], object]) -> LinkError:
     except LinkError as error:
         require(error.problem and error.where, f"{error!r} does not say what is wrong and where")
         return error
-    raise AssertionError("it was not refused")
+    raise AssertionError("the attempt was not refused")
 
 
 def punctual_refusal(attempt: Callable[[], object], *, timeout: float) -> LinkError:
@@ -44,7 +44,7 @@ def punctual_refusal(attempt: Callable[[], object], *, timeout: float) -> LinkEr
         error = refusal(attempt)
         if time.monotonic() - begun < timeout + _SLACK:
             return error
-    raise AssertionError(f"it waited too long: more than {_SLACK:g} s after its deadline")
+    raise AssertionError(f"the attempt took too long: more than {_SLACK:g} s after its deadline")
 
 
 class RobotLinkContract:
@@ -201,8 +201,8 @@ class RobotLinkContract:
                 return
             begun = time.monotonic()
             message = link.wait_for(self.topic, _ODOMETRY, timeout=2 * PATIENCE)
-            require("pose" in message, f"it returned {message}")
-            require(time.monotonic() - begun < PATIENCE, "it waited on although the message was there")
+            require("pose" in message, f"`wait_for` returned {message}")
+            require(time.monotonic() - begun < PATIENCE, "`wait_for` waited on although the message was there")
 
     def test_a_fault_of_a_callback_is_raised_at_the_latest_when_the_link_is_closed(self) -> None:
         """Hold that a run cannot succeed over a callback that raised."""
@@ -245,8 +245,8 @@ class RobotLinkContract:
             begun = time.monotonic()
             response = link.call("lamp", "std_srvs/SetBool", {"data": True}, timeout=2 * PATIENCE)
             require(time.monotonic() - begun < PATIENCE, "the call went on waiting when the response was there")
-            require(response == {"success": True, "message": "lamp is True"}, f"it answered {response}")
-            require(asked == [{"data": True}], f"it was asked {asked}")
+            require(response == {"success": True, "message": "lamp is True"}, f"the service answered {response}")
+            require(asked == [{"data": True}], f"the service was asked {asked}")
             error = refusal(lambda: link.call("lamp", "std_srvs/SetBool", {"dat": True}))
             require("dat" in error.problem, f"the field is not named: {error}")
             offer.close()

@@ -99,7 +99,7 @@ class PluginContract:
         """Hold that the name is one that a plugin may have."""
         plugin = self.make_plugin()
         require(isinstance(plugin, Plugin), f"{plugin!r} does not derive from System or Profiler")
-        require(hasattr(plugin, "name"), "it has no name: call super().__init__(name=name) in __init__")
+        require(hasattr(plugin, "name"), "the plugin has no name: call super().__init__(name=name) in __init__")
         Plugin(name=plugin.name)
 
     def test_its_measures_have_names_of_their_own_and_a_description(self) -> None:
@@ -111,20 +111,20 @@ class PluginContract:
             require(measure.description.strip(), f"measure {measure.name!r} has no description")
 
     def test_its_callbacks_can_be_called(self) -> None:
-        """Hold that it hears an event, and that each callback takes a context or nothing."""
+        """Hold that it has a callback for an event, and that each callback takes a context or nothing."""
         manager, plugin = EventManager(), self.make_plugin()
         manager.subscribe_methods(plugin, owner=plugin.name, kind=OwnerKind.PROFILER)
-        hears = [event for event in RobotRunnerEvents if manager.subscribers(event)]
-        require(hears, "it hears no event: name its methods like events")
+        called = [event for event in RobotRunnerEvents if manager.subscribers(event)]
+        require(called, "the plugin has no callback for an event: name its methods like events")
 
     def test_its_check_finds_nothing_wrong_where_it_works(self) -> None:
         """Hold that validation passes under the circumstances of these tests, and speaks in findings elsewhere."""
         factors = {name: [treatment] for name, treatment in self.combination.items()}
         found = list(self.make_plugin().check(Circumstances(robot=self.robot, factors=factors)))
         errors = [str(finding) for finding in found if finding.is_error]
-        require(not errors, f"its check refuses the circumstances of these tests: {errors}")
+        require(not errors, f"the plugin's check refuses the circumstances of these tests: {errors}")
         for finding in self.make_plugin().check(Circumstances()):
-            require(isinstance(finding, Finding), f"its check returned {finding!r}, which is no Finding")
+            require(isinstance(finding, Finding), f"the plugin's check returned {finding!r}, which is no Finding")
             require(finding.fix or not finding.is_error, f"a finding offers no fix: {finding}")
 
     def test_a_good_run_publishes_every_measure(self, tmp_path: Path) -> None:
@@ -132,7 +132,7 @@ class PluginContract:
         plugin = self.make_plugin()
         published = self.execute(tmp_path, plugin)
         missing = {measure.name for measure in plugin.measures} - set(published)
-        require(not missing, f"it did not publish {sorted(missing)}; publish None where there is no value")
+        require(not missing, f"the plugin did not publish {sorted(missing)}; publish None where there is no value")
         for measure in plugin.measures:
             value = published[measure.name]
             if isinstance(value, int | float) and not isinstance(value, bool):
@@ -147,7 +147,7 @@ class PluginContract:
         self.execute(tmp_path / "experiment", plugin)
         reserved = tmp_path / "experiment" / "runs" / "r_1" / plugin.name
         stray = [path for path in _files(tmp_path) if reserved not in path.parents]
-        require(not stray, f"it wrote outside its folder: {[str(path) for path in stray]}")
+        require(not stray, f"the plugin wrote outside its folder: {[str(path) for path in stray]}")
 
     def test_two_of_its_kind_keep_their_raw_data_apart(self, tmp_path: Path) -> None:
         """Hold that a second instance with another name leaves the files of the first alone."""
@@ -214,7 +214,7 @@ class PluginContract:
 
     def _require_equal(self, ours: Mapping[str, MeasureValue], those: Mapping[str, MeasureValue]) -> None:
         same = ours == those if self.is_repeatable else ours.keys() == those.keys()
-        require(same, f"it published {dict(ours)}, where a new instance published {dict(those)}")
+        require(same, f"the plugin published {dict(ours)}, where a new instance published {dict(those)}")
 
 
 def _files(folder: Path) -> list[Path]:
@@ -243,7 +243,7 @@ class ProfilerContract(PluginContract):
         context.clock.sleep(self.measuring_seconds)
 
     def test_it_is_a_profiler(self) -> None:
-        """Hold that it derives from `Profiler`, so that it hears events after the systems."""
+        """Hold that it derives from `Profiler`, so that it is called at events after the systems."""
         plugin = self.make_plugin()
         require(isinstance(plugin, Profiler), f"{plugin!r} does not derive from Profiler")
 
@@ -258,4 +258,4 @@ class ProfilerContract(PluginContract):
         with self.rehearsal(tmp_path, self.make_plugin()) as (context, rehearsal):
             rehearsal.execute(lambda: None)
             declared = {measure.name for measure in self.make_plugin().measures}
-            require(declared <= set(context.measures), f"it published {sorted(context.measures)} only")
+            require(declared <= set(context.measures), f"the plugin published {sorted(context.measures)} only")

@@ -59,7 +59,7 @@ class SystemContract(PluginContract):
         return _moved(before, heard[-1]) < _STANDING_TOLERANCE
 
     def test_it_is_a_system(self) -> None:
-        """Hold that it derives from `System`, so that it hears events before the profilers."""
+        """Hold that it derives from `System`, so that it is called at events before the profilers."""
         plugin = self.make_plugin()
         require(isinstance(plugin, System), f"{plugin!r} does not derive from System")
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_runner.analysis.comparison.equivalence import Bound, Bounds
+from robot_runner.analysis.comparison.compared import Bound, Bounds
 from robot_runner.core.errors import AnalysisError
 
 

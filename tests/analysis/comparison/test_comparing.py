@@ -7,10 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from robot_runner.analysis.comparison.compared import Verdict
+from robot_runner.analysis.comparison.compared import Bound, Verdict
 from robot_runner.analysis.comparison.comparing import compare
 from robot_runner.analysis.comparison.comparison_document import comparison_document, json_of_comparison
-from robot_runner.analysis.comparison.equivalence import Bound
 from robot_runner.analysis.results import load_results
 from robot_runner.core.errors import AnalysisError, StorageError
 

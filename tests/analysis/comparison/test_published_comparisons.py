@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from statsmodels.stats.weightstats import ttost_ind, ttost_paired
 
-from robot_runner.analysis.comparison.equivalence import Bound, agreement_of, difference_test, equivalence_p_value
+from robot_runner.analysis.comparison.compared import Bound
+from robot_runner.analysis.comparison.equivalence import agreement_of, difference_test, equivalence_p_value
 
 # NCSS Statistical Software, chapter "Two-Sample T-Tests for Equivalence", its example of corn yields; the R package
 # TOSTER prints the same figures (its test "NCSS TOST 198-1 to 197-8").

@@ -17,7 +17,7 @@ from robot_runner.analysis.importing.understanding import understand
 from robot_runner.analysis.report.document import report_document
 from robot_runner.analysis.report.material import Material
 from robot_runner.core.errors import StorageError
-from robot_runner.core.execution.status import read_status
+from robot_runner.core.execution.experiment_status import read_status
 
 
 @pytest.fixture

@@ -235,7 +235,7 @@ def test_tables_have_as_many_cells_as_columns_everywhere(hostile):
     from robot_runner.analysis.report.document import report_document
     from robot_runner.analysis.report.material import Material
     from robot_runner.analysis.results import load_results
-    from robot_runner.analysis.statistics.experiment import analyse
+    from robot_runner.analysis.statistics.experiment_statistics import analyse
 
     results = load_results(hostile.root)
     document = report_document(Material(results, analyse(results)), made="")

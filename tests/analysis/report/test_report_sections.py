@@ -11,7 +11,7 @@ from robot_runner.analysis.report.mission_figures import mission_courses, missio
 from robot_runner.analysis.report.rendering import markdown_of
 from robot_runner.analysis.report.threats_section import threats_of
 from robot_runner.analysis.results import load_results
-from robot_runner.analysis.statistics.experiment import analyse
+from robot_runner.analysis.statistics.experiment_statistics import analyse
 
 
 def material_of(folder):

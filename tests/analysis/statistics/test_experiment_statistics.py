@@ -127,7 +127,7 @@ def test_unequal_groups(tmp_path):
 def test_a_measure_that_is_not_a_number(tmp_path, value):
     measure = statistics(tmp_path, values=lambda treatments, repetition: {"Energy": value}).measure("Energy")
     assert measure.overall is None
-    assert [each.why for each in measure.not_computed] == ["it is not a number."]
+    assert [each.why for each in measure.not_computed] == ["the measure is not a number."]
 
 
 def test_a_factor_of_a_hundred_treatments(tmp_path):

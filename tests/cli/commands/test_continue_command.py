@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from robot_runner.cli.commands import continue_
-from robot_runner.core.execution.status import ExperimentStatus
+from robot_runner.core.execution.experiment_status import ExperimentStatus
 from robot_runner.core.storage.lock import Holder
 
 if TYPE_CHECKING:

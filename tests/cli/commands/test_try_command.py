@@ -85,7 +85,7 @@ def test_an_author_sees_what_the_framework_sees(robot_runner: Callable, plugin: 
     seconds = time.monotonic() - begun
     assert answer.code == 0
     assert "Measures what it is told." in answer.out
-    assert "start_run          not heard" in answer.out
+    assert "start_run          no callback" in answer.out
     assert "start_measurement  called" in answer.out
     assert "Power  7.500 W  (measured)" in answer.out
     assert "Spare  no value" in answer.out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from robot_runner.core.config.experiment import Author, authors_from_text, is_licence
+from robot_runner.core.config.authors import Author, authors_from_text, is_licence
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import ConfigError
 

@@ -128,8 +128,8 @@ def test_excluding_everything_is_refused() -> None:
 def test_an_exclusion_that_removes_nothing_is_a_warning() -> None:
     model = RunTableModel([TASK, SPEED], [{"Task": []}, {"Task": "Video"}, {"Task": "Video", "Speed": 0.1}])
     assert [str(warning) for warning in model.warnings] == [
-        "exclude_combinations[0]: it matches no combination → Remove it, or mend what it names.",
-        "exclude_combinations[2]: it removes nothing: what it matches is excluded already → Remove it.",
+        "exclude_combinations[0]: the exclusion matches no combination → Remove it, or mend what it names.",
+        "exclude_combinations[2]: the exclusion removes nothing: what it matches is excluded already → Remove it.",
     ]
     assert not any(warning.is_error for warning in model.warnings)
     assert len(model.plan()) == 2

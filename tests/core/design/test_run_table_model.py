@@ -11,7 +11,7 @@ from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import DesignError
 
 if TYPE_CHECKING:
-    from robot_runner.core.design.run_table import RunTable
+    from robot_runner.core.design.run_table_model import RunTable
 
 TASK = Factor("Task", ["Computation", "Video", "Network"])
 SPEED = Factor("Speed", [0.1, 0.2])

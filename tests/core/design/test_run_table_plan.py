@@ -16,7 +16,7 @@ from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.run_table_model import RunTableModel
 
 if TYPE_CHECKING:
-    from robot_runner.core.design.run_table import PlannedRun
+    from robot_runner.core.design.planned_runs import PlannedRun
 
 names = st.lists(st.sampled_from(["A", "B", "C", "D"]), min_size=1, max_size=3, unique=True)
 treatments = st.lists(

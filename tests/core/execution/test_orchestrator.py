@@ -220,10 +220,10 @@ def test_a_measure_that_nobody_gave_is_missing_and_said_to_be(execute: Execute) 
 @pytest.mark.parametrize(
     ("death", "reason"),
     [
-        ("os._exit(3)", "its process exited with code 3"),
-        ("os._exit(0)", "its process exited with code 0 before the run had ended"),
-        ("os.kill(os.getpid(), 9)", "its process was killed by SIGKILL"),
-        ("faulthandler.disable(); os.abort()", "its process was killed by SIGABRT"),
+        ("os._exit(3)", "the run's process exited with code 3"),
+        ("os._exit(0)", "the run's process exited with code 0 before the run had ended"),
+        ("os.kill(os.getpid(), 9)", "the run's process was killed by SIGKILL"),
+        ("faulthandler.disable(); os.abort()", "the run's process was killed by SIGABRT"),
         ("sys.exit(4)", "SystemExit: 4"),
     ],
 )

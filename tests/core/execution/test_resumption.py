@@ -226,7 +226,7 @@ def test_the_manifest_tells_every_execution(execute: Execute) -> None:
 def test_a_folder_that_holds_something_else_is_refused(write_config: Write) -> None:
     config = write_config(COUNTING)
     write(config.parent / "results" / "trial" / "manifest.json", '{"format": 1}')
-    with pytest.raises(ExecutionError, match="not one of ours"):
+    with pytest.raises(ExecutionError, match="none of Robot Runner's"):
         resume(config)
 
 

@@ -88,7 +88,7 @@ def test_where_the_system_refuses_the_old_file_is_intact(tmp_path: Path, number:
 
     with pytest.raises(StorageError) as caught:
         write_beside_and_rename(path, refuse)
-    assert str(caught.value) == f"{path}: it cannot be written: {os.strerror(number)} → {fix}"
+    assert str(caught.value) == f"{path}: the file cannot be written: {os.strerror(number)} → {fix}"
     assert path.read_text(encoding="utf-8") == "old"
     assert names_in(tmp_path) == ["table.csv"]
 
@@ -141,4 +141,4 @@ def test_a_file_system_that_flushes_no_folders_is_no_reason_to_fail(
 
 def test_an_error_without_a_number_is_said_as_it_is() -> None:
     error = storage_error(Path("table.csv"), "read", OSError("odd"))
-    assert str(error) == "table.csv: it cannot be read: odd → Mend what the system names, then try again."
+    assert str(error) == "table.csv: the file cannot be read: odd → Mend what the system names, then try again."

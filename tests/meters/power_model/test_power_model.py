@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from robot_runner.core.errors import AnalysisError, PluginError
 from robot_runner.core.events.measure import Origin
-from robot_runner.meters.power_model.linear_model import LinearModel, read_model
+from robot_runner.meters.power_model.linear_power_model import LinearModel, read_model
 from robot_runner.meters.power_model.states import read_states
 from robot_runner.plugins import Circumstances, Window
 from robot_runner.plugins.profilers import Ina219, PowerModel, PsUtil, RobotState
@@ -111,8 +111,8 @@ def test_utilisation_that_covers_too_little_yields_no_value(estimate):
     ("function", "said"),
     [
         (lambda state: 1 / 0, "the function raised ZeroDivisionError"),
-        (lambda state: "many", "it returned 'many'"),
-        (lambda state: float("inf"), "it returned inf"),
+        (lambda state: "many", "the function returned 'many'"),
+        (lambda state: float("inf"), "the function returned inf"),
     ],
 )
 def test_a_function_that_is_wrong_costs_the_values_and_not_the_run(estimate, function, said):
@@ -147,8 +147,8 @@ def test_a_run_that_was_never_measured_publishes_no_values(tmp_path):
 @pytest.mark.parametrize(
     ("settings", "problem"),
     [
-        ({}, "it got 0 of model, coefficients and function"),
-        ({"coefficients": STEADY, "function": lambda state: 1.0}, "it got 2 of"),
+        ({}, "the plugin got 0 of model, coefficients and function"),
+        ({"coefficients": STEADY, "function": lambda state: 1.0}, "the plugin got 2 of"),
         ({"coefficients": {"cpus": 1.0}}, "no term 'cpus'"),
         ({"coefficients": {"motion:": 1.0}}, "no term 'motion:'"),
         ({"coefficients": {"cpu": "much"}}, "the coefficient of 'cpu' is 'much'"),

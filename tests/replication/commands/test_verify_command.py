@@ -41,7 +41,7 @@ def test_a_damaged_package_is_refused(robot_runner, package, place):
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
-        (["small.zip", "--sha256", "0" * 64], "its SHA-256 is"),
+        (["small.zip", "--sha256", "0" * 64], "the package's SHA-256 is"),
         (["small.zip", "--sha256", "12"], "no SHA-256"),
         (["smal.zip"], "no such file"),
     ],

@@ -7,8 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.core.errors import PluginError
-from robot_runner.ros.turtlebot3.mission import CircularMission, PhaseKind, Task
+from robot_runner.ros.turtlebot3.mission import CircularMission, PhaseKind
 from robot_runner.ros.turtlebot3.motion import Ramp
+from robot_runner.ros.turtlebot3.steered_robot import Task
 
 
 def test_the_mission_of_the_paper_takes_95_seconds():

@@ -5,11 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.comparison.compared import Comparison, Difference, MeasureComparison, Side, Verdict
-from robot_runner.analysis.comparison.comparison_document import conclusion_of
-from robot_runner.analysis.comparison.equivalence import (
+from robot_runner.analysis.comparison.compared import (
     Bound,
     Bounds,
+    Comparison,
+    Difference,
+    MeasureComparison,
+    Side,
+    Verdict,
+)
+from robot_runner.analysis.comparison.comparison_document import conclusion_of
+from robot_runner.analysis.comparison.equivalence import (
     agreement_of,
     difference_test,
     equivalence_p_value,

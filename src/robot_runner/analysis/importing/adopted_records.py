@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.analysis.importing.description import description_text
 from robot_runner.analysis.importing.recomputation import unit_of_recipe
 from robot_runner.core.design.factor import Combination, factor_places
-from robot_runner.core.design.run_table import PlannedRun
+from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.storage.cells import CellValue, RunStatus, typed_value
 from robot_runner.core.storage.journal import Journal, utc_now
 from robot_runner.core.storage.manifest import describe_software, write_manifest

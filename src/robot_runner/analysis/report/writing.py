@@ -16,7 +16,7 @@ from robot_runner.analysis.report.document import json_of_report, report_documen
 from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.report.rendering import SafeNames, csv_of, html_of, latex_of, markdown_of
 from robot_runner.analysis.results import Results, load_results
-from robot_runner.analysis.statistics.experiment import analyse
+from robot_runner.analysis.statistics.experiment_statistics import analyse
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
 

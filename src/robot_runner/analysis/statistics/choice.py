@@ -68,9 +68,9 @@ def normality(
     group = dict(treatments or {})
     what = f"{SHAPIRO_WILK} test of {' / '.join(group.values()) or subject}"
     if len(values) < _LEAST:
-        return NotComputed(what, f"it takes {_LEAST} values, and there {_are(len(values))}.")
+        return NotComputed(what, f"the test takes {_LEAST} values, and there {_are(len(values))}.")
     if len(values) > _MOST:
-        return NotComputed(what, f"its p-value holds for up to {_MOST} values, and there are {len(values)}.")
+        return NotComputed(what, f"the test's p-value holds for up to {_MOST} values, and there are {len(values)}.")
     if np.ptp(values) == 0:
         return NotComputed(what, "all values are equal.")
     with quiet():

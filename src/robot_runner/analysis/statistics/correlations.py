@@ -53,7 +53,7 @@ def _correlation(first: MeasureData, second: MeasureData) -> Correlation | NotCo
     joined = first.frame[[RUN_ID, VALUE]].merge(second.frame[[RUN_ID, VALUE]], on=RUN_ID, suffixes=("_1", "_2"))
     x, y = (joined[f"{VALUE}_{which}"].to_numpy(dtype=np.float64) for which in (1, 2))
     if len(joined) < _LEAST:
-        return NotComputed(what, f"it takes {_LEAST} runs that have both.")
+        return NotComputed(what, f"a correlation takes {_LEAST} runs that have both measures.")
     if np.ptp(x) == 0 or np.ptp(y) == 0:
         return NotComputed(what, "all values of one of them are equal.")
     with quiet():  # values that are equal but for rounding
@@ -104,7 +104,9 @@ def drift_of(data: MeasureData, alpha: float, unit: str = "") -> Drift | NotComp
         unit: the measure's unit, for the sentence.
     """
     if len(data.frame) < _DRIFT_LEAST:
-        return NotComputed("drift over the order of execution", f"it takes {_DRIFT_LEAST} runs with a value.")
+        return NotComputed(
+            "drift over the order of execution", f"the test of a drift takes {_DRIFT_LEAST} runs with a value."
+        )
     order = np.argsort(data.frame[PLACE].to_numpy())
     places = data.frame[PLACE].to_numpy(dtype=np.float64)[order]
     residuals = data.residuals()[order]

@@ -46,7 +46,7 @@ def power_of(groups: Sequence[Group], alpha: float, *, is_blocked: bool = False)
     """
     sizes = [len(group.values) for group in groups]
     if len(groups) < 2 or min(sizes) < 2:  # noqa: PLR2004 - a single run has no spread
-        return NotComputed("power", "it takes two groups of two runs each.")
+        return NotComputed("power", "the power of a test takes two groups of two runs each.")
     within = sum(float(np.sum((group.values - group.values.mean()) ** 2)) for group in groups)
     deviation = math.sqrt(within / (sum(sizes) - len(groups)))
     if deviation == 0:

@@ -12,23 +12,11 @@ from robot_runner.core.entry_points import entry_points
 
 TYPE_CHECKING = False  # `typing` takes long to import, and `--help` is to be quick
 if TYPE_CHECKING:
-    from argparse import Namespace
     from importlib.machinery import ModuleSpec
-    from typing import Any, Protocol
+    from typing import Any
 
-    from robot_runner.cli.parser import Parser
+    from robot_runner.cli.parser import CommandModule
     from robot_runner.core.entry_points import EntryPoint
-
-    class CommandModule(Protocol):
-        """The module of a command."""
-
-        def add_arguments(self, parser: Parser) -> None:
-            """Add what the command takes."""
-
-        def execute(self, arguments: Namespace) -> int:
-            """Do what the arguments say, and return the exit code."""
-            ...
-
 
 __all__ = ["command_module", "installed_commands", "summary_of"]
 

@@ -12,7 +12,7 @@ from robot_runner.cli.console import shown_path
 from robot_runner.cli.parser import add_set, add_target
 from robot_runner.cli.planning import folder_of_target
 from robot_runner.core.errors import ExecutionError
-from robot_runner.core.execution.status import ExperimentStatus, read_status
+from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status
 from robot_runner.core.storage.lock import Command, send_command
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["add_arguments", "execute"]
 
-#: How long the experiment may take to hear it, in seconds; it listens several times a second.
+#: How long the experiment may take the request, in seconds; it looks several times a second.
 _PATIENCE = 5.0
 _LOOK = 0.05
 
@@ -35,12 +35,12 @@ def add_arguments(parser: Parser) -> None:
 
 
 def execute(arguments: Namespace) -> int:
-    """Tell the experiment to go on, and see that it has heard."""
+    """Tell the experiment to go on, and see that it has taken the request."""
     folder = folder_of_target(arguments.target, arguments.set)
     status = read_status(folder.root)
     _refuse_unless_it_waits(status)
     send_command(folder.control, Command.CONTINUE)
-    _wait_until_heard(folder)
+    _wait_until_taken(folder)
     number = status.done + status.failed + 1
     print(f"{status.experiment_name} goes on: {number} of {status.run_count} runs begun.")
     return 0
@@ -61,7 +61,7 @@ def _refuse_unless_it_waits(status: ExperimentStatus) -> None:
         )
 
 
-def _wait_until_heard(folder: ExperimentFolder) -> None:
+def _wait_until_taken(folder: ExperimentFolder) -> None:
     end = time.monotonic() + _PATIENCE
     while folder.control.exists():
         if time.monotonic() > end:

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from argparse import Namespace
 
     from robot_runner.cli.parser import Parser
-    from robot_runner.core.design.run_table import PlannedRun
+    from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.design.run_table_model import RunTableModel
 
 __all__ = ["add_arguments", "execute"]

@@ -14,7 +14,7 @@ from robot_runner.cli.console import UserConsole, output, print_facts, print_jso
 from robot_runner.cli.findings import as_json, print_odd
 from robot_runner.cli.parser import add_json, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
-from robot_runner.core.execution.status import ExperimentStatus, read_status
+from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:

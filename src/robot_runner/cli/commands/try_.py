@@ -163,7 +163,9 @@ _MOST_LINES = 20
 
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
-    parser.add_argument("profiler", metavar="PROFILER", help="its name, `module:Class`, `file.py` or `file.py:Class`")
+    parser.add_argument(
+        "profiler", metavar="PROFILER", help="the profiler's name, `module:Class`, `file.py` or `file.py:Class`"
+    )
     parser.add_argument(
         "--seconds", metavar="S", type=float, default=_SECONDS, help="how long it measures, in seconds (%(default)g)"
     )
@@ -227,7 +229,7 @@ def _print(console: UserConsole, plugin: Plugin, trial: Trial, kept: Path | None
     kind = type(plugin)
     console.print(Text(kind.__name__, style="bold").append(f"  {kind.__module__}:{kind.__qualname__}", "not bold dim"))
     print_folded(console, "  ", (kind.__doc__ or "").strip().partition("\n\n")[0].replace("\n", " "), style="")
-    _print_section(console, "Events", [(event.name, _heard(event)) for event in trial.events])
+    _print_section(console, "Events", [(event.name, _called(event)) for event in trial.events])
     _print_section(console, "Measures", list(_measures(plugin, trial)))
     _print_section(console, "Raw data", [(file.name, _file(file)) for file in trial.raw_files] or [("", "none")])
     _print_section(console, "Samples", list(_quality(trial)))
@@ -243,11 +245,11 @@ def _print_section(console: UserConsole, heading: str, facts: Sequence[tuple[str
         print_facts(console, facts)
 
 
-def _heard(event: CalledEvent) -> str:
+def _called(event: CalledEvent) -> str:
     if not event.was_emitted:
         return "not reached"
-    if not event.is_heard:
-        return "not heard"
+    if not event.has_callback:
+        return "no callback"
     return "called" if event.seconds is None else f"called; {shown_duration(event.seconds)} to the next event"
 
 
@@ -321,7 +323,12 @@ def _as_json(plugin: Plugin, trial: Trial, kept: Path | None) -> dict[str, Any]:
         "failure": str(outcome.failure) if outcome and outcome.failure else None,
         "findings": as_json(trial.findings),
         "events": [
-            {"name": event.name, "is_heard": event.is_heard, "was_emitted": event.was_emitted, "seconds": event.seconds}
+            {
+                "name": event.name,
+                "is_heard": event.has_callback,
+                "was_emitted": event.was_emitted,
+                "seconds": event.seconds,
+            }
             for event in trial.events
         ],
         "measures": {

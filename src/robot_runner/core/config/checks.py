@@ -16,8 +16,7 @@ from robot_runner.core.config.parameters import (
     Parameters,
     RunProcess,
 )
-from robot_runner.core.design.run_table import RunTable
-from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.core.design.run_table_model import RunTable, RunTableModel
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK

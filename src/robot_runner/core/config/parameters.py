@@ -12,7 +12,7 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
-from robot_runner.core.config.experiment import Author, authors_from_text, is_licence
+from robot_runner.core.config.authors import Author, authors_from_text, is_licence
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.errors import ConfigError
 from robot_runner.core.events.window import is_phase_name
@@ -20,8 +20,7 @@ from robot_runner.core.events.window import is_phase_name
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from robot_runner.core.design.run_table import RunTable
-    from robot_runner.core.design.run_table_model import RunTableModel
+    from robot_runner.core.design.run_table_model import RunTable, RunTableModel
     from robot_runner.core.plugin import Plugin
 
 __all__ = [
@@ -315,7 +314,7 @@ class Parameters(StaticParameters):
 class ExperimentConfig(StaticParameters):
     """An experiment: its static parameters, its run table, its plugins, and what happens at its events.
 
-    A method that is named like an event hears it: `before_experiment`, `before_run`, `start_run`,
+    A method that is named like an event is called at it: `before_experiment`, `before_run`, `start_run`,
     `start_measurement`, `launch_mission`, `stop_measurement`, `stop_run`, `populate_run_data`,
     `continue_experiment`, `after_experiment`. Deriving from this class gives the parameters their types and
     defaults; a class named `RobotRunnerConfig` that derives from nothing works as well.

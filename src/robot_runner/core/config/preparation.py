@@ -68,7 +68,7 @@ Loader = Callable[[Path, Mapping[str, str]], LoadedConfig]
 
 @dataclass(frozen=True, slots=True)
 class Preparation:
-    """What came of reading a config file.
+    """The result of reading a config file.
 
     Attributes:
         experiment: ready to be executed, or None where a finding refuses it.

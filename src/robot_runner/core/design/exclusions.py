@@ -163,6 +163,6 @@ def _predicate_failed(where: str, combination: Combination, error: Exception) ->
 
 def _idle(where: str, flags: _Flags, left_out: _Flags) -> Iterator[Finding]:
     if not any(flags):
-        yield Finding.warning(where, "it matches no combination", "Remove it, or mend what it names.")
+        yield Finding.warning(where, "the exclusion matches no combination", "Remove it, or mend what it names.")
     elif not any(matches and not is_out for matches, is_out in zip(flags, left_out, strict=True)):
-        yield Finding.warning(where, "it removes nothing: what it matches is excluded already", "Remove it.")
+        yield Finding.warning(where, "the exclusion removes nothing: what it matches is excluded already", "Remove it.")

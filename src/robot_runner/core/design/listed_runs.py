@@ -9,8 +9,8 @@ from itertools import repeat
 from typing import TYPE_CHECKING, Any, Final
 
 from robot_runner.core.design.factor import Combination, factor_places
-from robot_runner.core.design.run_table import PlannedRun, RunOrder, RunTable
-from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.core.design.planned_runs import PlannedRun, RunOrder
+from robot_runner.core.design.run_table_model import RunTable, RunTableModel
 from robot_runner.core.errors import DesignError, Finding
 
 if TYPE_CHECKING:

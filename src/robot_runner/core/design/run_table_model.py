@@ -1,4 +1,4 @@
-"""The run-table model: what an experiment varies, how often, and in which order."""
+"""The run-table model (what an experiment varies, how often, and in which order), and the run table made from it."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from math import prod
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, overload
 
 from robot_runner.core.design.columns import REPETITION, name_findings
 from robot_runner.core.design.exclusions import apply_exclusions
 from robot_runner.core.design.factor import Factor, full_factorial
-from robot_runner.core.design.run_table import RunOrder, RunTable, garbage_collection_paused, planned_runs
+from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, garbage_collection_paused, planned_runs
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from robot_runner.core.design.exclusions import Exclusion, Exclusions
     from robot_runner.core.design.factor import Combination
 
-__all__ = ["MAX_RUNS", "RunTableModel", "design_findings", "order_findings"]
+__all__ = ["MAX_RUNS", "RunTable", "RunTableModel", "design_findings", "order_findings"]
 
 
 # What keeps factors, repetitions, columns and order from making a design: each check lists all that it finds.
@@ -134,6 +134,48 @@ def _blocks_fix(name: object, known: Iterable[str]) -> str:
     if name == REPETITION:
         return "Give repetitions=2 or more, or name a factor."
     return did_you_mean(str(name), known)
+
+
+class RunTable(Sequence[PlannedRun]):
+    """All runs of an experiment in the order of execution. Immutable.
+
+    Attributes:
+        model: the model that it was made from.
+        order: how its runs were put in order, with the seed.
+
+    Example:
+        >>> table = RunTableModel([Factor("Task", ["Video", "Network"])], repetitions=2).plan()
+        >>> [(run.run_id, run.combination["Task"], run.repetition) for run in table]
+        [('r_1', 'Video', 1), ('r_2', 'Network', 1), ('r_3', 'Video', 2), ('r_4', 'Network', 2)]
+    """
+
+    def __init__(self, model: RunTableModel, runs: Iterable[PlannedRun], order: RunOrder) -> None:
+        self.model = model
+        self.order = order
+        self._runs = tuple(runs)
+
+    def __len__(self) -> int:
+        return len(self._runs)
+
+    @overload
+    def __getitem__(self, place: int) -> PlannedRun: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> Sequence[PlannedRun]: ...
+
+    def __getitem__(self, place: int | slice) -> PlannedRun | Sequence[PlannedRun]:
+        return self._runs[place]
+
+    def __iter__(self) -> Iterator[PlannedRun]:
+        return iter(self._runs)
+
+    def __repr__(self) -> str:
+        return f"<RunTable: {len(self)} runs, seed {self.order.seed}>"
+
+    @property
+    def seed(self) -> int:
+        """What its order comes from."""
+        return self.order.seed
 
 
 class RunTableModel:

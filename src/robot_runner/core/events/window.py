@@ -7,16 +7,14 @@ import re
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from robot_runner.core.errors import PluginError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from robot_runner.core.events.context import Clock
-
-__all__ = ["MissionTimes", "Phase", "Window", "is_phase_name"]
+__all__ = ["MissionTimes", "Phase", "TimeSource", "Window", "is_phase_name"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +63,14 @@ class Phase:
     window: Window
 
 
+class TimeSource(Protocol):
+    """A clock, as far as it is read here; contexts, which hold these times, have the whole `Clock`."""
+
+    def now(self) -> float:
+        """Return the seconds since some fixed moment; never goes back."""
+        ...
+
+
 class _Moment(NamedTuple):
     """One moment on the run's clock and on this machine's, s."""
 
@@ -84,7 +90,7 @@ def is_phase_name(value: object) -> bool:
 class MissionTimes:
     """When the mission of a run, and each phase of it, began and ended.
 
-    The measured window is the mission: from the emission of `launch_mission` until all that hear it have returned.
+    The measured window is the mission: from the emission of `launch_mission` until all its callbacks have returned.
     Each moment is taken on the run's clock and on this machine's, as profilers of this machine live by the latter
     while the robot is simulated.
 
@@ -106,7 +112,7 @@ class MissionTimes:
 
     def __init__(
         self,
-        clock: Clock,
+        clock: TimeSource,
         report: Callable[[str, dict[str, Any]], None] = lambda _kind, _fields: None,
         requested: Sequence[str] = (),
     ) -> None:
@@ -180,7 +186,7 @@ class MissionTimes:
             self._phases.append((name, begun, ended))
             self._report("phase", {"name": name, "start": begun.run, "end": ended.run})
 
-    def window(self, clock: Clock | None = None) -> Window | None:
+    def window(self, clock: TimeSource | None = None) -> Window | None:
         """Return the measured window; None while the mission has not ended.
 
         Args:
@@ -191,7 +197,7 @@ class MissionTimes:
         start, end = self._narrowed[0] or self._begun, self._narrowed[1] or self._ended
         return self._between(start, end, clock)
 
-    def phases(self, clock: Clock | None = None) -> tuple[Phase, ...]:
+    def phases(self, clock: TimeSource | None = None) -> tuple[Phase, ...]:
         """Return the phases that are over, in the order of their ends, on a clock as `window` takes it."""
         return tuple(Phase(name, self._between(begun, ended, clock)) for name, begun, ended in self._phases)
 
@@ -205,10 +211,10 @@ class MissionTimes:
 
     def _check_going_on(self, where: str) -> None:
         if self._begun is None or self._ended is not None:
-            fix = "Call it while launch_mission is heard."
+            fix = "Call it in a callback of launch_mission."
             raise PluginError("there is no mission going on", where=where, fix=fix)
 
-    def _between(self, begun: _Moment, ended: _Moment, clock: Clock | None) -> Window:
+    def _between(self, begun: _Moment, ended: _Moment, clock: TimeSource | None) -> Window:
         if clock is None or clock is self._clock:
             return Window(begun.run, ended.run)
         return Window(begun.machine, ended.machine)

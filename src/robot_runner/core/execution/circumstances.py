@@ -68,7 +68,7 @@ def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[s
     """
     if "executions" not in manifest or "seed" not in manifest:
         raise ExecutionError(
-            "its manifest is not one of ours",
+            "the folder's manifest is none of Robot Runner's",
             where=str(experiment.folder.manifest),
             fix="Choose another experiment_name or results_output_path.",
         )

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 from robot_runner.core.config.parameters import RunProcess
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.keeper import Keeper
-from robot_runner.core.execution.run import execute_run
+from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.task import FINISHED, RecordReader
 from robot_runner.core.execution.worker import be_run, become_interpreter
 from robot_runner.core.storage.layout import LazyLog
@@ -208,5 +208,5 @@ class _Supervision:
         if self._because:
             return self._because
         if self._keeper.was_killed or not self._builder.is_finished:
-            return self._keeper.death() or "its process exited with code 0 before the run had ended"
+            return self._keeper.death() or "the run's process exited with code 0 before the run had ended"
         return ""

@@ -132,7 +132,9 @@ class Keeper:
 
     def death(self) -> str:
         """Return how the run's process died, or its keeper's if that was killed; empty if it exited with 0."""
-        whose, status = ("its keeper", self._wait()) if self.was_killed else ("its process", self._run_status())
+        whose, status = (
+            ("the run's keeper", self._wait()) if self.was_killed else ("the run's process", self._run_status())
+        )
         code = os.waitstatus_to_exitcode(status)
         if code < 0:
             return f"{whose} was killed by {signal.Signals(-code).name}"

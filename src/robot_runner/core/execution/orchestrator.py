@@ -30,7 +30,7 @@ from robot_runner.core.execution.notices import (
 )
 from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
 from robot_runner.core.execution.recovery import Resumption
-from robot_runner.core.execution.run import failure_fields, run_contexts
+from robot_runner.core.execution.run_events import failure_fields, run_contexts
 from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.lock import Command, forget_command, take_command

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.design.run_table import PlannedRun, RunTable
+    from robot_runner.core.design.planned_runs import PlannedRun
+    from robot_runner.core.design.run_table_model import RunTable
 
 __all__ = [
     "ACCEPT",

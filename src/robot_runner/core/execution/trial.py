@@ -47,13 +47,13 @@ class CalledEvent:
 
     Attributes:
         name: as the callback is named.
-        is_heard: whether the plugin hears it.
+        has_callback: whether the plugin has a callback for it.
         was_emitted: whether the run came so far.
         seconds: real time that went by until the next event; None for the last one.
     """
 
     name: str
-    is_heard: bool
+    has_callback: bool
     was_emitted: bool
     seconds: float | None
 
@@ -116,7 +116,7 @@ def try_plugin(plugin: Plugin, folder: Path, *, seconds: float, robot: str | Non
     """Execute one run in a process of its own, in which this plugin is the only one and the mission is to wait.
 
     Args:
-        plugin: who is tried.
+        plugin: the plugin that is tried.
         folder: where the run's folder is made.
         seconds: how long it measures, s on the run's clock.
         robot: how a robot is reached, or None.
@@ -157,13 +157,13 @@ def _loaded(path: Path, plugin: Plugin, seconds: float, robot: str | None) -> Lo
 
 
 def _misspelt(plugin: Plugin) -> Iterator[Finding]:
-    """Yield a warning for each method that hears no event and is named nearly like one."""
+    """Yield a warning for each method that is no callback of an event, and is named nearly like one."""
     known = set(dir(Plugin)) | set(EVENTS_BY_CALLBACK)
     for name in dir(type(plugin)):
         near = difflib.get_close_matches(name, EVENTS_BY_CALLBACK, n=1, cutoff=_LIKENESS)
         if near and name not in known and not name.startswith("_") and not hasattr(plugin, near[0]):
             place = f"{type(plugin).__name__}.{name}"
-            yield Finding.warning(place, "it hears no event", f"Did you mean {near[0]!r}?")
+            yield Finding.warning(place, "no event has a callback of this name", f"Did you mean {near[0]!r}?")
 
 
 def _trial(experiment: Experiment, plugin: Plugin, witness: _Witness, findings: Sequence[Finding]) -> Trial:
@@ -194,8 +194,8 @@ def _events(experiment: Experiment, plugin: Plugin, records: Sequence[RunRecord]
     at = {fields["event"]: place for place, fields in enumerate(emitted)}
     for event in RUN_EVENTS:
         place = at.get(event.value)
-        heard = any(subscriber.owner == plugin.name for subscriber in experiment.events.subscribers(event))
-        yield CalledEvent(event.callback_name, heard, place is not None, _seconds(emitted, place))
+        has_callback = any(subscriber.owner == plugin.name for subscriber in experiment.events.subscribers(event))
+        yield CalledEvent(event.callback_name, has_callback, place is not None, _seconds(emitted, place))
 
 
 def _seconds(emitted: Sequence[Mapping[str, Any]], place: int | None) -> float | None:

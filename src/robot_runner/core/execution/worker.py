@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from robot_runner.core.config.dialects import prepare_or_refuse
 from robot_runner.core.execution.interruption import STOP_SIGNALS, InterruptGate
 from robot_runner.core.execution.processes import leave_after, settle_streams
-from robot_runner.core.execution.run import execute_run
+from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.task import FINISHED, RecordWriter, RunTask
 from robot_runner.core.storage.layout import open_log
 

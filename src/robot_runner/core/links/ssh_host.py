@@ -125,7 +125,7 @@ def _tried(command: list[str]) -> str | None:
     try:
         return complaint(execute(command, timeout=_CHECK_SECONDS))
     except subprocess.TimeoutExpired:
-        return f"it timed out after {_CHECK_SECONDS:g} s"
+        return f"ssh timed out after {_CHECK_SECONDS:g} s"
 
 
 def execute(command: list[str], *, timeout: float) -> subprocess.CompletedProcess[bytes]:

@@ -69,7 +69,9 @@ def read_manifest(path: Path) -> dict[str, Any]:
             "there is no experiment here", where=str(path.parent), fix="Name the folder that holds manifest.json."
         ) from error
     except (OSError, ValueError) as error:
-        raise StorageError(f"it cannot be read: {error}", where=str(path), fix="Restore it from a backup.") from error
+        raise StorageError(
+            f"the manifest cannot be read: {error}", where=str(path), fix="Restore it from a backup."
+        ) from error
     if not isinstance(manifest, dict) or not isinstance(manifest.get("format"), int):
         raise StorageError("the file is no manifest of an experiment", where=str(path), fix="Restore it from a backup.")
     if manifest["format"] > FORMAT:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS, numbered_run_id
 from robot_runner.core.design.factor import Combination, factor_places
-from robot_runner.core.design.run_table import PlannedRun, garbage_collection_paused
+from robot_runner.core.design.planned_runs import PlannedRun, garbage_collection_paused
 from robot_runner.core.errors import StorageError, nearest
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.run_table_rows import RunRow, RunTableRows

@@ -9,7 +9,7 @@ from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import RUN_ID, STATUS
-from robot_runner.core.design.run_table import garbage_collection_paused
+from robot_runner.core.design.planned_runs import garbage_collection_paused
 from robot_runner.core.errors import MeasureError, StorageError, did_you_mean
 from robot_runner.core.storage.cells import RunStatus, checked_measure, csv_text
 from robot_runner.core.storage.safe_write import write_beside_and_rename
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.design.factor import Combination
-    from robot_runner.core.design.run_table import PlannedRun
+    from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.errors import Finding
     from robot_runner.core.storage.cells import CellValue
     from robot_runner.core.storage.table_columns import FactorColumn, TableLayout

@@ -84,4 +84,5 @@ def storage_error(path: Path, action: str, error: OSError) -> StorageError:
     """
     reason = error.strerror or str(error)
     fix = _FIXES.get(error.errno or 0, "Mend what the system names, then try again.")
-    return StorageError(f"it cannot be {action}: {reason}", where=str(path), fix=fix)
+    kind = "folder" if action == "made" or path.is_dir() else "file"
+    return StorageError(f"the {kind} cannot be {action}: {reason}", where=str(path), fix=fix)

@@ -243,7 +243,8 @@ _PLUGIN = "CodeCarbon"
 _HOME = "robot_runner.plugins.profilers"
 _COUNTRY = "country_iso_code"
 _COLUMNS = (
-    "its columns are Emissions (kg), Energy (J), CPUEnergy (J) and MemoryEnergy (J) now; the earlier ones were in kWh"
+    "CodeCarbon's columns are Emissions (kg), Energy (J), CPUEnergy (J) and MemoryEnergy (J) now; "
+    "the earlier ones were in kWh"
 )
 
 

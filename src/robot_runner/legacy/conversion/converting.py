@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.legacy.experiment import EarlierExperiment
+    from robot_runner.legacy.earlier_experiment import EarlierExperiment
     from robot_runner.legacy.session import Session
 
 __all__ = ["Conversion", "check_conversion", "check_neighbours", "convert", "differences"]
@@ -168,7 +168,7 @@ class _Converting:
         config = classes_of(self._tree).get(self._recognised.dialect.class_name)
         if config is None:
             raise ConfigError(
-                f"its class {self._recognised.dialect.class_name} is not in this file",
+                f"the class {self._recognised.dialect.class_name} is not in this file",
                 where=str(self._recognised.path),
                 fix="Convert the file that has it.",
             )

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding
-from robot_runner.legacy.exclusions import EarlierFactor, NamedExclusion, named_exclusions
+from robot_runner.legacy.earlier_exclusions import EarlierFactor, NamedExclusion, named_exclusions
 from robot_runner.legacy.profilers.profiler_catalogue import plugin_of
 from robot_runner.legacy.recognition import is_earlier_import
 from robot_runner.legacy.stand_ins.modules import MODULES

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.run_table import RunOrder, arranged
+from robot_runner.core.design.planned_runs import RunOrder, arranged
 from robot_runner.core.errors import ConfigError, Finding, did_you_mean
-from robot_runner.legacy.exclusions import kept_combinations
+from robot_runner.legacy.earlier_exclusions import kept_combinations
 from robot_runner.legacy.recognition import Dialect
 from robot_runner.legacy.run_ids import Numbering, numbering_of
 from robot_runner.legacy.session import Session, current_session

@@ -14,7 +14,7 @@ from robot_runner.core.events.window import Window
 from robot_runner.core.sampling.quality import MINIMUM_COVERAGE
 from robot_runner.core.sampling.series import Series, energy
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.meters.power_model.linear_model import FitReport, LinearModel, check_terms, term_value
+from robot_runner.meters.power_model.linear_power_model import FitReport, LinearModel, check_terms, term_value
 from robot_runner.meters.power_model.states import read_numbers, read_states
 
 if TYPE_CHECKING:
@@ -113,7 +113,9 @@ def _read_quality(path: Path) -> dict[str, Any]:
         quality: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         coverage = quality["samples"]["coverage"] if quality["window"] else 0.0
     except (OSError, ValueError, KeyError, TypeError) as error:
-        problem = "there is no such file" if isinstance(error, OSError) else f"it tells of no measured window: {error}"
+        problem = (
+            "there is no such file" if isinstance(error, OSError) else f"the file tells of no measured window: {error}"
+        )
         raise AnalysisError(problem, where=str(path), fix=fix) from error
     if coverage < MINIMUM_COVERAGE:
         problem = f"the power samples cover {coverage:.0f} % of the measured window"

@@ -15,7 +15,7 @@ from robot_runner.core.events.window import Window
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.quality import MINIMUM_COVERAGE, Column, write_quality, write_samples
 from robot_runner.meters.power_model.fitting import Sources, read_runs
-from robot_runner.meters.power_model.linear_model import LinearModel, read_model
+from robot_runner.meters.power_model.linear_power_model import LinearModel, read_model
 from robot_runner.meters.power_model.states import RobotState, read_states
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ class PowerModel(Profiler):
         super().__init__(name=name)
         given = [each for each in (model, coefficients, function) if each is not None]
         if len(given) != 1:
-            problem = f"it got {len(given)} of model, coefficients and function"
+            problem = f"the plugin got {len(given)} of model, coefficients and function"
             raise PluginError(problem, where=self.name, fix="Give it one of them. " + _FIX)
         self.model = None if model is None else Path(model).expanduser()
         self.function = function
@@ -261,7 +261,7 @@ def _checked(function: PowerFunction, state: RobotState) -> float | None:
             f"the function raised {type(error).__name__}: {error}, given {state}", where=where, fix=fix
         ) from error
     if watts is not None and not (isinstance(watts, int | float) and math.isfinite(watts)):
-        raise PluginError(f"it returned {watts!r}, given {state}", where=where, fix=fix)
+        raise PluginError(f"the function returned {watts!r}, given {state}", where=where, fix=fix)
     return watts
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from robot_runner.cli.parser import Parser
-    from robot_runner.core.config.experiment import Author
+    from robot_runner.core.config.authors import Author
     from robot_runner.replication.packing import Packed
 
 __all__ = ["add_arguments", "execute"]
@@ -103,7 +103,7 @@ def execute(arguments: Namespace) -> int:
 
 
 def _authors(texts: list[str]) -> tuple[Author, ...]:
-    from robot_runner.core.config.experiment import authors_from_text  # noqa: PLC0415 - only where it is asked for
+    from robot_runner.core.config.authors import authors_from_text  # noqa: PLC0415 - only where it is asked for
 
     try:
         return tuple(author for text in texts for author in authors_from_text(text))
@@ -113,7 +113,7 @@ def _authors(texts: list[str]) -> tuple[Author, ...]:
 
 
 def _licence(text: str | None) -> str | None:
-    from robot_runner.core.config.experiment import is_licence  # noqa: PLC0415 - only where it is asked for
+    from robot_runner.core.config.authors import is_licence  # noqa: PLC0415 - only where it is asked for
 
     if text is not None and not is_licence(text):
         fix = "Give an identifier of https://spdx.org/licenses/, such as CC-BY-4.0, or a URL."

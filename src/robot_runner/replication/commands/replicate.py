@@ -142,7 +142,7 @@ def _refuse_bound(bound: list[str]) -> None:
         fix = "Install it to have the results compared: pip install 'robot-runner[analysis]'"
         show_findings([Finding.warning("verdict", f"there will be none: {error}", fix)])
         return
-    from robot_runner.analysis.comparison.equivalence import Bounds  # noqa: PLC0415 - slow, and an extra
+    from robot_runner.analysis.comparison.compared import Bounds  # noqa: PLC0415 - slow, and an extra
 
     Bounds.parse(bound)
 

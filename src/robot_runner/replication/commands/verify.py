@@ -81,7 +81,7 @@ def _sha256(path: Path, expected: str | None) -> str | None:
             raise UsageError(f"{expected!r} is no SHA-256", where="--sha256", fix="Give its 64 hexadecimal digits.")
         if wanted != digest:
             fix = "Get the package again from where its authors published it."
-            raise UsageError(f"its SHA-256 is {digest}, not {wanted}", where=str(path), fix=fix)
+            raise UsageError(f"the package's SHA-256 is {digest}, not {wanted}", where=str(path), fix=fix)
     return digest
 
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, ClassVar, TextIO
+from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot
 from robot_runner.core.plugin import System
-from robot_runner.ros.turtlebot3.mission import CircularMission, Performer, Phase, Task
+from robot_runner.ros.turtlebot3.mission import CircularMission, Performer, PhaseLog
 from robot_runner.ros.turtlebot3.odometry import Odometer, Trajectory
-from robot_runner.ros.turtlebot3.steered_robot import Robot
+from robot_runner.ros.turtlebot3.steered_robot import Robot, Task
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -20,30 +19,8 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
     from robot_runner.ros.turtlebot3.mission import Performance, Phase
-    from robot_runner.ros.turtlebot3.odometry import Pose
 
-__all__ = ["BasicTurtlebot3", "PhaseLog"]
-
-
-_HEADING = ("number", "phase", "task", "start_s", "end_s", "x_m", "y_m", "heading_rad")
-
-
-class PhaseLog:
-    """Writes one row a phase: its times on the run's clock, and the pose of the odometry at its end."""
-
-    def __init__(self, file: TextIO) -> None:
-        self._file = file
-        self._rows = csv.writer(file, lineterminator="\n")
-        self._rows.writerow(_HEADING)
-        self._count = 0
-
-    def add(self, phase: Phase, task: Task | None, start: float, end: float, pose: Pose) -> None:
-        """Write the row of a phase that is over, and flush it."""
-        self._count += 1
-        numbers = (f"{number:.4f}" for number in (start, end, pose.x, pose.y, pose.heading))
-        self._rows.writerow((self._count, phase.kind.value, task.value if task else "", *numbers))
-        self._file.flush()
-
+__all__ = ["BasicTurtlebot3"]
 
 _KNOWN_TASKS = tuple(task.value.capitalize() for task in Task)
 #: How far from its beginning, m, a mission may end before the run is warned of.
@@ -116,7 +93,7 @@ class BasicTurtlebot3(System):
         if circumstances.robot is None:
             yield Finding.error(
                 f"plugin {self.name}",
-                "it operates a robot, and the experiment names none",
+                "the plugin operates a robot, and the experiment names none",
                 "Name it in the config: robot = 'simulated'. Or: --set robot=simulated.",
             )
         yield from self._check_namespace(circumstances)
@@ -188,7 +165,7 @@ class BasicTurtlebot3(System):
             if isinstance(other, BasicTurtlebot3) and other.namespace.strip("/") == own:
                 yield Finding.error(
                     f"plugin {self.name}",
-                    f"it operates the robot of the namespace '/{own}', and so does {other.name!r}",
+                    f"the plugin operates the robot of the namespace '/{own}', and so does {other.name!r}",
                     f"Give each its robot's namespace, as in {type(self).__name__}(namespace='/alice').",
                 )
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.ros.turtlebot3.motion import MAXIMUM_SPEED, MAXIMUM_TURN_RATE, TICK, Ramp
@@ -14,10 +15,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from robot_runner.core.events.context import Clock
-    from robot_runner.ros.turtlebot3.basic_turtlebot3 import PhaseLog
-    from robot_runner.ros.turtlebot3.steered_robot import Robot
+    from robot_runner.ros.turtlebot3.odometry import Pose
+    from robot_runner.ros.turtlebot3.steered_robot import Robot, Task
 
-__all__ = ["CircularMission", "Performance", "Performer", "Phase", "PhaseKind", "Task"]
+__all__ = ["CircularMission", "Performance", "Performer", "Phase", "PhaseKind", "PhaseLog"]
 
 
 class PhaseKind(Enum):
@@ -27,25 +28,6 @@ class PhaseKind(Enum):
     FORWARD = "forward"
     TASK = "task"
     ROTATE = "rotate"
-
-
-class Task(Enum):
-    """What the robot's computer does in a task phase (paper, section II.C); the value names its services."""
-
-    COMPUTATION = "computation"
-    VIDEO = "video"
-    NETWORK = "network"
-
-    @classmethod
-    def named(cls, treatment: object) -> Task | None:
-        """Return the task that a treatment names, ignoring case, or None.
-
-        Example:
-            >>> Task.named("Video")
-            <Task.VIDEO: 'video'>
-        """
-        name = str(treatment).casefold()
-        return next((task for task in cls if task.value == name), None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +135,26 @@ class Performance:
     distance: float
     pose_error: float
     planned_distance: float
+
+
+_HEADING = ("number", "phase", "task", "start_s", "end_s", "x_m", "y_m", "heading_rad")
+
+
+class PhaseLog:
+    """Writes one row a phase: its times on the run's clock, and the pose of the odometry at its end."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+        self._rows = csv.writer(file, lineterminator="\n")
+        self._rows.writerow(_HEADING)
+        self._count = 0
+
+    def add(self, phase: Phase, task: Task | None, start: float, end: float, pose: Pose) -> None:
+        """Write the row of a phase that is over, and flush it."""
+        self._count += 1
+        numbers = (f"{number:.4f}" for number in (start, end, pose.x, pose.y, pose.heading))
+        self._rows.writerow((self._count, phase.kind.value, task.value if task else "", *numbers))
+        self._file.flush()
 
 
 class Performer:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from contextlib import ExitStack
+from enum import Enum
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
@@ -16,10 +17,9 @@ from robot_runner.ros.watchdog import HEARTBEAT_TOPIC, HEARTBEAT_TYPE
 if TYPE_CHECKING:
     from robot_runner.core.events.context import Clock
     from robot_runner.core.links.robot import RobotLink
-    from robot_runner.ros.turtlebot3.mission import Task
     from robot_runner.ros.turtlebot3.odometry import Odometer
 
-__all__ = ["Heartbeat", "Robot", "TaskServices"]
+__all__ = ["Heartbeat", "Robot", "Task", "TaskServices"]
 
 
 #: The watchdog is patient for 0.4 s: three beats may be lost on the air.
@@ -83,6 +83,25 @@ class Heartbeat:
                 _logger.warning("the heartbeat ends, so the robot's watchdog stops it: %s", error)
                 return
             self._is_over.wait(_PERIOD)
+
+
+class Task(Enum):
+    """What the robot's computer does in a task phase (paper, section II.C); the value names its services."""
+
+    COMPUTATION = "computation"
+    VIDEO = "video"
+    NETWORK = "network"
+
+    @classmethod
+    def named(cls, treatment: object) -> Task | None:
+        """Return the task that a treatment names, ignoring case, or None.
+
+        Example:
+            >>> Task.named("Video")
+            <Task.VIDEO: 'video'>
+        """
+        name = str(treatment).casefold()
+        return next((task for task in cls if task.value == name), None)
 
 
 _TRIGGER = "std_srvs/Trigger"

@@ -80,7 +80,8 @@ def execute(arguments: Namespace) -> int:
         simulation.robot.live(is_over=lambda: bool(is_over))
     console.print(f"ended after {shown_duration(simulation.robot.now)} of the robot's time")
     if simulation.robot.lags:
-        console.print(f"it could not keep its pace {counted(simulation.robot.lags, 'time')}: this machine is too busy")
+        lags = counted(simulation.robot.lags, "time")
+        console.print(f"the simulated robot could not keep its pace {lags}: this machine is too busy")
     return 0
 
 

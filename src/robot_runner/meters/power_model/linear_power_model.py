@@ -130,7 +130,7 @@ class LinearModel:
             PluginError: a term or a coefficient is wrong.
         """
         if document["format"] != FORMAT:
-            raise ValueError(f"its format is {document['format']!r}, not {FORMAT!r}")
+            raise ValueError(f"the model's format is {document['format']!r}, not {FORMAT!r}")
         ranges = {term: (float(low), float(high)) for term, (low, high) in document["ranges_percent"].items()}
         report = FitReport(**document["fit"]) if document["fit"] else None
         return cls(dict(document["coefficients_W"]), ranges, report)

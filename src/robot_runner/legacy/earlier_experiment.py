@@ -179,7 +179,7 @@ class _Asking(io.TextIOBase):
 
 
 class EarlierExperiment:
-    """Hears our events and calls the callbacks that the config subscribed; its attributes are static parameters.
+    """Is called at our events and calls the callbacks that the config subscribed; its attributes are static parameters.
 
     While a callback is executed, the modules of the earlier tools can be imported.
     """

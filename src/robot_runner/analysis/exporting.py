@@ -11,6 +11,7 @@ import json
 import re
 import shutil
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -22,13 +23,12 @@ from robot_runner.core.storage.safe_write import storage_error, write_beside_and
 from robot_runner.core.storage.table_schema import data_package, file_resource, table_resource
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from robot_runner.analysis.results import Results
     from robot_runner.analysis.sample_files import SampleFile
 
-__all__ = ["arrow_table", "export_results"]
+__all__ = ["ExportContent", "arrow_table", "export_results"]
 
 _RUNS_AT_ONCE = 50  # so that an export takes no more memory than the samples of so many runs
 _UNIT = b"unit"
@@ -38,7 +38,28 @@ _UNIT_SUFFIX = re.compile(r"_(s|A|V|W|J|m|rad|percent|Hz|K|Pa|N|m_s|rad_s)$")
 _UNIT_NAMES = {"percent": "%", "m_s": "m/s", "rad_s": "rad/s"}
 
 
-def export_results(results: Results, folder: Path | None = None) -> tuple[Path, ...]:
+@dataclass(frozen=True, slots=True)
+class ExportContent:
+    """The content of an export.
+
+    Attributes:
+        name: the experiment's.
+        folder: the experiment's, whose run table is copied with its schema.
+        tables: data frames, by the name of the file that each becomes.
+        sample_files: the kinds of raw samples.
+        samples: reads the samples of one kind of some runs, given by their ids.
+        unit: the unit of a column; empty where there is none or it is not known.
+    """
+
+    name: str
+    folder: Path
+    tables: Mapping[str, pd.DataFrame]
+    sample_files: Sequence[SampleFile]
+    samples: Callable[[SampleFile, Sequence[str]], pd.DataFrame]
+    unit: Callable[[str], str]
+
+
+def export_results(content: ExportContent, folder: Path | None = None) -> tuple[Path, ...]:
     """Write everything into `folder` (None: `export/` in the experiment's folder), replacing an earlier export.
 
     Returns:
@@ -48,25 +69,24 @@ def export_results(results: Results, folder: Path | None = None) -> tuple[Path, 
     Raises:
         StorageError: a file cannot be written.
     """
-    target = results.folder / "export" if folder is None else folder.expanduser()
+    target = content.folder / "export" if folder is None else folder.expanduser()
     try:
         (target / "samples").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise storage_error(target, "made", error) from error
-    written = list(_copied_table(results, target))
-    tables = {"run_table.parquet": results.runs, "phases.parquet": results.phases(), "events.parquet": results.events()}
-    for name, frame in tables.items():
-        _write_parquet(target / name, [arrow_table(frame, _units(results, frame))])
+    written = list(_copied_table(content, target))
+    for name, frame in content.tables.items():
+        _write_parquet(target / name, [arrow_table(frame, _units(content, frame))])
         written.append(target / name)
-    for kind in results.sample_files:
+    for kind in content.sample_files:
         path = target / "samples" / f"{kind.plugin}.{kind.name.removesuffix('.csv')}.parquet"
         try:
-            _write_parquet(path, _sample_tables(results, kind))
+            _write_parquet(path, _sample_tables(content, kind))
         except pa.ArrowInvalid:  # whole numbers in some runs, fractions or missing values in others
-            _write_parquet(path, _sample_tables(results, kind, as_floats=True))
+            _write_parquet(path, _sample_tables(content, kind, as_floats=True))
         written.append(path)
     package = target / "datapackage.json"
-    text = json.dumps(_package(results, target, written), indent=2, ensure_ascii=False) + "\n"
+    text = json.dumps(_package(content, target, written), indent=2, ensure_ascii=False) + "\n"
     write_beside_and_rename(package, lambda file: file.write(text))
     return (*written, package)
 
@@ -99,17 +119,17 @@ def _field(field: pa.Field, unit: str) -> pa.Field:
     return described.with_metadata({_UNIT: unit.encode()}) if unit else described
 
 
-def _copied_table(results: Results, target: Path) -> Iterator[Path]:
+def _copied_table(content: ExportContent, target: Path) -> Iterator[Path]:
     for name in ("run_table.csv", "run_table.schema.json"):
-        source = results.folder / name
+        source = content.folder / name
         if source.exists():
             with _renamed(target / name) as beside:
                 shutil.copyfile(source, beside)
             yield target / name
 
 
-def _units(results: Results, frame: pd.DataFrame) -> dict[str, str]:
-    return {name: results.unit(name) or _unit_of(name) for name in frame.columns}
+def _units(content: ExportContent, frame: pd.DataFrame) -> dict[str, str]:
+    return {name: content.unit(name) or _unit_of(name) for name in frame.columns}
 
 
 def _unit_of(heading: str) -> str:
@@ -117,13 +137,13 @@ def _unit_of(heading: str) -> str:
     return _UNIT_NAMES.get(found[1], found[1]) if found else ""
 
 
-def _sample_tables(results: Results, kind: SampleFile, *, as_floats: bool = False) -> Iterator[pa.Table]:
+def _sample_tables(content: ExportContent, kind: SampleFile, *, as_floats: bool = False) -> Iterator[pa.Table]:
     for start in range(0, len(kind.run_ids), _RUNS_AT_ONCE):
         runs = kind.run_ids[start : start + _RUNS_AT_ONCE]
-        frame = results.samples(kind.plugin, file=kind.name, runs=runs)
+        frame = content.samples(kind, runs)
         whole = frame[list(kind.columns)].select_dtypes("integer").columns
         frame = frame.astype(dict.fromkeys(whole, "float64")) if as_floats else frame
-        yield arrow_table(frame, _units(results, frame))
+        yield arrow_table(frame, _units(content, frame))
 
 
 def _write_parquet(path: Path, tables: Iterator[pa.Table] | Sequence[pa.Table]) -> None:
@@ -152,9 +172,9 @@ def _renamed(path: Path) -> Iterator[Path]:
         beside.unlink(missing_ok=True)
 
 
-def _package(results: Results, target: Path, files: Sequence[Path]) -> dict[str, Any]:
+def _package(content: ExportContent, target: Path, files: Sequence[Path]) -> dict[str, Any]:
     listed = [_resource(target, path) for path in files if path.name != "run_table.schema.json"]
-    return data_package(results.name, listed)
+    return data_package(content.name, listed)
 
 
 def _resource(target: Path, path: Path) -> dict[str, Any]:

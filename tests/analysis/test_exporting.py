@@ -74,7 +74,7 @@ def test_units_go_with_the_columns(folder, tmp_path):
 
 
 def test_a_column_that_is_fractional_in_a_late_run_is_fractional_in_all(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr("robot_runner.analysis.export._RUNS_AT_ONCE", 1)
+    monkeypatch.setattr("robot_runner.analysis.exporting._RUNS_AT_ONCE", 1)
     write_samples(folder, "r_2", "time_s,power_W,count\n10.0,7.5,2.5\n")
     load_results(folder.root).export(tmp_path / "out")
     assert pd.read_parquet(tmp_path / "out" / "samples" / "Meter.samples.parquet")["count"].tolist() == [1.0, 1.0, 2.5]

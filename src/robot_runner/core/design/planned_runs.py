@@ -1,25 +1,23 @@
-"""The run table as planned: a row for each run, in the order of execution."""
+"""The rows of the run table as planned: one for each run, in the order of execution."""
 
 from __future__ import annotations
 
 import gc
-from collections.abc import Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import chain, repeat
 from random import Random
 from secrets import randbits
-from typing import TYPE_CHECKING, NamedTuple, overload
+from typing import TYPE_CHECKING, NamedTuple
 
 from robot_runner.core.design.columns import numbered_run_id
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from robot_runner.core.design.factor import Combination
-    from robot_runner.core.design.run_table_model import RunTableModel
 
-__all__ = ["PlannedRun", "RunOrder", "RunTable", "arranged", "garbage_collection_paused", "planned_runs"]
+__all__ = ["PlannedRun", "RunOrder", "arranged", "garbage_collection_paused", "planned_runs"]
 
 
 # The order of the runs: as written, randomised, or randomised within complete blocks. Always from a known seed.
@@ -107,50 +105,6 @@ class PlannedRun(NamedTuple):
     combination: Combination
     repetition: int
     block: int | None = None
-
-
-class RunTable(Sequence[PlannedRun]):
-    """All runs of an experiment in the order of execution. Immutable.
-
-    Attributes:
-        model: the model that it was made from.
-        order: how its runs were put in order, with the seed.
-
-    Example:
-        >>> from robot_runner.core.design.factor import Factor
-        >>> from robot_runner.core.design.run_table_model import RunTableModel
-        >>> table = RunTableModel([Factor("Task", ["Video", "Network"])], repetitions=2).plan()
-        >>> [(run.run_id, run.combination["Task"], run.repetition) for run in table]
-        [('r_1', 'Video', 1), ('r_2', 'Network', 1), ('r_3', 'Video', 2), ('r_4', 'Network', 2)]
-    """
-
-    def __init__(self, model: RunTableModel, runs: Iterable[PlannedRun], order: RunOrder) -> None:
-        self.model = model
-        self.order = order
-        self._runs = tuple(runs)
-
-    def __len__(self) -> int:
-        return len(self._runs)
-
-    @overload
-    def __getitem__(self, place: int) -> PlannedRun: ...
-
-    @overload
-    def __getitem__(self, place: slice) -> Sequence[PlannedRun]: ...
-
-    def __getitem__(self, place: int | slice) -> PlannedRun | Sequence[PlannedRun]:
-        return self._runs[place]
-
-    def __iter__(self) -> Iterator[PlannedRun]:
-        return iter(self._runs)
-
-    def __repr__(self) -> str:
-        return f"<RunTable: {len(self)} runs, seed {self.order.seed}>"
-
-    @property
-    def seed(self) -> int:
-        """What its order comes from."""
-        return self.order.seed
 
 
 def planned_runs(

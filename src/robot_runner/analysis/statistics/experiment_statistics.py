@@ -65,9 +65,9 @@ def measure_statistics(
     column = design.results.columns[name]
     data = design.data(name)
     if data is None or not len(data.frame) or float(np.max(np.abs(data.values))) > _LARGEST:
-        why = "it is not a number." if data is None else "no run that is done has a value."
+        why = "the measure is not a number." if data is None else "no run that is done has a value."
         if data is not None and len(data.frame):
-            why = f"it has values beyond {_LARGEST:g}, which cannot be reckoned with."
+            why = f"the measure has values beyond {_LARGEST:g}, too large to compute with."
         gathered.missing.append(NotComputed(f"statistics of {name}", why))
         return MeasureStatistics(name, column.unit, column.origin, is_planned, not_computed=tuple(gathered.missing))
     choice = gathered.take(choose_test(data, alpha))
@@ -103,7 +103,7 @@ def _described(gathered: _Gathered, data: MeasureData, factors: tuple[str, ...])
 
 def _power(gathered: _Gathered, data: MeasureData, alpha: float) -> Power | None:
     if len(data.factors) > 1:
-        why = f"it is for one factor, and {len(data.factors)} are varied: power depends on the effects of all of them."
+        why = f"power depends on the effects of all {len(data.factors)} factors; it is computed for one factor only."
         return gathered.take(NotComputed("power", why))
     if not data.factors:
         return None

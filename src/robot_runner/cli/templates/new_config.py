@@ -58,7 +58,7 @@ class RobotRunnerConfig(ExperimentConfig):
         run_table.randomize_runs_order()
         return run_table
 
-    # ---- Events, in their order. Keep those that you need; plugins hear them, too.
+    # ---- Events, in their order. Keep those that you need; plugins have them, too.
 
     def before_experiment(self, context: ExperimentContext) -> None:
         """Prepare what all runs share. Called once; prints to the terminal."""

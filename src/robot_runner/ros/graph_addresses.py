@@ -1,0 +1,171 @@
+"""How a graph is reached, as `robot = "dds:..."` or `robot = "rosbridge://..."` says; no client library is loaded."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import parse_qsl, urlsplit
+
+from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.ros.type_store import ROS1_DISTROS, ROS2_DISTROS
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping
+    from urllib.parse import SplitResult
+
+__all__ = ["DdsSettings", "RosbridgeAddress", "domain_id"]
+
+_WHERE = "robot"
+_DDS_OPTIONS = ("domain", "distro", "types")
+#: Domains above this have UDP ports past 65535 (RTPS 2.2, 9.6.1.1: 7400 + 250 · domain + …).
+_MAX_DOMAIN = 232
+
+_SCHEME = "rosbridge"
+#: Where a rosbridge server listens, if not started elsewhere.
+_DEFAULT_PORT = 9090
+_ROSBRIDGE_OPTIONS = ("ros", "distro", "types")
+
+
+def domain_id(options: Mapping[str, str], environment: Mapping[str, str]) -> int:
+    """Return the DDS domain that the option `domain` names, or else the environment.
+
+    Raises:
+        LinkError: it is no domain.
+
+    Example:
+        >>> domain_id({"domain": "7"}, {}), domain_id({}, {"ROS_DOMAIN_ID": "3"}), domain_id({}, {})
+        (7, 3, 0)
+    """
+    named = "domain" in options
+    text = options["domain"] if named else environment.get("ROS_DOMAIN_ID") or "0"
+    if text.isascii() and text.isdigit() and int(text) <= _MAX_DOMAIN:
+        return int(text)
+    raise LinkError(
+        f"the domain id is {text!r}",
+        where="robot" if named else "ROS_DOMAIN_ID",
+        fix=f"Give a whole number from 0 to {_MAX_DOMAIN}, the ROS_DOMAIN_ID of the robot.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class DdsSettings:
+    """How the graph is reached: what `robot = "dds:option=value,..."` and the environment say.
+
+    Attributes:
+        domain: DDS domain id, 0 to 232.
+        distro: distribution of ROS 2 on the robot; None to tell from the graph.
+        types: files and folders with further message types.
+
+    Example:
+        >>> DdsSettings.of({"domain": "7", "distro": "humble"}, {}).domain
+        7
+    """
+
+    domain: int
+    distro: str | None
+    types: tuple[Path, ...] = ()
+
+    @classmethod
+    def of(cls, options: Mapping[str, str], environment: Mapping[str, str] | None = None) -> DdsSettings:
+        """Read options, and `ROS_DOMAIN_ID` and `ROS_DISTRO` where they are left out.
+
+        Raises:
+            LinkError: there is no such option, or it cannot have this value.
+        """
+        variables = os.environ if environment is None else environment
+        for name in options:
+            if name not in _DDS_OPTIONS:
+                raise LinkError(f"dds has no option {name!r}", where=_WHERE, fix=did_you_mean(name, _DDS_OPTIONS))
+        distro = options.get("distro")
+        if distro is None and variables.get("ROS_DISTRO") in ROS2_DISTROS:
+            distro = variables["ROS_DISTRO"]
+        _check_distro(distro, ROS2_DISTROS, "ROS 2")
+        return cls(domain_id(options, variables), distro, _paths(options))
+
+
+@dataclass(frozen=True, slots=True)
+class RosbridgeAddress:
+    """Where a rosbridge is, as `robot = "rosbridge://host:9090?option=value"` says it, and what it need not be asked.
+
+    Attributes:
+        host: name or number of the robot's computer.
+        port: of the server.
+        path: of the server's WebSocket.
+        generation: of the robot's ROS, 1 or 2; None to ask the robot.
+        distro: the robot's distribution; None to ask the robot.
+        types: files and folders with further message types.
+
+    Example:
+        >>> RosbridgeAddress.parse("rosbridge://robot?distro=humble").uri
+        'ws://robot:9090/'
+    """
+
+    host: str
+    port: int = _DEFAULT_PORT
+    path: str = "/"
+    generation: int | None = None
+    distro: str | None = None
+    types: tuple[Path, ...] = ()
+
+    @classmethod
+    def parse(cls, text: str) -> RosbridgeAddress:
+        """Take an address apart.
+
+        Raises:
+            LinkError: it cannot be an address, or there is no such option, or it cannot have this value.
+        """
+        try:
+            parts = urlsplit(text)
+            host, port = parts.hostname, parts.port
+        except ValueError as error:
+            raise _malformed(text) from error
+        if parts.scheme != _SCHEME or not host or parts.fragment:
+            raise _malformed(text)
+        options = _options(parts)
+        distro = options.get("distro")
+        generation = _generation(options.get("ros"), distro)
+        return cls(host, port or _DEFAULT_PORT, parts.path or "/", generation, distro, _paths(options))
+
+    @property
+    def uri(self) -> str:
+        """The address of its WebSocket."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"ws://{host}:{self.port}{self.path}"
+
+
+def _options(parts: SplitResult) -> dict[str, str]:
+    options = dict(parse_qsl(parts.query, keep_blank_values=True))
+    for name in options:
+        if name not in _ROSBRIDGE_OPTIONS:
+            raise LinkError(
+                f"rosbridge has no option {name!r}", where=_WHERE, fix=did_you_mean(name, _ROSBRIDGE_OPTIONS)
+            )
+    return options
+
+
+def _generation(text: str | None, distro: str | None) -> int | None:
+    _check_distro(distro, (*ROS1_DISTROS, *ROS2_DISTROS), "ROS")
+    if text not in {None, "1", "2"}:
+        raise LinkError(f"the generation of ROS is {text!r}", where=_WHERE, fix="Write ros=1 or ros=2.")
+    told = None if distro is None else 1 if distro in ROS1_DISTROS else 2
+    if text is not None and told not in {None, int(text)}:
+        raise LinkError(f"{distro!r} is no distribution of ROS {text}", where=_WHERE, fix="Leave ros= out.")
+    return told if text is None else int(text)
+
+
+def _malformed(text: str) -> LinkError:
+    fix = f"Write it as in {_SCHEME}://robot:{_DEFAULT_PORT}."
+    return LinkError(f"{text!r} cannot be the address of a rosbridge", where=_WHERE, fix=fix)
+
+
+def _check_distro(distro: str | None, known: Collection[str], of: str) -> None:
+    if distro is not None and distro not in known:
+        problem = f"{distro!r} is no distribution of {of} that is known"
+        raise LinkError(problem, where=_WHERE, fix=did_you_mean(distro, known))
+
+
+def _paths(options: Mapping[str, str]) -> tuple[Path, ...]:
+    """Return the files and folders with further message types."""
+    return tuple(Path(part).expanduser() for part in options.get("types", "").split(os.pathsep) if part)
