@@ -5,17 +5,16 @@ from __future__ import annotations
 import random
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich import box
 from rich.console import Console
 from rich.table import Table
 from tests.firmware.measuring import VOLTS, Steps, measure
 from tests.firmware.simulated_board import BoardClock, build, executed, missing_tools
-from tests.meters.ina219.test_ina219_card import recording
-from tests.meters.ina219.test_ina219_sysfs import HWMON
-from tests.meters.ina219.test_ina219_sysfs import measured as measured_by_driver
-from tests.meters.scripted_meter import NOISE, ScriptedMeter, frame, hello, sample
+from tests.meters.scripted_driver import HWMON
+from tests.meters.scripted_driver import measured as measured_by_driver
+from tests.meters.scripted_meter import NOISE, ScriptedMeter, frame, hello, recording, sample
 
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.plugins.profilers import Ina219
@@ -72,10 +71,10 @@ def _line(
     *,
     lost_at: float | None = None,
     seconds: float = _SECONDS,
-    **given: object,
+    **given: Any,
 ) -> Fault:
     def execute(folder: Path) -> RobotRunnerContext:
-        clock, profiler = FakeClock(), Ina219(**given)  # type: ignore[arg-type]
+        clock, profiler = FakeClock(), Ina219(**given)
         links = FakeLinks(serial=FakeSerialLine(clock, chunks, lost_at=lost_at))
         context = make_context(folder, profiler, links=links, clock=clock)
         rehearse(context, profiler, mission=lambda: clock.sleep(seconds))
@@ -84,8 +83,8 @@ def _line(
     return Fault("serial line", name, execute, expected)
 
 
-def _sent(watts: float = 8.0, *, end: float = _END, **script: object) -> list[Chunk]:
-    return ScriptedMeter(lambda _: watts, **script).chunks(start=0.0, end=end)  # type: ignore[arg-type]
+def _sent(watts: float = 8.0, *, end: float = _END, **script: Any) -> list[Chunk]:
+    return ScriptedMeter(lambda _: watts, **script).chunks(start=0.0, end=end)
 
 
 def _samples(count: int = 2000, **columns: Callable[[int], int]) -> list[Chunk]:
@@ -239,7 +238,7 @@ def _driver(
     lines: Callable[[float], tuple[str | None, ...]],
     *,
     shunt: str = "100000",
-    **given: object,
+    **given: Any,
 ) -> Fault:
     def execute(folder: Path) -> RobotRunnerContext:
         context, _ = measured_by_driver(folder, lines, 10.0, {**HWMON, "shunt_resistor": shunt}, **given)
