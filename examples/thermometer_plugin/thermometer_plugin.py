@@ -5,10 +5,14 @@ from robot_runner.plugins import (
     Column,
     Finding,
     Measure,
+    Over,
     PeriodicSampler,
     Profiler,
     RobotRunnerContext,
+    Window,
+    cut,
     mean,
+    publish_measures,
     report_quality,
     write_samples,
 )
@@ -17,7 +21,9 @@ from robot_runner.plugins import (
 class Thermometer(Profiler):
     """Measures how warm this machine is, as Linux tells it."""
 
-    measures = (Measure("Temperature", "°C", "Temperature of the processor, mean over the measured window."),)
+    measures = (
+        Measure("Temperature", "°C", "Temperature of the processor, mean over the measured window.", over=Over.MEAN),
+    )
     needs = "Linux with a thermal zone."
     sampler = None
 
@@ -44,5 +50,9 @@ class Thermometer(Profiler):
         samples = self.sampler.stop()  # it has stopped: this only returns its samples
         columns = [Column("time_s", samples.times), Column("temperature_C", samples.readings, "%.2f")]
         write_samples(context.raw_data_folder / "samples.csv", columns)
-        is_sufficient = report_quality(context, samples.quality(), samples.window)
-        context.publish("Temperature", mean(samples.series()) if is_sufficient else None)
+        report_quality(context, samples.over(context.window).quality(), context.window, sampled=samples.window)
+        publish_measures(context, self.measures, self.evaluate)
+
+    def evaluate(self, window: Window) -> dict[str, float | None]:
+        samples = self.sampler.stop().over(window)
+        return {"Temperature": mean(cut(samples.series(), window))} if samples.quality().is_sufficient else {}

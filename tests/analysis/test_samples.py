@@ -42,7 +42,7 @@ def test_without_a_start_of_measurement_times_count_from_the_first_sample(folder
 
 def test_runs_and_columns_can_be_chosen(folder):
     samples = load_results(folder.root).samples("Meter", runs=["r_2"], columns=["count"], with_factors=False)
-    assert list(samples.columns) == ["run_id", "time_s", "phase", "phase_number", "count"]
+    assert list(samples.columns) == ["run_id", "time_s", "in_window", "phase", "phase_number", "count"]
     assert samples["count"].tolist() == [4]
 
 

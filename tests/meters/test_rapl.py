@@ -14,7 +14,8 @@ from tests.process.conftest import starved_for
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import Origin
-from robot_runner.meters.rapl import find_domains, unwrapped
+from robot_runner.meters.counters import unwrapped
+from robot_runner.meters.rapl import find_domains
 from robot_runner.plugins import Circumstances
 from robot_runner.plugins.profilers import Rapl
 from robot_runner.testing import FakeClock, ProfilerContract, make_context, rehearse

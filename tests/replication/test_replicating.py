@@ -104,6 +104,8 @@ def test_it_is_resumed_as_any_experiment(unpacked, replicated, tmp_path):
     folder = ExperimentFolder(Path(shutil.copytree(replicated[1], tmp_path / "small")))
     before = folder.run_table.read_text("utf-8")
     folder.run_table.write_text(before.replace("Done", "Failed", 1), encoding="utf-8")
+    history = folder.journal.read_text("utf-8")
+    folder.journal.write_text(history.replace('"status":"done"', '"status":"failed"', 1), encoding="utf-8")
     assert _replicate(unpacked, tmp_path).experiment.folder.root == folder.root
     attempts = [line for line in folder.journal.read_text("utf-8").splitlines() if '"attempt_started"' in line]
     assert len(attempts) == 5

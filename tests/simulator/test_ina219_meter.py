@@ -90,9 +90,10 @@ def test_bytes_arrive_in_packets_after_the_time_that_the_line_needs(simulation):
     times = [arrival.time_ns for arrival in arrivals]
     assert times == sorted(times)
     assert times[-1] <= simulation.clock.now_ns
-    assert {len(arrival.data) for arrival in arrivals[:-1]} == {64}
-    # hello, samples 0 and 1, and the beginning of sample 2, which begins 10 ms after the start
-    assert times[0] == pytest.approx(10e6 + 16 * 10 / 115200 * 1e9, abs=1000)
+    # what came without a pause comes together: a hello and the first sample, then one sample after the other
+    assert [len(arrival.data) for arrival in arrivals] == [36, *(len(arrivals) - 1) * [16]]
+    assert times[0] == pytest.approx(36 * 10 / 115200 * 1e9, abs=1000)
+    assert times[1] == pytest.approx(5e6 + 16 * 10 / 115200 * 1e9, abs=1000)
 
 
 def test_nothing_arrives_twice_or_before_its_time(simulation):

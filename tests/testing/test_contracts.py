@@ -10,7 +10,7 @@ import pytest
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import Measure
 from robot_runner.core.links.connect import connect_robot
-from robot_runner.plugins import Profiler, System
+from robot_runner.plugins import Profiler, System, Window, note_own_window, quality_of, report_quality
 from robot_runner.testing import FakeClock, FakeLinks, FakeTurtlebot3Link, ProfilerContract, SystemContract
 from robot_runner.testing.plugin_contract import MissionFailed
 
@@ -33,6 +33,8 @@ class Stopwatch(Profiler):
             (context.raw_data_folder / "seconds.txt").write_text(f"{self.name} {self.seconds}\n")
 
     def populate_run_data(self, context):
+        if self.began is not None and self.seconds is not None:
+            note_own_window(context, Window(self.began, self.began + self.seconds))
         context.publish("Seconds", self.seconds)
 
 
@@ -212,6 +214,18 @@ class Crashing(Stopwatch):
         raise RuntimeError("cannot close")
 
 
+class OrderBound(Stopwatch):
+    def populate_run_data(self, context):
+        context.publish("Seconds", self.seconds)
+
+
+class Misdated(Stopwatch):
+    def populate_run_data(self, context):
+        own = Window(self.began, self.began + self.seconds)
+        report_quality(context, quality_of([], own, 1.0), own)
+        context.publish("Seconds", self.seconds)
+
+
 class Dividing(Stopwatch):
     def populate_run_data(self, context):
         context.publish("Seconds", 1.0 / self.seconds)
@@ -261,6 +275,8 @@ def test_a_check_that_returns_no_findings_breaks_the_contract():
         (Hoarder, "a_second_run_does_not_depend_on_the_first", "the plugin published"),
         (Crashing, "a_mission_that_fails_is_closed", "cannot close"),
         (Crashing, "a_run_that_never_measured_is_closed", "cannot close"),
+        (OrderBound, "values_are_about_the_mission_alone", "depend on the order of the plugins"),
+        (Misdated, "values_are_about_the_mission_alone", "has a window from 0.0 to 7.0 s"),
         (Dividing, "a_measurement_of_no_length_does_no_harm", "division by zero"),
         (Silent, "a_measurement_of_no_length_does_no_harm", "the plugin published"),
     ],

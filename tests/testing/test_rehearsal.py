@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from robot_runner.core.errors import ConfigError
+from robot_runner.core.errors import ConfigError, PluginError
 from robot_runner.core.events.measure import Measure
-from robot_runner.plugins import Profiler, System
+from robot_runner.plugins import Profiler, System, treatment
 from robot_runner.testing import make_context, rehearse
 
 EVENTS = ("start_run", "start_measurement", "launch_mission", "stop_measurement", "stop_run", "populate_run_data")
@@ -78,3 +78,37 @@ def test_a_callback_with_a_wrong_signature_is_refused(tmp_path):
 
     with pytest.raises(ConfigError, match="cannot be called with a context"):
         rehearse(make_context(tmp_path, Odd(), robot=None), Odd())
+
+
+class Lamp(System):
+    """Has the power that it was built with, and reads nothing."""
+
+    def __init__(self, power):
+        super().__init__()
+        self.power = power
+
+    def launch_mission(self, context):
+        context.share(power=self.power)
+
+
+def test_bound_parameters_have_the_treatments_of_the_context(tmp_path):
+    lamp = Lamp(treatment("Power"))
+    for power in (1, 2):
+        context = make_context(tmp_path, lamp, robot=None, combination={"Power": power})
+        rehearse(context, lamp)
+        assert context.plugin_data["Lamp"]["power"] == power
+        assert context.broker.findings == ()
+
+
+def test_a_combination_without_a_bound_factor_is_refused_with_the_nearest(tmp_path):
+    with pytest.raises(PluginError, match=r"the run has no treatment of the factor 'Power'.*'power'"):
+        make_context(tmp_path, Lamp(treatment("Power")), robot=None, combination={"power": 1})
+
+
+def test_a_factor_that_nobody_looks_at_is_found(tmp_path):
+    lamp = Lamp(1)
+    context = make_context(tmp_path, lamp, robot=None, combination={"Power": 2, "Floor": "wood"})
+    rehearse(context, lamp, mission=lambda: context.combination["Floor"])
+    (finding,) = context.broker.findings
+    assert finding.problem == "no callback and no plugin looked at Power: its treatments may never have been applied"
+    assert "treatment('Power')" in finding.fix

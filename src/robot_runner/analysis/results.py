@@ -19,6 +19,7 @@ from robot_runner.analysis.sample_files import (
     phase_spans,
     read_phases,
     run_files,
+    told_windows,
 )
 from robot_runner.analysis.samples import SampleRequest, read_samples
 from robot_runner.core.design.analysis_plan import AnalysisPlan
@@ -157,11 +158,20 @@ class Results:
         """What plugins found odd about runs: `run_id`, `attempt`, `owner`, `problem`, `fix`."""
         return self._history.odd
 
+    @property
+    def readers(self) -> Mapping[str, tuple[str, ...]] | None:
+        """Who read the treatment of each factor in runs that are done, or has a parameter bound to it.
+
+        By the factor's name: plugins, and `config`. A factor that is missing was read by nobody. None where a version
+        of Robot Runner executed them, or another tool, that did not look.
+        """
+        return self._history.readers
+
     def events(self, runs: Sequence[str] | None = None) -> pd.DataFrame:
         """Return the events of runs (of all for None), of the last attempt at each.
 
         Columns: `run_id`, `event` (ordered categorical), `at` (datetime64, UTC), `clock_s` (s on the run's clock) and
-        `since_start_s` (s since the event `start_measurement`); the last two are missing for `before_run` and
+        `since_start_s` (s since the start of the mission); the last two are missing for `before_run` and
         `continue`, which take place outside the run and its clock.
 
         Raises:
@@ -173,8 +183,8 @@ class Results:
     def phases(self, runs: Sequence[str] | None = None) -> pd.DataFrame:
         """Return the phases of missions (of all runs for None), as systems wrote them to `phases.csv`.
 
-        Columns: `run_id`, the factors, `plugin`, `number`, `phase`, `start_s` and `end_s` (s since the start of
-        measurement), and whatever else the system wrote, such as `task`, `x_m`, `y_m`, `heading_rad`.
+        Columns: `run_id`, the factors, `plugin`, `number`, `phase`, `start_s` and `end_s` (s since the start of the
+        mission), and whatever else the system wrote, such as `task`, `x_m`, `y_m`, `heading_rad`.
 
         Raises:
             AnalysisError: there is no such run, or a file of phases does not say when they are.
@@ -202,13 +212,15 @@ class Results:
         columns: Sequence[str] | None = None,
         with_factors: bool = True,
         with_phases: bool = True,
+        with_window: bool = True,
     ) -> pd.DataFrame:
         """Return raw samples of any or all runs as one tidy table, one row a sample.
 
-        Columns: `run_id` (categorical), the factors (ordered categoricals), `time_s` (s since the start of
-        measurement), `phase` (categorical) and `phase_number` (0 outside all phases), then the value columns as the
-        plugin wrote them, such as `power_W`. Where the start of measurement is not known, times are counted from the
-        first sample.
+        Columns: `run_id` (categorical), the factors (ordered categoricals), `time_s` (s since the start of the
+        mission; negative before it), `in_window` (whether the sample lies in the measured window, which is the
+        mission), `phase` (categorical) and `phase_number` (0 outside all phases), then the value columns as the plugin
+        wrote them, such as `power_W`. Where the mission is not known, times are counted from the start of measurement,
+        or from the first sample, and all samples count as within.
 
         Args:
             plugin: whose samples; may be left out where only one plugin has any.
@@ -217,6 +229,7 @@ class Results:
             columns: the value columns; None for all. Few are read faster than many.
             with_factors: whether each row carries the treatments of its run (and the repetition).
             with_phases: whether each row carries the phase that it falls into.
+            with_window: whether each row says if it lies in the measured window.
 
         Raises:
             AnalysisError: there are no such samples, runs or columns; names those that there are.
@@ -226,11 +239,13 @@ class Results:
         run_ids = [run_id for run_id in self._chosen(runs) if run_id in kind.paths]
         table = self.runs.set_index(RUN_ID).loc[run_ids]
         is_done = table[STATUS] == RunStatus.DONE.value
+        windows = {**self._history.windows, **told_windows(kind, run_ids)}
         request = SampleRequest(
             kind,
             run_ids,
             tuple(kind.columns if columns is None else columns),
-            starts=self._history.starts,
+            starts={**self._history.starts, **{run: start for run, (start, _) in windows.items()}},
+            windows=windows if with_window else None,
             phases=self._phase_spans if with_phases else None,
             factors={name: table[name].array for name in self._labels} if with_factors else {},
             unfinished=frozenset(table.index[~is_done]),

@@ -196,14 +196,18 @@ class History:
         events: `run_id`, `event`, `at`, `clock_s`, `since_start_s`; of the last attempt at each run.
         published: `run_id`, `measure`, `value`, `owner`, `origin`; of the last attempt at each run.
         odd: `run_id`, `attempt`, `owner`, `problem`, `fix`.
-        starts: when each run's measurement began, s on the run's clock.
+        windows: when each run's measured window (its mission) began and ended, s on the run's clock.
+        starts: when that began; where it is not known, when the run's measurement did.
+        readers: who read the treatment of each factor in runs that were done; None where that was not recorded.
     """
 
     attempts: pd.DataFrame
     events: pd.DataFrame
     published: pd.DataFrame
     odd: pd.DataFrame
+    windows: Mapping[str, tuple[float, float]]
     starts: Mapping[str, float]
+    readers: Mapping[str, tuple[str, ...]] | None = None
 
 
 def read_history(journal: Path) -> History:
@@ -212,20 +216,28 @@ def read_history(journal: Path) -> History:
     Raises:
         StorageError: it cannot be read.
     """
-    kinds = ("attempt_started", "attempt_finished", "event", "finding")
+    kinds = ("attempt_started", "attempt_finished", "event", "finding", "window")
     records: dict[str, list[dict[str, Any]]] = {kind: [] for kind in kinds}
     for record in read_journal(journal, kinds=kinds):
         records[record["kind"]].append(record)
     attempts = _attempts(records["attempt_started"], records["attempt_finished"])
     last = dict(zip(attempts["run_id"], attempts["attempt"], strict=True))
     of_last = [each for each in records["event"] if "run" in each and each["attempt"] == last.get(each["run"])]
-    starts = {each["run"]: float(each["clock"]) for each in of_last if each["event"] == START and "clock" in each}
+    measured = {each["run"]: float(each["clock"]) for each in of_last if each["event"] == START and "clock" in each}
+    windows = {
+        each["run"]: (float(each["start"]), float(each["end"]))
+        for each in records["window"]
+        if each["attempt"] == last.get(each["run"])
+    }
+    starts = {**measured, **{run: start for run, (start, _) in windows.items()}}
     return History(
         attempts,
         _events(of_last, starts),
         _published([each for each in records["attempt_finished"] if each["attempt"] == last.get(each["run"])]),
         _odd(records["finding"]),
+        windows,
         starts,
+        _readers(records["attempt_finished"]),
     )
 
 
@@ -274,6 +286,17 @@ def _published(finished: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     ]
     frame = pd.DataFrame(rows, columns=["run_id", "measure", "value", "owner", "origin"])
     return frame.astype({"run_id": "str", "value": "object"})
+
+
+def _readers(finished: Sequence[Mapping[str, Any]]) -> Mapping[str, tuple[str, ...]] | None:
+    told = [each.get("readers") for each in finished if each["status"] == "done"]
+    if not told or not all(isinstance(each, dict) for each in told):
+        return None
+    readers: dict[str, dict[str, None]] = {}
+    for each in told:
+        for factor, owners in (each or {}).items():
+            readers.setdefault(factor, {}).update(dict.fromkeys(owners))
+    return {factor: tuple(owners) for factor, owners in readers.items()}
 
 
 def _odd(findings: Sequence[Mapping[str, Any]]) -> pd.DataFrame:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,6 +32,7 @@ __all__ = [
     "phase_spans",
     "read_phases",
     "run_files",
+    "told_windows",
 ]
 
 
@@ -138,6 +141,23 @@ def choose_file(files: Sequence[SampleFile], plugin: str | None, name: str | Non
         labels = ", ".join(file.label for file in fitting)
         raise AnalysisError(f"several files fit: {labels}", where="samples", fix="Say which plugin and which file.")
     return fitting[0]
+
+
+def told_windows(file: SampleFile, run_ids: Iterable[str]) -> dict[str, tuple[float, float]]:
+    """Return when the measured window of runs began and ended, s on the clock of these samples.
+
+    A plugin notes it in `quality.json` beside its samples; runs of which it is not told are left out.
+    """
+    told = {}
+    for run_id in run_ids:
+        try:
+            noted = json.loads((file.paths[run_id].parent / "quality.json").read_text(encoding="utf-8"))
+            start, end = (float(noted["window"][edge]) for edge in ("start", "end"))
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+        if math.isfinite(start) and math.isfinite(end):
+            told[run_id] = (start, end)
+    return told
 
 
 def headings_of(path: Path) -> tuple[str, ...]:

@@ -152,8 +152,10 @@ class SampleRequest:
         file: the kind of file.
         run_ids: the runs, in the order in which they are to stand.
         columns: the value columns.
-        starts: when each run's measurement began, s on the run's clock; where that is not known, the run's times are
-            counted from its first sample.
+        starts: the moment from which each run's times are counted, s on the samples' clock; where that is not known,
+            they are counted from its first sample.
+        windows: when each run's measured window began and ended, s on the samples' clock; all samples of a run that is
+            not among them count as within. None to leave the column out.
         phases: the phases of each run; None to leave them out.
         factors: the treatments of each run as categoricals of the length of `run_ids`, by factor.
         unfinished: runs that are not done: the last line of their files may be cut off.
@@ -163,6 +165,7 @@ class SampleRequest:
     run_ids: Sequence[str]
     columns: Sequence[str]
     starts: Mapping[str, float] = field(default_factory=dict)
+    windows: Mapping[str, tuple[float, float]] | None = None
     phases: Mapping[str, PhaseSpans] | None = None
     factors: Mapping[str, pd.Categorical] = field(default_factory=dict)
     unfinished: frozenset[str] = frozenset()
@@ -207,10 +210,23 @@ def _columns(request: SampleRequest, lengths: NDArray[np.int64], columns: dict[s
     times = np.asarray(columns.pop(request.file.time), dtype=np.float64)
     labels = _labels(request, lengths)
     phases = {} if request.phases is None else _phases(request.phases, times, slices)
+    within = {} if request.windows is None else {"in_window": _are_within(request.windows, times, slices)}
     for run, place in slices.items():
         if place.stop > place.start:
             times[place] -= request.starts.get(run, times[place.start])
-    return {**labels, "time_s": times, **phases, **columns}
+    return {**labels, "time_s": times, **within, **phases, **columns}
+
+
+def _are_within(
+    windows: Mapping[str, tuple[float, float]], times: NDArray[np.float64], slices: Mapping[str, slice]
+) -> NDArray[np.bool_]:
+    """Return whether each sample lies in its run's window."""
+    are_within = np.ones(len(times), dtype=bool)
+    for run, place in slices.items():
+        if run in windows:
+            start, end = windows[run]
+            are_within[place] = (times[place] >= start) & (times[place] <= end)
+    return are_within
 
 
 def _slices(run_ids: Sequence[str], lengths: NDArray[np.int64]) -> dict[str, slice]:

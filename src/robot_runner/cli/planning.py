@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import quiet_loading, shown_path
 from robot_runner.cli.parser import UsageError
-from robot_runner.core.config.checks import create_model, gather_plugins, read_parameters
+from robot_runner.core.config.checks import create_model, read_parameters
 from robot_runner.core.config.dialects import load_config
 from robot_runner.core.config.experiment import experiment_folder
 from robot_runner.core.config.loader import parse_assignments
+from robot_runner.core.config.plugin_checks import gather_plugins
 from robot_runner.core.design.listed_runs import ListedRunTableModel
-from robot_runner.core.errors import ConfigError, StorageError, did_you_mean
+from robot_runner.core.errors import ConfigError, Finding, StorageError, did_you_mean
 from robot_runner.core.events.measure import resolve_columns, with_phases
+from robot_runner.core.execution.table_recovery import is_reordered
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
@@ -27,7 +29,6 @@ if TYPE_CHECKING:
     from robot_runner.core.config.loader import LoadedConfig
     from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.design.run_table_model import RunTableModel
-    from robot_runner.core.errors import Finding
     from robot_runner.core.events.measure import MeasureColumns
     from robot_runner.core.storage.table_columns import TableSpelling
 
@@ -94,7 +95,7 @@ def plan_of(config: Path, overrides: Mapping[str, str]) -> Plan:
     model, findings = create_model(loaded)
     if model is None:
         raise ConfigError.of_findings(findings)
-    plugins, _ = gather_plugins(loaded)
+    plugins, _ = gather_plugins(loaded, model)
     parameters, _ = read_parameters(loaded)
     phases = parameters.phases if parameters is not None else ()
     columns, column_findings = resolve_columns(
@@ -130,10 +131,15 @@ def _plan_on_disk(
         manifest = read_manifest(folder.manifest)
     except StorageError:  # a table that was made by hand, before anything was executed
         manifest = {}
+    layout = TableLayout.of_model(model, columns.names, spelling=spelling)
     if manifest.get("design", {}).get("source") == "config":
         table = model.plan(manifest["seed"])
-        return Plan(model, columns, table, None, table.seed, is_recorded=True, findings=warnings)
-    rows = read_run_table(folder.run_table, TableLayout.of_model(model, columns.names, spelling=spelling))
+        rows = read_run_table(folder.run_table, layout, table)
+        if not is_reordered(table, rows):
+            return Plan(model, columns, table, None, table.seed, is_recorded=True, findings=warnings)
+        problem = "the rows were put into another order by hand: runs are executed in that order"
+        warnings = (*warnings, Finding.warning(str(folder.run_table), problem))
+    rows = read_run_table(folder.run_table, layout)
     runs = list(rows.planned)
     findings = (*warnings, *rows.warnings)
     return Plan(model, columns, runs, folder.run_table, None, is_recorded=False, findings=findings)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import PluginError, did_you_mean
+from robot_runner.core.treatments import Bindable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -53,7 +54,7 @@ class Circumstances:
     plugins: Sequence[Plugin] = ()
 
 
-class Plugin:
+class Plugin(Bindable):
     """What systems and profilers share. A method named like an event is called at it and gets its context.
 
     Attributes:

@@ -55,15 +55,16 @@ def _publish(context: RobotRunnerContext, column: Any, name: str, value: Any) ->
     if _is_blank(value):
         return
     try:
-        context.publish(name, _plain(context, column, value))
+        context.publish(name, _plain(context, column, name, value))
     except MeasureError as error:  # an infinity, a text that no file can hold: kept with the run
-        context.warn(error.problem, fix=error.fix)
+        context.doubt(error.problem, fix=error.fix, measures=[name])
 
 
-def _plain(context: RobotRunnerContext, column: Any, value: Any) -> MeasureValue:
+def _plain(context: RobotRunnerContext, column: Any, name: str, value: Any) -> MeasureValue:
     """Return a value as a cell can hold it: what is no number, bool or text stands there as its text."""
     if isinstance(value, float) and math.isnan(value):
-        context.warn(f"{column} is not a number (nan): there is no value", fix="Return None where there is no value.")
+        problem = f"{column} is not a number (nan): there is no value"
+        context.doubt(problem, fix="Return None where there is no value.", measures=[name])
         return None
     if isinstance(value, float) and math.isinf(value):
         return value  # refused by the gate, with a reason

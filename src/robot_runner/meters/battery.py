@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
-from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_robot, is_simulation
 from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.evaluation import publish_measures
 from robot_runner.core.sampling.quality import Column, quality_of, report_quality, write_samples
 from robot_runner.core.sampling.series import Series, cut, energy, mean
 
@@ -42,6 +44,12 @@ class _Heard:
         self.voltage.append(float(message["voltage"]))
         self.current.append(-float(message.get("current", math.nan)))
         self.charge.append(100.0 * float(message.get("percentage", math.nan)))
+
+    def over(self, window: Window) -> _Heard:
+        """Return the messages of a window, its beginning left out: that was before it was listened for."""
+        first, last = bisect_right(self.times, window.start), bisect_right(self.times, window.end)
+        columns = (self.times, self.voltage, self.current, self.charge)
+        return _Heard(self.is_simulated, *(column[first:last] for column in columns))
 
     def series(self, values: Sequence[float]) -> Series:
         known = [(time, value) for time, value in zip(self.times, values, strict=True) if math.isfinite(value)]
@@ -77,10 +85,20 @@ class Battery(Profiler):
     """
 
     measures: Sequence[Measure] = (
-        Measure("MeanVoltage", "V", "Voltage of the battery, mean over the measured window."),
-        Measure("MinVoltage", "V", "Voltage of the battery, minimum over the measured window."),
-        Measure("ChargeUsed", "%", "State of charge at the beginning of the measured window less that at its end."),
-        Measure("Energy", "J", "Energy drawn from the battery: the integral of its voltage times its current."),
+        Measure("MeanVoltage", "V", "Voltage of the battery, mean over the measured window.", over=Over.MEAN),
+        Measure("MinVoltage", "V", "Voltage of the battery, minimum over the measured window.", over=Over.MINIMUM),
+        Measure(
+            "ChargeUsed",
+            "%",
+            "State of charge at the beginning of the measured window less that at its end.",
+            over=Over.SUM,
+        ),
+        Measure(
+            "Energy",
+            "J",
+            "Energy drawn from the battery: the integral of its voltage times its current.",
+            over=Over.SUM,
+        ),
     )
     needs: ClassVar[str] = "A robot that publishes battery_state (sensor_msgs/BatteryState)."
     bytes_per_run: int = 120_000  # 30 messages a second of 40 bytes for a mission of 95 s
@@ -101,8 +119,8 @@ class Battery(Profiler):
         self.namespace = namespace
         self._heard: _Heard | None = None
         self._subscription: Subscription | None = None
-        self._start = 0.0
-        self._window: Window | None = None
+        self._begun_at = 0.0
+        self._sampled: Window | None = None
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no robot."""
@@ -115,25 +133,25 @@ class Battery(Profiler):
     def start_run(self, context: RobotRunnerContext) -> None:
         """Forget the run before."""
         del context
-        self._heard = self._subscription = self._window = None
+        self._heard = self._subscription = self._sampled = None
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
         """Begin to listen."""
         link, clock = connect_robot(context, namespace=self.namespace), context.clock
         self._heard = heard = _Heard(is_simulation(link, self.namespace))
         self._subscription = link.subscribe(self.topic, _TYPE, lambda message: heard.take(clock.now(), message))
-        self._start = clock.now()
+        self._begun_at = clock.now()
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
         """Listen no more."""
         subscription, self._subscription = self._subscription, None
         if subscription is not None:
             subscription.close()
-            self._window = Window(self._start, context.clock.now())
+            self._sampled = Window(self._begun_at, context.clock.now())
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Write what was heard: later than `stop_measurement`, so that other profilers need not wait for the disk."""
-        if self._heard is None or self._window is None:
+        if self._heard is None or self._sampled is None:
             return
         columns = (
             Column("time_s", self._heard.times),
@@ -145,20 +163,26 @@ class Battery(Profiler):
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish the measures; no value where too little was heard, or the battery does not measure it."""
-        values: Mapping[str, float | None] = {}
-        origin = Origin.MEASURED
-        if self._heard is None or self._window is None:
-            context.warn("nothing was measured: the measurement was never started", fix=_FIX)
-        else:
-            origin = Origin.SIMULATED if self._heard.is_simulated else Origin.MEASURED
-            quality = quality_of(self._heard.times, self._window, self.rate_hz)
-            details = {"is_simulated": self._heard.is_simulated, "measures_current": self._heard.measures_current}
-            if report_quality(context, quality, self._window, fix=_FIX, details=details):
-                values = self._values(self._heard, self._window)
-        for measure in self.measures:
-            context.publish(measure.name, values.get(measure.name), origin=origin)
+        heard, window = self._heard, context.window
+        if heard is None or window is None:
+            context.doubt("nothing was measured: the measurement was never started", fix=_FIX)
+            publish_measures(context, self.measures, lambda _: {})
+            return
+        mission = heard.over(window)
+        details = {"is_simulated": heard.is_simulated, "measures_current": mission.measures_current}
+        quality = quality_of(heard.times, window, self.rate_hz)
+        report_quality(context, quality, window, sampled=self._sampled, fix=_FIX, details=details)
+        publish_measures(
+            context,
+            self.measures,
+            lambda part: self._values(mission, part),
+            origin=Origin.SIMULATED if heard.is_simulated else Origin.MEASURED,
+        )
 
     def _values(self, heard: _Heard, window: Window) -> Mapping[str, float | None]:
+        """Return the measures over a part of the mission, at whose edges the nearest messages within stand for it."""
+        if not quality_of(heard.times, window, self.rate_hz).is_sufficient:
+            return {}
         reach = 5 / self.rate_hz
         voltage = cut(heard.series(heard.voltage), window, reach=reach)
         charge = cut(heard.series(heard.charge), window, reach=reach)

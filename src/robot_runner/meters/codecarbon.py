@@ -14,6 +14,7 @@ from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.measured_machine import clock_details, machine_clock, simulation_findings
 from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.evaluation import note_own_window, publish_measures
 from robot_runner.core.sampling.quality import write_quality
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ __all__ = ["CodeCarbon", "started_tracker", "stop_tracker"]
 
 _INSTALL = "Install it: pip install 'robot-runner[codecarbon]'."
 _JOULES = 3.6e6  # in a kilowatt hour
-#: By how many percent CodeCarbon's own duration may differ from the measured window before it is worth a warning.
+#: By how many percent CodeCarbon's own duration may differ from ours before it is worth a warning.
 _TOLERANCE = 5.0
 #: And by how many seconds: what starting and stopping takes.
 _SLACK = 1.0
@@ -36,7 +37,8 @@ class CodeCarbon(Profiler):
     """Estimates energy and greenhouse gas emissions of this machine with CodeCarbon, without asking the internet.
 
     CodeCarbon reads energy counters where it can (RAPL, NVML); where it cannot, it reckons from the processor's load
-    and thermal design power, and memory from its size. All its values are labelled as estimated.
+    and thermal design power, and memory from its size. All its values are labelled as estimated. It tells of totals
+    from its start to its stop: they are doubted where that exceeds the mission by more than 1 %.
 
     Args:
         country: the country whose electricity mix is reckoned with, as three letters (ISO 3166-1 alpha-3).
@@ -53,12 +55,10 @@ class CodeCarbon(Profiler):
     """
 
     measures: Sequence[Measure] = (
-        Measure(
-            "Energy", "J", "Energy of processor, GPU and memory over the measured window, estimated by CodeCarbon."
-        ),
-        Measure("Emissions", "kg", "Greenhouse gases as CO2 equivalent over the measured window, by CodeCarbon."),
-        Measure("CPUEnergy", "J", "Energy of the processor over the measured window, estimated by CodeCarbon."),
-        Measure("MemoryEnergy", "J", "Energy of the memory over the measured window, estimated by CodeCarbon."),
+        Measure("Energy", "J", "Energy of processor, GPU and memory while its tracker ran, estimated by CodeCarbon."),
+        Measure("Emissions", "kg", "Greenhouse gases as CO2 equivalent while its tracker ran, by CodeCarbon."),
+        Measure("CPUEnergy", "J", "Energy of the processor while its tracker ran, estimated by CodeCarbon."),
+        Measure("MemoryEnergy", "J", "Energy of the memory while its tracker ran, estimated by CodeCarbon."),
     )
     needs: ClassVar[str] = "robot-runner[codecarbon]."
     bytes_per_run: int = 2_000
@@ -82,8 +82,8 @@ class CodeCarbon(Profiler):
         self.interval_s = interval_s
         self.options = dict(options or {})
         self._tracker: Any = None
-        self._start = 0.0
-        self._window: Window | None = None
+        self._begun_at = 0.0
+        self._sampled: Window | None = None
         self._data: Any = None
         self._hardware: list[str] = []
 
@@ -96,7 +96,7 @@ class CodeCarbon(Profiler):
     def start_run(self, context: RobotRunnerContext) -> None:
         """Forget the run before."""
         del context
-        self._tracker = self._window = self._data = None
+        self._tracker = self._sampled = self._data = None
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
         """Start a tracker.
@@ -107,14 +107,14 @@ class CodeCarbon(Profiler):
         plain = {"save_to_file": False, "log_level": "error", "allow_multiple_runs": True}
         named = {"country_iso_code": self.country, "measure_power_secs": self.interval_s}
         self._tracker = started_tracker("OfflineEmissionsTracker", **{**named, **plain, **self.options})
-        self._start = machine_clock(context).now()
+        self._begun_at = machine_clock(context).now()
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
         """Stop the tracker and take what it says."""
         tracker, self._tracker = self._tracker, None
         if tracker is None:
             return
-        self._window = Window(self._start, machine_clock(context).now())
+        self._sampled = Window(self._begun_at, machine_clock(context).now())
         stop_tracker(tracker)
         # It swallows its own exceptions, and then has nothing to say.
         self._data = getattr(tracker, "final_emissions_data", None)
@@ -122,7 +122,7 @@ class CodeCarbon(Profiler):
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Write what it said."""
-        if self._window is None:
+        if self._sampled is None:
             return
         said = None if self._data is None else asdict(self._data)
         text = json.dumps(said, indent=2, default=str) + "\n"
@@ -132,34 +132,38 @@ class CodeCarbon(Profiler):
             "hardware": self._hardware,
             "options": {**self.options, "country": self.country},
         }
-        write_quality(context.raw_data_folder / "quality.json", None, self._window, details)
+        mission = context.times.window(machine_clock(context))
+        write_quality(context.raw_data_folder / "quality.json", None, mission, details, sampled=self._sampled)
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish what it said; no value where it said nothing."""
         for problem in self._doubts():
-            context.warn(problem, fix="Look at the log of the run and at emissions.json.")
+            context.doubt(problem, fix="Look at the log of the run and at emissions.json.")
+        if self._sampled is not None and self._data is not None:
+            note_own_window(context, self._sampled, clock=machine_clock(context))
+        publish_measures(context, self.measures, lambda _: self._totals(), origin=Origin.ESTIMATED)
+
+    def _totals(self) -> Mapping[str, float | None]:
         data = self._data
-        values: Mapping[str, float | None] = {}
-        if data is not None:
-            values = {
-                "Energy": data.energy_consumed * _JOULES,
-                "Emissions": data.emissions,
-                "CPUEnergy": data.cpu_energy * _JOULES,
-                "MemoryEnergy": data.ram_energy * _JOULES,
-            }
-        for measure in self.measures:
-            context.publish(measure.name, values.get(measure.name), origin=Origin.ESTIMATED)
+        if data is None:
+            return {}
+        return {
+            "Energy": data.energy_consumed * _JOULES,
+            "Emissions": data.emissions,
+            "CPUEnergy": data.cpu_energy * _JOULES,
+            "MemoryEnergy": data.ram_energy * _JOULES,
+        }
 
     def _doubts(self) -> Iterable[str]:
-        if self._window is None:
+        if self._sampled is None:
             yield "nothing was estimated: the measurement was never started"
             return
         if self._data is None:
             yield "CodeCarbon said nothing"
             return
-        difference = abs(self._data.duration - self._window.duration)
-        if difference > max(_SLACK, self._window.duration * _TOLERANCE / 100):
-            yield f"CodeCarbon tracked {self._data.duration:.1f} s of a window of {self._window.duration:.1f} s"
+        difference = abs(self._data.duration - self._sampled.duration)
+        if difference > max(_SLACK, self._sampled.duration * _TOLERANCE / 100):
+            yield f"CodeCarbon tracked {self._data.duration:.1f} s of the {self._sampled.duration:.1f} s that it ran"
         if not self._data.country_name:
             yield f"CodeCarbon does not know the country {self.country!r} and reckoned with the world's electricity mix"
 

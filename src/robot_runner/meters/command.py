@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import signal
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
@@ -13,6 +13,7 @@ from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.measured_machine import clock_details, machine_clock
 from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.evaluation import publish_measures
 from robot_runner.core.sampling.meter_process import Ending, MeterProcess, Record
 from robot_runner.core.sampling.quality import Column, quality_of, report_quality, write_samples
 from robot_runner.meters.command_output import CommandColumn, Parse, Row, TimeColumn, parse_csv, row_times
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
+    from robot_runner.core.sampling.quality import SampleQuality
 
 __all__ = ["CommandProfiler", "Measured"]
 
@@ -38,21 +40,24 @@ class Measured:
     Attributes:
         rows: oldest first.
         times: when each row was taken, s on the run's clock.
-        window: the measured one.
+        window: the mission.
+        sampled: from the start of the measurement to its stop.
         ending: how the meter ended.
     """
 
     rows: Sequence[Row]
     times: Sequence[float]
     window: Window
+    sampled: Window
     ending: Ending
 
 
 class CommandProfiler(Profiler):
     """Measures with a program: starts it, follows the rows of its output, ends it, and aggregates the columns.
 
-    The measured window begins when the first row has come. `{output}` among the arguments stands for the full path of
-    the output file, in the folder of the plugin's raw data.
+    It starts the program and waits for a first row before the mission, and evaluates the rows over the mission. A
+    measure that says no `over` of its own has the one that goes with its column's aggregate. `{output}` among the
+    arguments stands for the full path of the output file, in the folder of the plugin's raw data.
 
     Args:
         command: the program and its arguments.
@@ -87,8 +92,8 @@ class CommandProfiler(Profiler):
 
     _process: MeterProcess | None
     _clock: Clock
-    _start: float | None
-    _window: Window | None
+    _begun_at: float | None
+    _sampled: Window | None
     _measured: Measured | None
     _fault: str
     _utc_offset: float
@@ -114,7 +119,9 @@ class CommandProfiler(Profiler):
         super().__init__(name=name)
         self.command = [str(word) for word in command]
         self.columns = tuple(columns)
-        self.measures: Sequence[Measure] = tuple(column.measure for column in self.columns)
+        self.measures: Sequence[Measure] = tuple(
+            replace(column.measure, over=column.measure.over or column.aggregate.over) for column in self.columns
+        )
         self.output = output
         self.period_s = period_s
         self.grace_s = grace_s
@@ -146,6 +153,7 @@ class CommandProfiler(Profiler):
             PluginError: it cannot be started, or it ends before it has said anything.
         """
         folder, self._clock = context.raw_data_folder, machine_clock(context)
+        begun_at = self._clock.now()
         self._utc_offset = self._clock.now() - time.time()
         self._process = process = MeterProcess(
             self.words(folder),
@@ -159,13 +167,13 @@ class CommandProfiler(Profiler):
             ending, self._process = process.stop(self._stop_signal, grace=self.grace_s), None
             problem = f"{self.command[0]!r} ended at once, with exit code {ending.exit_code}: {ending.complaint}"
             raise PluginError(problem, where=self.name, fix="Execute it by hand to see why: " + " ".join(self.command))
-        self._start = self._clock.now()
+        self._begun_at = begun_at
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """End the measured window. The program goes on until `stop_run`, so that no other profiler waits for it."""
+        """Note when it was. The program goes on until `stop_run`, so that no other profiler waits for it."""
         del context
-        if self._start is not None and self._window is None:
-            self._window = Window(self._start, self._clock.now())
+        if self._begun_at is not None and self._sampled is None:
+            self._sampled = Window(self._begun_at, self._clock.now())
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Wait for the row that tells of the window's last moments, end the program, and write the samples."""
@@ -174,13 +182,14 @@ class CommandProfiler(Profiler):
             return
         count = len(process.records)
         aftermath = min(_AFTERMATH_PERIODS * self.period_s, _LONGEST_AFTERMATH)
-        if self._window is not None:
+        if self._sampled is not None:
             process.wait(lambda: len(process.records) > count, seconds=aftermath)
         ending = process.stop(self._stop_signal, grace=self.grace_s)
-        if self._window is None:
+        mission = context.times.window(self._clock)
+        if self._sampled is None or mission is None:
             return
         try:
-            self._measured = self._read(process.records, self._window, ending)
+            self._measured = self._read(process.records, mission, self._sampled, ending)
         except Exception as error:  # noqa: BLE001 - a parse function may raise anything; the meter costs its values only
             self._fault = f"the program's output cannot be read: {type(error).__name__}: {error}"
             return
@@ -188,15 +197,15 @@ class CommandProfiler(Profiler):
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish one value for each column; no value where the rows do not tell."""
-        values: Mapping[str, float | None] = {}
         if self._measured is None:
-            context.warn(self._fault or "nothing was measured: the measurement was never started", fix=self._look)
-        else:
-            for problem in self.doubts(self._measured):
-                context.warn(problem, fix=self._look)
-            values = self._values(context, self._measured)
-        for measure in self.measures:
-            context.publish(measure.name, values.get(measure.name), origin=self.origin)
+            nothing = "nothing was measured: the measurement was never started"
+            context.doubt(self._fault or nothing, fix=self._look)
+            publish_measures(context, self.measures, lambda _: {}, origin=self.origin)
+            return
+        for problem in self.doubts(self._measured):
+            context.doubt(problem, fix=self._look)
+        self._report_quality(context, self._measured)
+        publish_measures(context, self.measures, self._evaluated, origin=self.origin, clock=self._clock)
 
     def words(self, folder: Path) -> list[str]:
         """Return the command with the path of the output file in it."""
@@ -222,24 +231,31 @@ class CommandProfiler(Profiler):
             lacking, found = (", ".join(map(repr, names)) for names in (missing, there))
             yield f"the program's output has no column {lacking}; it has {found}"
 
-    def _values(self, context: RobotRunnerContext, measured: Measured) -> Mapping[str, float | None]:
-        moments = list(dict.fromkeys(measured.times))  # some programs write several rows at once
-        quality = quality_of(moments, measured.window, 1 / self.period_s)
+    def _report_quality(self, context: RobotRunnerContext, measured: Measured) -> None:
         details = {**clock_details(context), "command": self.command, "program": asdict(measured.ending)}
-        if not report_quality(context, quality, measured.window, fix=self._look, details=details):
+        quality = self._quality(measured, measured.window)
+        report_quality(context, quality, measured.window, sampled=measured.sampled, fix=self._look, details=details)
+
+    def _quality(self, measured: Measured, window: Window) -> SampleQuality:
+        moments = list(dict.fromkeys(measured.times))  # some programs write several rows at once
+        return quality_of(moments, window, 1 / self.period_s)
+
+    def _evaluated(self, window: Window) -> Mapping[str, float | None]:
+        measured = self._measured
+        if measured is None or not self._quality(measured, window).is_sufficient:
             return {}
         return {
-            column.measure.name: column.value(measured.times, measured.rows, measured.window, reach=2 * self.period_s)
+            column.measure.name: column.value(measured.times, measured.rows, window, reach=2 * self.period_s)
             for column in self.columns
         }
 
-    def _read(self, records: Sequence[Record], window: Window, ending: Ending) -> Measured:
+    def _read(self, records: Sequence[Record], window: Window, sampled: Window, ending: Ending) -> Measured:
         parsed = self._parse([record.text for record in records])
         pairs = [(row, record) for row, record in zip(parsed, records, strict=True) if row is not None]
         rows = [row for row, _ in pairs]
         received = [record.received_at for _, record in pairs]
         times = row_times(rows, received, self._time, utc_offset=self._utc_offset)
-        return Measured(rows, times, window, ending)
+        return Measured(rows, times, window, sampled, ending)
 
     def _write(self, folder: Path, measured: Measured) -> None:
         sources = dict.fromkeys(column.source for column in self.columns)
@@ -271,7 +287,7 @@ class CommandProfiler(Profiler):
         return f"Look at {self.output or 'stdout.txt'} and stderr.txt in the folder of {self.name}."
 
     def _forget(self) -> None:
-        self._process = self._start = self._window = self._measured = None
+        self._process = self._begun_at = self._sampled = self._measured = None
         self._fault = ""
 
     def _refuse_what_cannot_be(self) -> None:

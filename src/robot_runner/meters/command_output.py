@@ -11,6 +11,7 @@ from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import PluginError
+from robot_runner.core.events.measure import Over
 from robot_runner.core.sampling.device_clock import fit_clock
 from robot_runner.core.sampling.series import Series, cut, mean_of_intervals
 
@@ -41,6 +42,22 @@ class Aggregate(Enum):
     MINIMUM = "smallest row in the measured window"
     MAXIMUM = "largest row in the measured window"
     LAST = "last row in the measured window"
+
+    @property
+    def over(self) -> Over | None:
+        """How the values of several windows make one."""
+        return _OVER.get(self)
+
+
+_OVER: Mapping[Aggregate, Over] = {
+    Aggregate.MEAN: Over.MEAN,
+    Aggregate.INTEGRAL: Over.SUM,
+    Aggregate.SUM: Over.SUM,
+    Aggregate.INCREASE: Over.SUM,
+    Aggregate.RATE: Over.MEAN,
+    Aggregate.MINIMUM: Over.MINIMUM,
+    Aggregate.MAXIMUM: Over.MAXIMUM,
+}
 
 
 class TimeKind(Enum):

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from robot_runner.core.plugin import Circumstances
     from robot_runner.core.sampling.periodic import Sampling
 
-__all__ = ["Meter", "PolledProfiler", "reach_findings"]
+__all__ = ["Meter", "PolledProfiler", "Sampler", "reach_findings"]
 
 
 _FIX = f"Name it in the config: robot = {SIMULATED!r}. Or: --set robot={SIMULATED}."
@@ -65,11 +65,27 @@ class Meter(Protocol[R_co]):
         ...
 
 
+class Sampler(Protocol[R]):
+    """What takes readings from its start to its stop, such as a `PeriodicSampler`."""
+
+    def start(self) -> None:
+        """Begin to take readings."""
+        ...
+
+    def take_now(self) -> None:
+        """Take one more reading at an edge of the mission, where that can be done."""
+        ...
+
+    def stop(self) -> Sampling[R]:
+        """End it and return what was read; a second call returns the same."""
+        ...
+
+
 class PolledProfiler(Profiler, Generic[R]):
     """Reads a meter of this machine at a fixed rate from the start of the measurement to its end.
 
     A subclass says how the meter is opened and what its readings amount to. A reading that fails costs a sample; a
-    meter that cannot be opened fails the run, before the robot moves.
+    meter that cannot be opened fails the run, before the robot moves. `docs/polled-meter.md` shows how to write one.
 
     Args:
         name: tells several instances apart; the class's name if left out.
@@ -77,17 +93,29 @@ class PolledProfiler(Profiler, Generic[R]):
 
     Raises:
         PluginError: the rate is not positive.
+
+    Example:
+        >>> class Fan:
+        ...     def read(self):
+        ...         return 1200.0
+        ...     def close(self):
+        ...         pass
+        >>> class FanSpeed(PolledProfiler[float]):
+        ...     def open(self, context):
+        ...         return Fan()
+        >>> FanSpeed(rate_hz=5.0).rate_hz
+        5.0
     """
 
     origin: Origin = Origin.MEASURED
 
-    def __init__(self, *, name: str | None, rate_hz: float) -> None:
+    def __init__(self, *, name: str | None = None, rate_hz: float = 10.0) -> None:
         super().__init__(name=name)
         if not (math.isfinite(rate_hz) and rate_hz > 0):
             raise PluginError(f"rate_hz is {rate_hz!r}", where=self.name, fix="Give rate_hz a number above 0.")
         self.rate_hz = rate_hz
         self._meter: Meter[R] | None = None
-        self._sampler: PeriodicSampler[R] | None = None
+        self._sampler: Sampler[R] | None = None
         self._sampling: Sampling[R] | None = None
         self._is_written = False
 
@@ -125,10 +153,14 @@ class PolledProfiler(Profiler, Generic[R]):
         self._sampler = self._sampling = None
         self._is_written = False
 
+    def sampler(self, context: RobotRunnerContext) -> Sampler[R]:
+        """Return what takes the readings: the opened meter's `read`, called at the rate in a thread of the run."""
+        self._meter = self.open(context)
+        return PeriodicSampler(self._meter.read, rate=self.rate_hz, clock=machine_clock(context))
+
     def start_measurement(self, context: RobotRunnerContext) -> None:
         """Open the meter and begin to read it."""
-        self._meter = self.open(context)
-        self._sampler = PeriodicSampler(self._meter.read, rate=self.rate_hz, clock=machine_clock(context))
+        self._sampler = self.sampler(context)
         self._sampler.start()
         context.times.at_edges(self._sampler.take_now)
 

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import LinkError, PluginError, did_you_mean
-from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_host
 from robot_runner.core.links.host import (
     LOCAL,
     EndingSampler,
     ProcessHost,
+    PromptSampler,
     RemoteHost,
     ReportingSampler,
     SamplingReport,
@@ -23,6 +24,7 @@ from robot_runner.core.links.measured_machine import host_findings, machine_cloc
 from robot_runner.core.links.on_board_session import FORMS
 from robot_runner.core.links.utilisation import Selection, Utilisation
 from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.evaluation import publish_measures
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -45,8 +47,8 @@ _MISSION, _CORES = 95.0, 4
 class PsUtil(Profiler):
     """Measures CPU and memory utilisation, as the paper's PsUtil does, at 10 Hz.
 
-    Here it samples with psutil in a thread of the run. On another computer a small loop samples until the measured
-    window ends, and its samples are fetched afterwards, so that the network is quiet meanwhile. CPU utilisation is
+    Here it samples with psutil in a thread of the run. On another computer a small loop samples until the mission
+    is over, and its samples are fetched afterwards, so that the network is quiet meanwhile. CPU utilisation is
     that of the moment (what was busy since the sample before), not that of a process's lifetime, which `ps` prints as
     `%cpu`.
 
@@ -72,8 +74,8 @@ class PsUtil(Profiler):
     """
 
     measures: Sequence[Measure] = (
-        Measure("CPU", "%", "CPU utilisation of all cores together, mean over the measured window."),
-        Measure("Memory", "%", "Physical memory in use, mean over the measured window."),
+        Measure("CPU", "%", "CPU utilisation of all cores together, mean over the measured window.", over=Over.MEAN),
+        Measure("Memory", "%", "Physical memory in use, mean over the measured window.", over=Over.MEAN),
     )
     needs: ClassVar[str] = (
         "psutil for this machine, the OpenSSH client and a key for another one, nothing more on a simulated robot."
@@ -113,8 +115,8 @@ class PsUtil(Profiler):
         self._link: HostLink | None = None
         self._sampler: UtilisationSampler | None = None
         self._clock: Clock | None = None
-        self._start = 0.0
-        self._window: Window | None = None
+        self._sampled: Window | None = None
+        self._begun_at = 0.0
         self._utilisation: Utilisation | None = None
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
@@ -129,24 +131,26 @@ class PsUtil(Profiler):
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Connect, before the robot moves and before the measurement begins."""
-        self._sampler = self._window = self._utilisation = None
+        self._forget()
         link = self._connected(context)
         if isinstance(link, RemoteHost):
             link.connect()
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
         """Begin to sample."""
-        self._sampler = self._window = self._utilisation = None
+        self._forget()
         self._clock = context.clock if self.host is None else machine_clock(context)
         self._link = self._connected(context)
+        self._begun_at = self._clock.now()
         self._sampler = self._begun(self._link)
-        self._start = self._clock.now()
+        if isinstance(self._sampler, PromptSampler):
+            context.times.at_edges(self._sampler.take_now)
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """End the measured window, and sampling; other profilers need not wait for samples that come over a network."""
-        if self._sampler is None or self._clock is None or self._window is not None:
+        """End sampling; other profilers need not wait for samples that come over a network."""
+        if self._sampler is None or self._clock is None or self._sampled is not None:
             return
-        self._window = Window(self._start, self._clock.now())
+        self._sampled = Window(self._begun_at, self._clock.now())
         if isinstance(self._sampler, EndingSampler):
             self._sampler.end()
         else:
@@ -156,36 +160,40 @@ class PsUtil(Profiler):
         """Fetch the samples if they are still elsewhere, and write them."""
         self._collect(context)
         if self._utilisation is not None:
-            self._utilisation.write(context.raw_data_folder)
+            self._utilisation.write(context.raw_data_folder, context.times.window(self._clock))
 
     def _collect(self, context: RobotRunnerContext) -> None:
         sampler, self._sampler = self._sampler, None
-        if sampler is None or self._link is None or self._window is None:
+        if sampler is None or self._link is None or self._sampled is None:
             return
         try:
             samples: Sequence[UtilisationSample] = sampler.stop()
         except LinkError as error:
             samples = ()
-            context.warn(f"the samples could not be fetched: {error.problem}", fix=error.fix)
+            context.doubt(f"the samples could not be fetched: {error.problem}", fix=error.fix)
         report = sampler.report() if isinstance(sampler, ReportingSampler) else SamplingReport(rate=self.rate_hz)
         if report.clock is not None:
             context.note_clock(report.clock.facts())
-        self._utilisation = Utilisation(samples, self._window, self.selection, report, self._link.is_simulated)
+        self._utilisation = Utilisation(samples, self._sampled, self.selection, report, self._link.is_simulated)
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish the mean utilisations; no value where too little was seen."""
-        measured = self._utilisation
-        if measured is None:
-            context.warn("nothing was measured: the measurement was never started", fix=_REMEDY)
-            for measure in self.measures:
-                context.publish(measure.name, None)
-            return
-        quality = measured.quality
-        for problem in (*measured.doubts(), *quality.warnings()):
-            context.warn(problem, fix=_REMEDY)
-        origin = Origin.SIMULATED if measured.is_simulated else Origin.MEASURED
-        for name, value in measured.means().items():
-            context.publish(name, value if quality.is_sufficient else None, origin=origin)
+        sampled, mission = self._utilisation, context.times.window(self._clock)
+        if sampled is None or mission is None:
+            context.doubt("nothing was measured: the measurement was never started", fix=_REMEDY)
+        else:
+            measured = sampled.over(mission)
+            for problem in (*measured.doubts(), *measured.quality.warnings()):
+                context.doubt(problem, fix=_REMEDY)
+        origin = Origin.SIMULATED if sampled is not None and sampled.is_simulated else Origin.MEASURED
+        publish_measures(context, self.measures, self._evaluated, origin=origin, clock=self._clock)
+
+    def _evaluated(self, window: Window) -> Mapping[str, float | None]:
+        measured = self._utilisation.over(window) if self._utilisation is not None else None
+        return measured.means() if measured is not None and measured.quality.is_sufficient else {}
+
+    def _forget(self) -> None:
+        self._sampler = self._clock = self._sampled = self._utilisation = None
 
     @property
     def _has_selection(self) -> bool:

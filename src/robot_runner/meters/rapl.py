@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -13,6 +12,7 @@ from robot_runner.core.events.measure import Measure, Over
 from robot_runner.core.links.measured_machine import simulation_findings
 from robot_runner.core.sampling.quality import Column
 from robot_runner.core.sampling.series import Series, growth
+from robot_runner.meters.counters import unwrapped
 from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from robot_runner.core.plugin import Circumstances
     from robot_runner.core.sampling.periodic import Sampling
 
-__all__ = ["POWERCAP", "Rapl", "find_domains", "permission_findings", "unwrapped"]
+__all__ = ["POWERCAP", "Rapl", "find_domains", "permission_findings"]
 
 POWERCAP = Path("/sys/class/powercap")
 #: `intel-rapl:0` is a package, `intel-rapl:0:1` a domain within it; AMD processors have the same names. The same
@@ -103,20 +103,6 @@ def _unreadable(where: str, root: Path, domains: Sequence[Domain]) -> list[Findi
             fix = f"Let it be read until the next restart: sudo chmod a+r {root}/intel-rapl*/energy_uj."
             return [Finding.error(where, problem, fix)]
     return []
-
-
-def unwrapped(counts: Sequence[int], wraps_at: int) -> list[int]:
-    """Return a counter that goes on where the true one began at 0 again, from 0 at its first count.
-
-    Example:
-        >>> unwrapped([90, 97, 5], wraps_at=100)
-        [0, 7, 15]
-    """
-    total, totals = 0, [0] if counts else []
-    for sooner, later in pairwise(counts):
-        total += later - sooner + (wraps_at if later < sooner else 0)
-        totals.append(total)
-    return totals
 
 
 class _Counters:

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
-from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import is_simulated, open_serial_line
 from robot_runner.core.links.serial_line import port_problem
 from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.evaluation import publish_measures
 from robot_runner.core.sampling.quality import Column, quality_of, report_quality, write_samples
 from robot_runner.core.sampling.series import Series, mean_of_intervals
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.links.serial_line import SerialLine
     from robot_runner.core.plugin import Circumstances
+    from robot_runner.core.sampling.quality import SampleQuality
 
 __all__ = ["Recording", "WattsUpPro", "WattsUpSample", "parse_record"]
 
@@ -78,7 +80,7 @@ class Recording:
     def __init__(self, line: SerialLine) -> None:
         self.line = line
         self.samples: list[WattsUpSample] = []
-        self.corrupt = 0
+        self.corrupt_at: list[float] = []
         self._rest = ""
 
     def take(self) -> None:
@@ -93,7 +95,7 @@ class Recording:
                 try:
                     sample = parse_record(record, chunk.received_at)
                 except ValueError:
-                    self.corrupt += 1
+                    self.corrupt_at.append(chunk.received_at)
                 else:
                     self.samples += [] if sample is None else [sample]
 
@@ -112,6 +114,11 @@ class Recording:
     def series(self, quantity: str) -> Series:
         """Return one quantity of the samples over time."""
         return Series([each.time for each in self.samples], [getattr(each, quantity) for each in self.samples])
+
+    def quality(self, window: Window) -> SampleQuality:
+        """Return how good the samples are over a window."""
+        corrupt = sum(window.start <= time <= window.end for time in self.corrupt_at)
+        return quality_of(self.series("watts").times, window, _RATE, corrupt=corrupt)
 
 
 class WattsUpPro(Profiler):
@@ -132,8 +139,13 @@ class WattsUpPro(Profiler):
     """
 
     measures: Sequence[Measure] = (
-        Measure("Energy", "J", "Energy drawn from the wall over the measured window: mean power times its duration."),
-        Measure("MeanPower", "W", "Active power drawn from the wall, mean over the measured window."),
+        Measure(
+            "Energy",
+            "J",
+            "Energy drawn from the wall over the measured window: mean power times its duration.",
+            over=Over.SUM,
+        ),
+        Measure("MeanPower", "W", "Active power drawn from the wall, mean over the measured window.", over=Over.MEAN),
     )
     needs: ClassVar[str] = "A Watts up? PRO on a serial port, and robot-runner[serial]."
     bytes_per_run: int = 5_000  # a row a second of 40 bytes for a mission of 95 s
@@ -144,8 +156,8 @@ class WattsUpPro(Profiler):
             raise PluginError(f"port is {port!r}", where=self.name, fix="Give its serial port: port='/dev/ttyUSB0'.")
         self.port = port
         self._recording: Recording | None = None
-        self._start: float | None = None
-        self._window: Window | None = None
+        self._begun_at: float | None = None
+        self._sampled: Window | None = None
         self._is_over = False
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
@@ -160,32 +172,33 @@ class WattsUpPro(Profiler):
     def start_run(self, context: RobotRunnerContext) -> None:
         """Forget the run before."""
         del context
-        self._recording = self._start = self._window = None
+        self._recording = self._begun_at = self._sampled = None
         self._is_over = False
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
         """Have the meter log to the line, and wait for a first record."""
-        recording = Recording(open_serial_line(context, self.port))
+        recording, begun_at = Recording(open_serial_line(context, self.port)), context.clock.now()
         recording.line.write(_BEGIN)
         recording.wait(lambda: bool(recording.samples), context.clock, _PATIENCE)
-        self._recording, self._start = recording, context.clock.now()
+        self._recording, self._begun_at = recording, begun_at
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """End the measured window."""
-        if self._start is not None and self._window is None:
-            self._window = Window(self._start, context.clock.now())
+        """Note when it was; the meter goes on until `stop_run`, so that no other profiler waits for it."""
+        if self._begun_at is not None and self._sampled is None:
+            self._sampled = Window(self._begun_at, context.clock.now())
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Wait for the record of the last second, have the meter stop, and write the samples."""
-        recording, window = self._recording, self._window
-        if recording is None or window is None or self._is_over:
+        recording, sampled = self._recording, self._sampled
+        if recording is None or sampled is None or self._is_over:
             return
         self._is_over = True
+        end = (context.window or sampled).end
         try:
-            recording.wait(lambda: _reaches(recording.samples, window.end), context.clock, _AFTERMATH)
+            recording.wait(lambda: _reaches(recording.samples, end), context.clock, _AFTERMATH)
             recording.line.write(_END)
         except LinkError as error:
-            context.warn(f"the line to the power meter was lost: {error.problem}", fix=error.fix)
+            context.doubt(f"the line to the power meter was lost: {error.problem}", fix=error.fix)
         columns = [
             Column("time_s", recording.series("watts").times),
             Column("power_W", recording.series("watts").values, "%.1f"),
@@ -196,19 +209,20 @@ class WattsUpPro(Profiler):
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish energy and mean power; no value where too little was heard."""
-        power, joules = None, None
-        recording, window = self._recording, self._window
+        recording, window = self._recording, context.window
         if recording is None or window is None:
-            context.warn("nothing was measured: the measurement was never started", fix=_FIX)
+            context.doubt("nothing was measured: the measurement was never started", fix=_FIX)
         else:
-            quality = quality_of(recording.series("watts").times, window, _RATE, corrupt=recording.corrupt)
-            if report_quality(context, quality, window, fix=_FIX):
-                power = mean_of_intervals(recording.series("watts"), window)
-                joules = None if power is None else power * window.duration
-        values: Mapping[str, float | None] = {"Energy": joules, "MeanPower": power}
+            report_quality(context, recording.quality(window), window, sampled=self._sampled, fix=_FIX)
         is_simulated = recording is not None and recording.line.is_simulated
-        for name, value in values.items():
-            context.publish(name, value, origin=Origin.SIMULATED if is_simulated else Origin.MEASURED)
+        origin = Origin.SIMULATED if is_simulated else Origin.MEASURED
+        publish_measures(context, self.measures, self._evaluated, origin=origin)
+
+    def _evaluated(self, window: Window) -> Mapping[str, float | None]:
+        if self._recording is None or not self._recording.quality(window).is_sufficient:
+            return {}
+        power = mean_of_intervals(self._recording.series("watts"), window)
+        return {"Energy": None if power is None else power * window.duration, "MeanPower": power}
 
 
 def _reaches(samples: Sequence[WattsUpSample], end: float) -> bool:

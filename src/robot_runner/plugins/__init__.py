@@ -52,8 +52,14 @@ if TYPE_CHECKING:
     from robot_runner.core.sampling.series import cut as cut
     from robot_runner.core.sampling.series import energy as energy
     from robot_runner.core.sampling.series import energy_from_mean_power as energy_from_mean_power
+    from robot_runner.core.sampling.series import growth as growth
     from robot_runner.core.sampling.series import integrate as integrate
     from robot_runner.core.sampling.series import mean as mean
     from robot_runner.core.sampling.series import mean_of_intervals as mean_of_intervals
+    from robot_runner.core.treatments import treatment as treatment
+    from robot_runner.meters.electrical import ElectricalProfiler as ElectricalProfiler
+    from robot_runner.meters.electrical import ElectricalReading as ElectricalReading
+    from robot_runner.meters.polled import Meter as Meter
+    from robot_runner.meters.polled import PolledProfiler as PolledProfiler
 else:
     __getattr__, __dir__ = open_door(__name__)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["Explanation", "RunExplanation", "explain_run"]
 
 _ORCHESTRATED = frozenset({"before_run", "continue"})
-_KINDS = ("attempt_started", "attempt_finished", "event", "finding", "clock")
+_KINDS = ("attempt_started", "attempt_finished", "event", "finding", "clock", "bound")
 _UNMEASURED = {"simulated": "simulated, not measured", "estimated": "estimated by a model, not measured"}
 
 
@@ -88,6 +88,8 @@ class _RunHistory:
         doubts: what the owners of measures found odd about their samples, by owner.
         hosts: other computers that were measured, with the offsets of their clocks.
         failures: why earlier attempts failed, by number.
+        bound: plugin, parameter, factor and value of each parameter that was bound to a factor.
+        readers: who read the treatment of each factor.
     """
 
     attempt: int = 0
@@ -98,6 +100,8 @@ class _RunHistory:
     doubts: dict[str, list[str]] = field(default_factory=dict)
     hosts: list[str] = field(default_factory=list)
     failures: dict[int, str] = field(default_factory=dict)
+    bound: list[tuple[str, str, str, Any]] = field(default_factory=list)
+    readers: dict[str, list[str]] | None = None
 
     @classmethod
     def read(cls, journal: Path, run_id: str) -> Self:
@@ -119,12 +123,16 @@ class _RunHistory:
             case "attempt_finished":
                 self.finished_at = record["at"]
                 self.measures = record["measures"]
+                self.readers = record.get("readers")
                 if record.get("failure"):
                     self.failures[self.attempt] = str(record["failure"])
             case "event" if isinstance(record.get("clock"), int | float):
                 self.clocks[str(record["event"])] = float(record["clock"])
             case "finding":
                 self.doubts.setdefault(str(record.get("owner")), []).append(str(record["problem"]))
+            case "bound":
+                each = record["parameters"].items()
+                self.bound += [(record["owner"], name, bound["factor"], bound["value"]) for name, bound in each]
             case "clock":
                 offset = (record.get("before") or record.get("after") or {}).get("wall_offset")
                 told = f", its clock {offset:+.6f} s to ours" if isinstance(offset, int | float) else ""
@@ -133,6 +141,7 @@ class _RunHistory:
     def _begin(self, record: dict[str, Any]) -> None:
         self.attempt, self.started_at, self.finished_at = int(record["attempt"]), record["at"], None
         self.measures, self.clocks, self.doubts, self.hosts = {}, {}, {}, []
+        self.bound, self.readers = [], None
 
 
 class _Explaining:
@@ -195,6 +204,8 @@ class _Explaining:
         yield "Host", self._host()
         for host in history.hosts:
             yield "Other host", host
+        for owner, name, factor, value in history.bound:
+            yield "Parameter", f"{name} of {owner} = {value}, bound to the factor {factor}"
 
     def _order(self) -> str:
         design = self._manifest.get("design") or {}
@@ -202,9 +213,10 @@ class _Explaining:
             return f"in the order of {design['source']}, which was written by hand"
         blocks = f" within blocks of {design['blocks']}" if design.get("blocks") else ""
         seed = self._manifest.get("seed")
-        return (
+        planned = (
             f"randomised{blocks} from seed {seed}" if design.get("shuffle") else f"in the order of the config{blocks}"
         )
+        return f"changed by hand in run_table.csv; planned: {planned}" if design.get("is_reordered") else planned
 
     def _host(self) -> str:
         host = self._manifest.get("host") or {}
@@ -239,6 +251,9 @@ class _Explaining:
         named = f"{owner}, " if kind != owner and kind else ""
         yield "Plugin", f"{named}{kind or owner}{package}" if owner else "none: no plugin published it"
         yield "Config", _shown(self._lines.of_plugin(owner, kind))
+        for whose, name, factor, value in self._history.bound:
+            if whose == owner:
+                yield "Parameter", f"{name} = {value}, bound to the factor {factor}"
 
     def _raw_files(self, owner: str) -> Iterator[str]:
         run = self._files.run(self._run_id)
@@ -264,8 +279,17 @@ class _Explaining:
             yield "Treatments", f"1 to {design.get('repetitions')}"
         if design.get("source") not in {None, "config"}:
             yield "From", f"{design['source']}, which was written by hand before the first run"
+        if column.role is ColumnRole.FACTOR:
+            bound = [f"{name} of {owner}" for owner, name, factor, _ in self._history.bound if factor == column.name]
+            yield "Bound to", ", ".join(bound)
+            yield "Read by", self._read_by(column.name)
         found = self._lines.of_factor(column.name)
         yield "Config", _shown(found or self._lines.of_method("create_run_table"))
+
+    def _read_by(self, factor: str) -> str:
+        if self._history.readers is None:  # not executed, or by a version that did not look
+            return ""
+        return ", ".join(self._history.readers.get(factor, ())) or "nobody: no callback and no plugin looked at it"
 
     def _stamp_facts(self, column: ColumnDescription) -> Iterator[tuple[str, str]]:
         event = column.name.removesuffix("_at")

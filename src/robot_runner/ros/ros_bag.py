@@ -13,11 +13,13 @@ from typing import TYPE_CHECKING, ClassVar
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_robot, is_simulation
 from robot_runner.core.links.host import LOCAL
 from robot_runner.core.links.robot import Encoding
 from robot_runner.core.links.ssh_host import remedy, ssh_command, ssh_findings
 from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.evaluation import note_own_window, publish_measures
 from robot_runner.core.sampling.meter_process import MeterProcess
 from robot_runner.ros.bag_file import LinkRecorder, messages_in
 from robot_runner.ros.topic_statistics import found_topics, robot_findings, topic_label
@@ -185,8 +187,9 @@ class RosBag(Profiler):
 
     `rosbag record` or `ros2 bag record` is used where it is there: on the robot's computer if a host is named, else on
     this machine; it begins when the run starts, because it takes a while to. Where it is not there, and on the
-    simulated robot, the plugin itself records what this machine receives in the measured window: an MCAP file of the
-    profile of ROS 2, or a bag of ROS 1.
+    simulated robot, the plugin itself records what this machine receives while all measure: an MCAP file of the
+    profile of ROS 2, or a bag of ROS 1. A bag is kept whole: its measures are about all of the time in which it was
+    recorded, and are doubted where that exceeds the mission by more than 1 %.
 
     Args:
         topics: names, relative to the robot's namespace.
@@ -242,7 +245,8 @@ class RosBag(Profiler):
         self.patience = patience
         self._recorder: LinkRecorder | BagProgram | None = None
         self._is_simulated = False
-        self._has_measured = False
+        self._begun_at: float | None = None
+        self._recorded: Window | None = None
         self._messages: int | None = None
         self._size: int | None = None
         self._problems: list[str] = []
@@ -261,7 +265,7 @@ class RosBag(Profiler):
             PluginError: none of the topics is there, or the recorder cannot be started.
         """
         self._recorder, self._messages, self._size = None, None, None
-        self._has_measured, self._problems = False, []
+        self._begun_at, self._recorded, self._problems = None, None, []
         link = connect_robot(context, namespace=self.namespace)
         self._is_simulated = is_simulation(link, self.namespace)
         found = found_topics(link, self.topics, self.namespace, context.clock, patience=self.patience)
@@ -273,6 +277,7 @@ class RosBag(Profiler):
         folder = context.raw_data_folder
         if self._is_by_program(PROGRAMS[link.encoding], is_embedded=link.is_simulated):
             names = [topic.full_name for topic in topics]
+            self._begun_at = context.clock.now()
             self._recorder = BagProgram(
                 link.encoding, names, folder, host=self.host, setup=self.setup, ssh_config=self.ssh_config
             )
@@ -281,16 +286,15 @@ class RosBag(Profiler):
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
         """Begin to record."""
-        del context
-        self._has_measured = True
         if isinstance(self._recorder, LinkRecorder):
+            self._begun_at = context.clock.now()
             self._recorder.begin()
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
         """Record no more."""
-        del context
         if isinstance(self._recorder, LinkRecorder):
             self._recorder.end()
+            self._note_end(context)
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Finish the bag, and weigh it."""
@@ -298,6 +302,7 @@ class RosBag(Profiler):
         if recorder is None:
             return
         problem = recorder.close()
+        self._note_end(context)
         if problem is not None:
             self._problems.append(problem)
         folder = context.raw_data_folder
@@ -307,15 +312,21 @@ class RosBag(Profiler):
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish the measures."""
-        if not self._has_measured:
+        if self._recorded is None or context.window is None:
             self._problems.append("nothing was recorded: the measurement was never started")
         elif self._messages == 0:
-            self._problems.append("no message came in the measured window")
+            self._problems.append("no message came while it recorded")
         for problem in self._problems:
-            context.warn(problem, fix=_FIX)
+            context.doubt(problem, fix=_FIX)
+        if self._recorded is not None:
+            note_own_window(context, self._recorded)
+        totals = {"BagMessages": self._messages, "BagSize": self._size}
         origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED
-        context.publish("BagMessages", self._messages, origin=origin)
-        context.publish("BagSize", self._size, origin=origin)
+        publish_measures(context, self.measures, lambda _: totals, origin=origin)
+
+    def _note_end(self, context: RobotRunnerContext) -> None:
+        if self._recorded is None and self._begun_at is not None:
+            self._recorded = Window(self._begun_at, context.clock.now())
 
     def _is_by_program(self, program: str, *, is_embedded: bool) -> bool:
         if self.by is _By.LINK or is_embedded:

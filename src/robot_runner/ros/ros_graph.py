@@ -15,6 +15,7 @@ from robot_runner.core.links.connect import connect_host, connect_robot, is_simu
 from robot_runner.core.links.host import (
     LOCAL,
     ProcessHost,
+    PromptSampler,
     RemoteHost,
     ReportingSampler,
     SamplingReport,
@@ -24,6 +25,7 @@ from robot_runner.core.links.measured_machine import host_findings, machine_cloc
 from robot_runner.core.links.robot import RobotName
 from robot_runner.core.links.utilisation import Selection, Utilisation
 from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.evaluation import publish_measures
 from robot_runner.ros.ros1_link import master_of
 from robot_runner.ros.topic_statistics import robot_findings
 
@@ -47,7 +49,8 @@ _GRAPH_BYTES = 10_000
 class RosGraph(Profiler):
     """Counts the nodes and topics of the graph, and measures CPU and memory of the processes of chosen nodes.
 
-    The graph is looked at when the measurement starts, and again when it stops; both are kept. On ROS 1 a node tells
+    The graph is looked at when the measurement starts, and again when it stops; both are kept. What is counted is that
+    of a moment, and has no value for a phase. On ROS 1 a node tells
     the number of its process itself. ROS 2 does not tell: there a process is found by the name that the node was given
     on its command line, as launch files do, or by the name of its program, if you say it.
 
@@ -102,7 +105,7 @@ class RosGraph(Profiler):
         self.bytes_per_run = _GRAPH_BYTES + (round(line * rate_hz * _MISSION) if self.nodes else 0)
         self._sampler: UtilisationSampler | None = None
         self._utilisation: Utilisation | None = None
-        self._start = 0.0
+        self._begun_at = 0.0
         self._graphs: dict[str, Any] = {}
         self._is_simulated = False
 
@@ -135,24 +138,27 @@ class RosGraph(Profiler):
         if self.nodes:
             for node in self.nodes:
                 if node not in graph["nodes"]:
-                    context.warn(f"node {node} is not on the graph", fix=_FIX)
+                    label = Selection((f"node:{node}",)).labels[0]
+                    doubted = (f"CPU_{label}", f"Memory_{label}")
+                    context.doubt(f"node {node} is not on the graph", fix=_FIX, measures=doubted)
             computer = self._computer(context)
             if not isinstance(computer, ProcessHost):
                 fix = "Name the computer that the nodes run on in `host`."
                 raise LinkError("this computer does not tell of single processes", where=self.name, fix=fix)
+            self._begun_at = machine_clock(context).now()
             self._sampler = computer.sample_processes(self.rate_hz, self._processes(context))
+            if isinstance(self._sampler, PromptSampler):
+                context.times.at_edges(self._sampler.take_now)
         self._graphs["start"] = graph
-        self._start = machine_clock(context).now()
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
         """Sample no more, and look at the graph again."""
-        window = Window(self._start, machine_clock(context).now()) if self._graphs else None
         sampler, self._sampler = self._sampler, None
-        if sampler is not None and window is not None:
-            samples = sampler.stop()
+        if sampler is not None:
+            samples, sampled = sampler.stop(), Window(self._begun_at, machine_clock(context).now())
             report = sampler.report() if isinstance(sampler, ReportingSampler) else SamplingReport(rate=self.rate_hz)
-            self._utilisation = Utilisation(samples, window, self.selection, report, is_simulated=False)
-        if window is not None:
+            self._utilisation = Utilisation(samples, sampled, self.selection, report, is_simulated=False)
+        if self._graphs:
             self._graphs["stop"] = self._look(context)
 
     def stop_run(self, context: RobotRunnerContext) -> None:
@@ -162,27 +168,31 @@ class RosGraph(Profiler):
             text = json.dumps(self._graphs, indent=2, ensure_ascii=False)
             (folder / "graph.json").write_text(text + "\n", encoding="utf-8")
         if self._utilisation is not None:
-            self._utilisation.write(folder)
+            self._utilisation.write(folder, context.times.window(machine_clock(context)))
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish the measures; no value for a node whose process was not seen."""
         graph = self._graphs.get("stop")
         if graph is None:
-            context.warn("nothing was measured: the measurement was never started", fix=_FIX)
+            context.doubt("nothing was measured: the measurement was never started", fix=_FIX)
         origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED
         context.publish("Nodes", None if graph is None else len(graph["nodes"]), origin=origin)
         context.publish("Topics", None if graph is None else len(graph["topics"]), origin=origin)
-        values = self._of_processes(context)
-        for measure in self.selection.measures():
-            context.publish(measure.name, values.get(measure.name))
+        clock = machine_clock(context)
+        self._doubt_processes(context, context.times.window(clock))
+        publish_measures(context, self.selection.measures(), self._evaluated, clock=clock)
 
-    def _of_processes(self, context: RobotRunnerContext) -> Mapping[str, float | None]:
-        measured = self._utilisation
-        if measured is None:
-            return {}
+    def _doubt_processes(self, context: RobotRunnerContext, mission: Window | None) -> None:
+        if self._utilisation is None or mission is None:
+            return
+        measured = self._utilisation.over(mission)
+        doubted = [measure.name for measure in self.selection.measures()]
         for problem in (*measured.doubts(), *measured.quality.warnings()):
-            context.warn(problem, fix=_FIX)
-        return measured.means() if measured.quality.is_sufficient else {}
+            context.doubt(problem, fix=_FIX, measures=doubted)
+
+    def _evaluated(self, window: Window) -> Mapping[str, float | None]:
+        measured = self._utilisation.over(window) if self._utilisation is not None else None
+        return measured.means() if measured is not None and measured.quality.is_sufficient else {}
 
     def _look(self, context: RobotRunnerContext) -> dict[str, Any]:
         link = connect_robot(context, namespace=self.namespace)

@@ -8,10 +8,11 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
-from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_robot, is_simulation
 from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.evaluation import publish_measures
 from robot_runner.core.sampling.quality import write_quality, write_samples
 from robot_runner.ros.topic_statistics import (
     DROPPED,
@@ -88,8 +89,8 @@ class RosTopics(Profiler):
         self._subscriptions: list[Subscription] = []
         self._is_measuring = False
         self._is_simulated = False
-        self._start = 0.0
-        self._window: Window | None = None
+        self._begun_at = 0.0
+        self._sampled: Window | None = None
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no robot."""
@@ -97,7 +98,7 @@ class RosTopics(Profiler):
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Subscribe, so that publishers and subscriptions have found each other when the measurement starts."""
-        self._window, self._is_measuring = None, False
+        self._sampled, self._is_measuring = None, False
         self._received = {topic: ReceivedTopic(self._labels[topic], rate) for topic, rate in self.topics.items()}
         self._subscriptions = []
         link = connect_robot(context, namespace=self.namespace)
@@ -113,36 +114,38 @@ class RosTopics(Profiler):
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
         """Begin to count."""
-        self._start = context.clock.now()
+        self._begun_at = context.clock.now()
         self._is_measuring = True
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
         """Count no more."""
         if self._is_measuring:
             self._is_measuring = False
-            self._window = Window(self._start, context.clock.now())
+            self._sampled = Window(self._begun_at, context.clock.now())
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Unsubscribe, and write what was received."""
         subscriptions, self._subscriptions = self._subscriptions, []
         for subscription in subscriptions:
             subscription.close()
-        if self._window is not None:
+        if self._sampled is not None:
             for received in self._received.values():
                 write_samples(context.raw_data_folder / f"{received.label}.csv", received.columns())
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish the measures; no value for a topic of which nothing was received."""
-        window = self._window
-        if window is None:
-            context.warn("nothing was measured: the measurement was never started", fix=_FIX)
+        window = context.window
+        if self._sampled is None or window is None:
+            context.doubt("nothing was measured: the measurement was never started", fix=_FIX)
         else:
             self._report(context, window)
         origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED
-        for received in (self._received[topic] for topic in self.topics if topic in self._received):
-            values = {} if window is None or not received.times else received.values(window)
-            for kind in self._kinds:
-                context.publish(received.label + kind, values.get(kind), origin=origin)
+        heard = [] if self._sampled is None or window is None else self._heard_in(window)
+        publish_measures(context, self.measures, lambda part: _values(heard, part), origin=origin)
+
+    def _heard_in(self, window: Window) -> list[ReceivedTopic]:
+        """Return what was received in the mission; topics of which nothing was are left out."""
+        return [within for received in self._received.values() if (within := received.over(window)).times]
 
     def _subscribe(self, link: RobotLink, topic: str, message_type: str, clock: Clock) -> None:
         received = self._received[topic]
@@ -156,29 +159,42 @@ class RosTopics(Profiler):
 
     def _report(self, context: RobotRunnerContext, window: Window) -> None:
         facts: dict[str, Any] = {}
-        for topic, received in self._received.items():
+        for topic, heard in self._received.items():
+            received = heard.over(window)
             quality = received.quality(window)
             facts[topic] = asdict(quality)
+            doubted = [received.label + kind for kind in self._kinds]
             for problem in received.doubts(quality):
-                context.warn(f"topic {topic}: {problem}", fix=_CLOCKS_FIX if received.is_ahead else _FIX)
+                fix = _CLOCKS_FIX if received.is_ahead else _FIX
+                context.doubt(f"topic {topic}: {problem}", fix=fix, measures=doubted)
         details = {"is_simulated": self._is_simulated, "topics": facts}
-        write_quality(context.raw_data_folder / "quality.json", None, window, details)
+        write_quality(context.raw_data_folder / "quality.json", None, window, details, sampled=self._sampled)
 
 
-_KINDS: Mapping[str, tuple[str, str]] = {
-    "Rate": ("Hz", "Messages on {topic} a second, over the measured window."),
-    "Bandwidth": ("B/s", "Bytes of the messages on {topic} a second, over the measured window."),
-    "Age": ("s", "Age of messages on {topic} when they arrive, by the stamps in their headers: mean."),
-    "MaxAge": ("s", "Age of messages on {topic} when they arrive, by the stamps in their headers: maximum."),
-    "Jitter": ("s", "Times between messages on {topic}: 95 % are no further than this from their median."),
-    DROPPED: ("1", "Messages on {topic} that did not arrive, by the numbers in their headers (ROS 1 only)."),
+#: A percentile of several windows is not to be had from those of each.
+_KINDS: Mapping[str, tuple[str, str, Over | None]] = {
+    "Rate": ("Hz", "Messages on {topic} a second, over the measured window.", Over.MEAN),
+    "Bandwidth": ("B/s", "Bytes of the messages on {topic} a second, over the measured window.", Over.MEAN),
+    "Age": ("s", "Age of messages on {topic} when they arrive, by the stamps in their headers: mean.", Over.MEAN),
+    "MaxAge": (
+        "s",
+        "Age of messages on {topic} when they arrive, by the stamps in their headers: maximum.",
+        Over.MAXIMUM,
+    ),
+    "Jitter": ("s", "Times between messages on {topic}: 95 % are no further than this from their median.", None),
+    DROPPED: ("1", "Messages on {topic} that did not arrive, by the numbers in their headers (ROS 1 only).", Over.SUM),
 }
+
+
+def _values(heard: Iterable[ReceivedTopic], window: Window) -> dict[str, float | None]:
+    values = ((received.label, received.over(window).values(window)) for received in heard)
+    return {label + kind: value for label, own in values for kind, value in own.items()}
 
 
 def _measures(topic: str, label: str, kinds: Iterable[str]) -> Iterator[Measure]:
     for kind in kinds:
-        unit, text = _KINDS[kind]
-        yield Measure(label + kind, unit, text.format(topic=topic))
+        unit, text, over = _KINDS[kind]
+        yield Measure(label + kind, unit, text.format(topic=topic), over=over)
 
 
 def _rates(topics: Mapping[str, float | None] | Sequence[str], where: str) -> dict[str, float | None]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import struct
 from array import array
-from dataclasses import dataclass, field
+from bisect import bisect_right
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -191,7 +192,7 @@ class ReceivedTopic:
         times: when each message arrived, s on the run's clock.
         sizes: of each, bytes.
         ages: of each at its arrival, s; NaN where it has no stamp.
-        sequence: the numbers of those that have any.
+        sequence: the number of each; -1 where it has none.
     """
 
     label: str
@@ -208,8 +209,18 @@ class ReceivedTopic:
         self.times.append(time)
         self.sizes.append(len(message.data))
         self.ages.append(math.nan if stamp.time_ns is None else (message.received_ns - stamp.time_ns) / 1e9)
-        if stamp.sequence is not None:
-            self.sequence.append(stamp.sequence)
+        self.sequence.append(-1 if stamp.sequence is None else stamp.sequence)
+
+    def over(self, window: Window) -> ReceivedTopic:
+        """Return what was received in a window; its end counts and its beginning does not, so that windows add up."""
+        first, last = bisect_right(self.times, window.start), bisect_right(self.times, window.end)
+        times, sizes = self.times[first:last], self.sizes[first:last]
+        return replace(self, times=times, sizes=sizes, ages=self.ages[first:last], sequence=self.sequence[first:last])
+
+    @property
+    def known_numbers(self) -> list[int]:
+        """The numbers of the messages that have one."""
+        return [number for number in self.sequence if number >= 0]
 
     @property
     def known_ages(self) -> list[float]:
@@ -238,7 +249,7 @@ class ReceivedTopic:
             "Age": math.fsum(ages) / len(ages) if ages else None,
             "MaxAge": max(ages, default=None),
             "Jitter": None if jitter is None else jitter.p95,
-            DROPPED: missed(self.sequence),
+            DROPPED: missed(self.known_numbers),
         }
 
     def columns(self) -> list[Column]:
@@ -248,7 +259,9 @@ class ReceivedTopic:
             Column("size_B", self.sizes, "%d"),
             Column("age_s", [age if math.isfinite(age) else None for age in self.ages]),
         ]
-        return [*columns, Column("sequence", self.sequence, "%d")] if len(self.sequence) else columns
+        if not self.known_numbers:
+            return columns
+        return [*columns, Column("sequence", [None if one < 0 else one for one in self.sequence], "%d")]
 
     def doubts(self, quality: SampleQuality) -> Iterator[str]:
         """Yield what is doubtful, with figures."""

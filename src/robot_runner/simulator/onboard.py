@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,10 +14,12 @@ from robot_runner.simulator.drive import MOVING_WHEEL_SPEED
 from robot_runner.simulator.simulated_clock import STEP_NS
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy.typing as npt
 
     from robot_runner.simulator.drive import DifferentialDrive
-    from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
+    from robot_runner.simulator.turtlebot3_parameters import NoiseStreams, Turtlebot3Parameters
 
     Floats = npt.NDArray[np.float64]
 
@@ -93,10 +97,13 @@ _ROUNDING = 1e-9  # of a sample: the last one falls due at the very moment of th
 
 @dataclass(frozen=True, slots=True)
 class Utilisation:
-    """Seconds on the simulation's clock, and CPU and memory utilisation in percent (0..100)."""
+    """Seconds on the simulation's clock, and CPU and memory utilisation in percent (0..100).
+
+    `cpu` is None where no time had gone by since the sample before.
+    """
 
     time: float
-    cpu: float
+    cpu: float | None
     memory: float
 
 
@@ -108,32 +115,35 @@ class OnboardComputer:
         parameters: Turtlebot3Parameters,
         drive: DifferentialDrive,
         tasks: TaskRunner,
-        noise: np.random.Generator,
+        streams: NoiseStreams,
     ) -> None:
         self._parameters = parameters
         self._drive = drive
         self._tasks = tasks
-        self._noise = noise
-        cpu, memory = noise.standard_normal(2).tolist()
+        self._noise = streams.numbered("utilisation samples", width=2)
+        cpu, memory = streams.named("onboard").standard_normal(2).tolist()
         self._idle_cpu: float = parameters.cpu_idle + parameters.run_cpu_deviation * cpu
         self._idle_memory: float = parameters.memory_idle + parameters.run_memory_deviation * memory
 
-    def samples(self, *, start_ns: int, stop_ns: int, rate: float) -> list[Utilisation]:
-        """Return the samples taken `rate` times a second between two moments, the first one period after the first."""
-        count = int((stop_ns - start_ns) * rate / _SECOND_NS + _ROUNDING)
-        if count == 0:
+    def samples(self, *, start_ns: int, stop_ns: int, rate: float, also_ns: Sequence[int] = ()) -> list[Utilisation]:
+        """Return the samples taken `rate` times a second between two moments, and at the other moments.
+
+        Their beat and their noise are those of the clock, whenever sampling began.
+        """
+        first, last = int(start_ns * rate / _SECOND_NS + _ROUNDING) + 1, int(stop_ns * rate / _SECOND_NS + _ROUNDING)
+        beat_ns = np.rint(np.arange(first, last + 1) * (_SECOND_NS / rate)).astype(np.int64)
+        times_ns = np.union1d(np.minimum(beat_ns, stop_ns), np.array(also_ns, dtype=np.int64))
+        if not len(times_ns):
             return []
-        since_ns = np.rint(np.arange(count + 1) * (_SECOND_NS / rate)).astype(np.int64)
-        times_ns = np.minimum(start_ns + since_ns, stop_ns)
         steps = times_ns // STEP_NS
-        errors = self._noise.standard_normal((count, 2))
-        cpu = self._busy(steps) + self._parameters.cpu_deviation * errors[:, 0]
-        memory = self._memory(steps[1:]) + self._parameters.memory_deviation * errors[:, 1]
-        rows = np.stack([times_ns[1:] / _SECOND_NS, np.clip(cpu, 0, 100), np.clip(memory, 0, 100)], axis=1)
-        return [Utilisation(*row) for row in rows.tolist()]
+        errors = self._noise.at(steps)
+        cpu = self._busy(np.concatenate([[start_ns // STEP_NS], steps])) + self._parameters.cpu_deviation * errors[:, 0]
+        memory = self._memory(steps) + self._parameters.memory_deviation * errors[:, 1]
+        rows = np.stack([times_ns / _SECOND_NS, np.clip(cpu, 0, 100), np.clip(memory, 0, 100)], axis=1)
+        return [Utilisation(time, None if math.isnan(cpu) else cpu, memory) for time, cpu, memory in rows.tolist()]
 
     def _busy(self, ends: npt.NDArray[np.int64]) -> Floats:
-        """Return the mean CPU utilisation between each two of these steps."""
+        """Return the mean CPU utilisation between each two of these steps; NaN between a step and itself."""
         parameters = self._parameters
         first, last = int(ends[0]), int(ends[-1])
         by_task = np.array([parameters.cpu_computation, parameters.cpu_video, parameters.cpu_network, 0.0])
@@ -143,9 +153,10 @@ class OnboardComputer:
             + by_task[self._tasks.numbers(first, last)]
             + parameters.cpu_moving * (speeds > MOVING_WHEEL_SPEED)
         )
-        total = np.concatenate([[0.0], np.cumsum(by_step[1:])])[ends - first]
-        mean: Floats = np.diff(total) / np.diff(ends)
-        return mean
+        # Each sum for itself: one over all would be rounded in another way where sampling began earlier.
+        pairs = pairwise((ends - first).tolist())
+        means = [by_step[sooner + 1 : later + 1].mean() if later > sooner else math.nan for sooner, later in pairs]
+        return np.array(means)
 
     def _memory(self, ends: npt.NDArray[np.int64]) -> Floats:
         parameters = self._parameters

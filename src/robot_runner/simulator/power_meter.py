@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from robot_runner.simulator.simulated_clock import SimulatedClock
     from robot_runner.simulator.supply import PowerSupply
-    from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
+    from robot_runner.simulator.turtlebot3_parameters import NumberedNoise, Turtlebot3Parameters
 
 __all__ = ["CONFIGURATION", "HELLO_SIZE", "SAMPLE_SIZE", "Arrival", "Ina219Meter", "hello_frame", "sample_frames"]
 
@@ -115,7 +115,6 @@ _CONVERSION_READY = 0b10
 
 _SECOND_NS = 1_000_000_000
 _BYTE_NS = 10 * _SECOND_NS // 115200  # 8 data bits, a start and a stop bit
-_USB_PACKET = 64  # a USB adapter hands over at most so many bytes at once
 _HELLO_REQUEST = b"?"
 _SEQUENCES = 2**16  # hellos go by the number as it is sent, which wraps
 
@@ -131,6 +130,10 @@ class Arrival:
 class Ina219Meter:
     """The device, switched on when it is made: opening the port of an Arduino resets it.
 
+    Its numbers and its clock begin at 0 then. Its beat is laid on that of the simulation, and the noise of a sample is
+    that of its moment: power is known at the simulation's points only, so a beat beside them would tell nothing more,
+    and no sample depends on when the port was opened.
+
     Args:
         clock: the simulation's clock.
         supply: the currents and voltages that the sensor sees.
@@ -145,7 +148,7 @@ class Ina219Meter:
         supply: PowerSupply,
         *,
         reach: Callable[[int], None],
-        noise: np.random.Generator,
+        noise: NumberedNoise,
     ) -> None:
         self._parameters = parameters
         self._clock = clock
@@ -153,15 +156,15 @@ class Ina219Meter:
         self._reach = reach
         self._noise = noise
         self._rate = parameters.meter_rate
-        self._switched_on_ns = clock.now_ns
+        self._first = -(-clock.now_ns * self._rate // _SECOND_NS)  # the first beat from now on
+        self._first_ns = self._first * _SECOND_NS // self._rate
         self._next = 0  # the number of the next sample
         self._hello_before = 0  # the sample before which a hello is due beyond the regular ones
 
     def write(self, data: bytes) -> None:
         """Take bytes from the host: a `?` asks for a hello before the next sample."""
         if _HELLO_REQUEST in data:
-            on_for_ns = self._clock.now_ns - self._switched_on_ns
-            self._hello_before = on_for_ns * self._rate // _SECOND_NS + 1
+            self._hello_before = self._clock.now_ns * self._rate // _SECOND_NS + 1 - self._first
 
     def arrived(self) -> list[Arrival]:
         """Return what has come out of the line by now and was not returned before, oldest first."""
@@ -171,24 +174,23 @@ class Ina219Meter:
         numbers = np.arange(self._next, self._next + count)
         frames, ends = self._stream(numbers)
         self._next += count
-        return list(_packets(frames, ends))
+        return list(self._packets(frames, ends))
 
     def _count_arrived(self) -> int:
         # A sample counts once its frame, and a hello before it, are through the line.
         line_ns = (SAMPLE_SIZE + HELLO_SIZE) * _BYTE_NS
-        since_ns = self._clock.now_ns - self._switched_on_ns - line_ns
-        due = since_ns * self._rate // _SECOND_NS + 1 if since_ns >= 0 else 0
+        due = (self._clock.now_ns - line_ns) * self._rate // _SECOND_NS + 1 - self._first
         return max(0, due - self._next)
 
     def _stream(self, numbers: npt.NDArray[np.int64]) -> tuple[bytes, list[tuple[int, int]]]:
         """Return the bytes of these samples and of the hellos between them, with (end, arrival in ns) of each frame."""
-        due_ns = numbers * _SECOND_NS // self._rate
+        due_ns = (self._first + numbers) * _SECOND_NS // self._rate
         samples = self._sample(numbers, due_ns)
         pieces: list[bytes] = []
         ends: list[tuple[int, int]] = []
         position = 0
         for index, number in enumerate(numbers.tolist()):
-            sent_ns = self._switched_on_ns + int(due_ns[index])
+            sent_ns = int(due_ns[index])
             if number % _SEQUENCES % self._rate == 0 or number == self._hello_before:
                 pieces.append(self._hello(number, int(due_ns[index])))
                 sent_ns += HELLO_SIZE * _BYTE_NS
@@ -200,9 +202,9 @@ class Ina219Meter:
         return b"".join(pieces), ends
 
     def _sample(self, numbers: npt.NDArray[np.int64], due_ns: npt.NDArray[np.int64]) -> bytes:
-        steps = (self._switched_on_ns + due_ns) // STEP_NS
+        steps = due_ns // STEP_NS
         self._reach(int(steps[-1]))
-        noise = self._noise.standard_normal((len(numbers), 2))
+        noise = self._noise.at(self._first + numbers)
         shunt = (
             self._supply.current[steps] * self._parameters.meter_shunt
             + self._parameters.meter_shunt_deviation * noise[:, 0]
@@ -210,15 +212,24 @@ class Ina219Meter:
         bus = self._supply.bus_voltage(steps) + self._parameters.meter_bus_deviation * noise[:, 1]
         return sample_frames(
             sequences=numbers,
-            times=due_ns // 1000,
+            times=(due_ns - self._first_ns) // 1000,
             shunts=_register(shunt / _SHUNT_LSB, -_SHUNT_LIMIT, _SHUNT_LIMIT),
             buses=(_register(bus / _BUS_LSB, 0, _BUS_LIMIT) << 3) | _CONVERSION_READY,
         )
 
+    @staticmethod
+    def _packets(data: bytes, ends: list[tuple[int, int]]) -> Iterator[Arrival]:
+        """Yield what came without a pause: an adapter such as the CH340 hands it over once the line is silent."""
+        start = 0
+        for (end, arrived_ns), (_, later_ns) in zip(ends, [*ends[1:], (0, 0)], strict=True):
+            if later_ns - arrived_ns != SAMPLE_SIZE * _BYTE_NS:
+                yield Arrival(arrived_ns, data[start:end])
+                start = end
+
     def _hello(self, number: int, due_ns: int) -> bytes:
         return hello_frame(
             sequence=number,
-            time=due_ns // 1000,
+            time=(due_ns - self._first_ns) // 1000,
             rate=self._rate,
             shunt=round(self._parameters.meter_shunt * 1e6),
             configuration=CONFIGURATION,
@@ -227,12 +238,3 @@ class Ina219Meter:
 
 def _register(values: npt.NDArray[np.float64], low: int, high: int) -> npt.NDArray[np.int64]:
     return np.clip(np.rint(values), low, high).astype(np.int64)
-
-
-def _packets(data: bytes, ends: list[tuple[int, int]]) -> Iterator[Arrival]:
-    frame = 0
-    for start in range(0, len(data), _USB_PACKET):
-        end = min(start + _USB_PACKET, len(data))
-        while ends[frame][0] < end:
-            frame += 1
-        yield Arrival(ends[frame][1], data[start:end])

@@ -17,11 +17,12 @@ if TYPE_CHECKING:
     from robot_runner.simulator.drive import DifferentialDrive, OdometryState, WheelOdometry
     from robot_runner.simulator.simulated_clock import SimulatedClock, Ticker
     from robot_runner.simulator.supply import PowerSupply
-    from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
+    from robot_runner.simulator.turtlebot3_parameters import NumberedNoise, Turtlebot3Parameters
 
     Listener = Callable[[dict[str, Any]], None]
 
 __all__ = [
+    "RAYS",
     "Listening",
     "PublishedTopic",
     "SensorBoard",
@@ -211,8 +212,8 @@ class Listening:
         self._topic.forget(self)
 
 
-_RAYS = 360
-_RAY_ANGLES = np.arange(_RAYS, dtype=np.float64) * (2 * math.pi / _RAYS)
+RAYS = 360
+_RAY_ANGLES = np.arange(RAYS, dtype=np.float64) * (2 * math.pi / RAYS)
 _SCANNER_X = -0.032  # ROBOTIS' URDF: scan_joint
 
 
@@ -225,8 +226,8 @@ class SensorBoard:
     drive: DifferentialDrive
     wheels: WheelOdometry
     supply: PowerSupply
-    imu_noise: np.random.Generator
-    scan_noise: np.random.Generator
+    imu_noise: NumberedNoise
+    scan_noise: NumberedNoise
 
     def odom(self) -> dict[str, Any]:
         """Return what the wheels' encoders say."""
@@ -236,7 +237,7 @@ class SensorBoard:
     def imu(self) -> dict[str, Any]:
         """Return angular velocity and acceleration with the noise of the sensor."""
         self.drive.advance(self.clock.step)
-        noise = self.imu_noise.standard_normal((2, 3))
+        noise = self.imu_noise.at(self.clock.step).reshape(2, 3)
         angular = self.drive.angular_velocity + self.parameters.gyroscope_deviation * noise[0]
         linear = self.drive.acceleration + self.parameters.accelerometer_deviation * noise[1]
         return imu(
@@ -255,7 +256,7 @@ class SensorBoard:
         x = pose.x + _SCANNER_X * math.cos(pose.yaw)
         y = pose.y + _SCANNER_X * math.sin(pose.yaw)
         true = ray_distances(ARENA, x, y, pose.yaw + _RAY_ANGLES)
-        noise = self.scan_noise.standard_normal(_RAYS)
+        noise = self.scan_noise.at(self.clock.step)[0]
         read = true * (1 + parameters.scan_deviation / 100 * noise)
         is_in_range = (read >= parameters.scan_minimum) & (read <= parameters.scan_maximum)
         return laser_scan(

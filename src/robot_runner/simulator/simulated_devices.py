@@ -90,12 +90,20 @@ class SimulatedUtilisationSampler:
         self._clock = clock
         self._rate = rate
         self._started_ns = clock.now_ns
+        self._also_ns: list[int] = []
         self._samples: list[UtilisationSample] | None = None
+
+    def take_now(self) -> None:
+        """Take one more sample at once, out of turn."""
+        self._also_ns.append(self._clock.now_ns)
 
     def stop(self) -> list[UtilisationSample]:
         """End sampling and return the samples, oldest first; a second call returns the same."""
         if self._samples is None:
-            taken = self._robot.utilisation(start_ns=self._started_ns, stop_ns=self._clock.now_ns, rate=self._rate)
+            stop_ns = self._clock.now_ns
+            taken = self._robot.utilisation(
+                start_ns=self._started_ns, stop_ns=stop_ns, rate=self._rate, also_ns=self._also_ns
+            )
             self._samples = [UtilisationSample(one.time, one.cpu, one.memory) for one in taken]
         return list(self._samples)
 

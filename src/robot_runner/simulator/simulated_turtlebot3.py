@@ -9,13 +9,13 @@ from robot_runner.core.errors import LinkError
 from robot_runner.simulator.drive import DifferentialDrive, Pose, WheelOdometry
 from robot_runner.simulator.onboard import OnboardComputer, Task, TaskRunner, Utilisation
 from robot_runner.simulator.power_meter import Ina219Meter
-from robot_runner.simulator.sensors import SensorBoard, published_topics
+from robot_runner.simulator.sensors import RAYS, SensorBoard, published_topics
 from robot_runner.simulator.simulated_clock import SimulatedClock
 from robot_runner.simulator.supply import Battery, PowerModel, PowerSupply
 from robot_runner.simulator.turtlebot3_parameters import NoiseStreams, Turtlebot3Parameters
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
 
 __all__ = ["COMMAND_TOPICS", "SERVICES", "SimulatedTurtlebot3", "Simulation"]
@@ -61,8 +61,8 @@ class SimulatedTurtlebot3:
         self._drive = DifferentialDrive(parameters, _wheel_radii(parameters, streams))
         model = PowerModel(parameters, self._drive, self._tasks, streams)
         self._supply = PowerSupply(model, Battery(parameters), shunt=parameters.meter_shunt)
-        self._computer = OnboardComputer(parameters, self._drive, self._tasks, streams.named("onboard"))
-        self._meter_noise = streams.named("ina219")
+        self._computer = OnboardComputer(parameters, self._drive, self._tasks, streams)
+        self._meter_noise = streams.numbered("ina219", width=2)
         left, right = streams.named("encoders").random(2).tolist()
         board = SensorBoard(
             parameters,
@@ -70,8 +70,8 @@ class SimulatedTurtlebot3:
             self._drive,
             WheelOdometry(parameters, self._drive, (left, right)),
             self._supply,
-            streams.named("imu"),
-            streams.named("scan"),
+            streams.numbered("imu", width=6),
+            streams.numbered("scan", width=RAYS),
         )
         self.topics = published_topics(board)
 
@@ -114,10 +114,15 @@ class SimulatedTurtlebot3:
         """Switch the power meter on and return it."""
         return Ina219Meter(self.parameters, self._clock, self._supply, reach=self._extend, noise=self._meter_noise)
 
-    def utilisation(self, *, start_ns: int, stop_ns: int, rate: float) -> list[Utilisation]:
-        """Return what the on-board computer sampled `rate` times a second (200 at most) between two past moments."""
+    def utilisation(
+        self, *, start_ns: int, stop_ns: int, rate: float, also_ns: Sequence[int] = ()
+    ) -> list[Utilisation]:
+        """Return what the on-board computer sampled `rate` times a second (200 at most) between two past moments.
+
+        It did so at the other moments, too.
+        """
         self._reach(self._clock.step)
-        return self._computer.samples(start_ns=start_ns, stop_ns=stop_ns, rate=rate)
+        return self._computer.samples(start_ns=start_ns, stop_ns=stop_ns, rate=rate, also_ns=also_ns)
 
     @property
     def _next_step(self) -> int:

@@ -5,10 +5,16 @@ from __future__ import annotations
 import math
 import zlib
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robot_runner.core.errors import LinkError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy.typing as npt
 
 __all__ = ["NoiseStreams", "Turtlebot3Parameters"]
 
@@ -128,6 +134,43 @@ class Turtlebot3Parameters:
 
 
 _SEED_BITS = 64
+#: How many numbers' noise is drawn at once.
+_BLOCK = 256
+
+
+class NumberedNoise:
+    """Normal noise by number, such as that of a step of the simulation's grid.
+
+    A number has the same noise whenever it is asked for, and whatever was asked for before: what a sensor reads at a
+    moment does not depend on when the sensor was switched on.
+
+    Args:
+        entropy: of the stream.
+        width: how many values each number has.
+    """
+
+    def __init__(self, entropy: Sequence[int], width: int) -> None:
+        self._entropy = tuple(entropy)
+        self._width = width
+        self._blocks: dict[int, npt.NDArray[np.float64]] = {}
+
+    def at(self, numbers: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Return the noise of these numbers (0 and up), one row for each."""
+        wanted = np.atleast_1d(np.asarray(numbers, dtype=np.int64))
+        rows = np.empty((len(wanted), self._width))
+        blocks = wanted // _BLOCK
+        for block in np.unique(blocks).tolist():
+            is_within = blocks == block
+            rows[is_within] = self._block(block)[wanted[is_within] % _BLOCK]
+        return rows
+
+    def _block(self, number: int) -> npt.NDArray[np.float64]:
+        if number not in self._blocks:
+            if len(self._blocks) > 1:  # time goes on: the last block may be asked for again, those before are done with
+                self._blocks.pop(min(self._blocks))
+            drawn = np.random.default_rng([*self._entropy, number]).standard_normal((_BLOCK, self._width))
+            self._blocks[number] = drawn
+        return self._blocks[number]
 
 
 class NoiseStreams:
@@ -145,3 +188,7 @@ class NoiseStreams:
     def named(self, name: str) -> np.random.Generator:
         """Return the stream of this name from its beginning."""
         return np.random.default_rng([*self._entropy, zlib.crc32(name.encode())])
+
+    def numbered(self, name: str, *, width: int) -> NumberedNoise:
+        """Return the noise of this name by number, `width` values for each."""
+        return NumberedNoise([*self._entropy, zlib.crc32(name.encode())], width)

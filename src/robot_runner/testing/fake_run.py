@@ -9,12 +9,14 @@ from functools import partial
 from itertools import count
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.watched_combination import WatchedCombination, unread
 from robot_runner.core.events.context import Resources, RobotRunnerContext
 from robot_runner.core.events.manager import CLOSED_BY, EventManager, OwnerKind, RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER, MeasureBroker, resolve_columns, with_phases
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.links.connect import SIMULATED, open_clock
 from robot_runner.core.plugin import System
+from robot_runner.core.treatments import bind, factors_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -215,6 +217,8 @@ def make_context(
         ('config', 'Video')
     """
     resources = Resources()
+    for plugin in plugins:
+        bind(plugin, combination or {})
     if links is not None:
         links.plant(resources)
     elif clock is None and robot is not None:
@@ -229,7 +233,7 @@ def make_context(
         run_number=1,
         run_count=1,
         attempt=1,
-        combination=combination or {},
+        combination=WatchedCombination(combination or {}, lambda _: None),
         repetition=1,
         run_seed=run_seed,
         run_path=folder / "runs" / "r_1",
@@ -326,4 +330,9 @@ def rehearse(
         {'Mass': 1.0}
     """
     Rehearsal(context, *plugins).execute(mission)
+    if isinstance(context.combination, WatchedCombination):
+        bound = {factor for plugin in plugins for factor in factors_of(plugin).values()}
+        for factor in sorted(context.combination.unread - bound):
+            finding = unread(context.run_id, factor)
+            context.warn(finding.problem, fix=finding.fix)
     return context.measures

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import math
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding
+from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents
 from robot_runner.core.links.connect import SIMULATED
 from robot_runner.core.plugin import Circumstances, Plugin, Profiler
-from robot_runner.testing.fake_run import FakeClock, Rehearsal, make_context
+from robot_runner.testing.fake_run import FakeClock, RecordingBroker, Rehearsal, make_context
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -221,11 +223,40 @@ def _files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
+def _doubted(context: RobotRunnerContext) -> Iterator[str]:
+    """Yield the measures that were doubted in a run."""
+    if isinstance(context.broker, RecordingBroker):
+        for kind, fields in context.broker.records:
+            yield from fields.get("measures", ()) if kind == "finding" else ()
+
+
+#: So far may the window that a profiler tells of differ from the mission, s.
+_SAME_WINDOW = 0.001
+
+
+class _SlowNeighbour(Profiler):
+    """Measures nothing, and takes its time to start and to stop."""
+
+    def __init__(self, seconds: float) -> None:
+        super().__init__(name="SlowNeighbour")
+        self._seconds = seconds
+
+    def start_measurement(self, context: RobotRunnerContext) -> None:
+        context.clock.sleep(self._seconds)
+
+    def stop_measurement(self, context: RobotRunnerContext) -> None:
+        context.clock.sleep(self._seconds)
+
+
 class ProfilerContract(PluginContract):
     """The facts that a profiler must keep to; pytest finds them in a subclass whose name begins with `Test`.
 
     Attributes:
         measuring_seconds: how long each run measures, s on the run's clock.
+        neighbour_seconds: how long another profiler takes to start and to stop, s on the run's clock; less where that
+            clock is the machine's.
+        tolerance: by which share values may differ with the order of the plugins; 0 for not at all, as on simulated
+            robots. None, where runs are not repeatable, does not compare values with each other.
 
     Example:
         >>> from robot_runner.plugins.profilers import PsUtil
@@ -237,6 +268,8 @@ class ProfilerContract(PluginContract):
     """
 
     measuring_seconds: ClassVar[float] = 1.0
+    neighbour_seconds: ClassVar[float] = 3.0
+    tolerance: ClassVar[float | None] = None
 
     def mission(self, context: RobotRunnerContext) -> None:
         """Let time go by."""
@@ -246,6 +279,51 @@ class ProfilerContract(PluginContract):
         """Hold that it derives from `Profiler`, so that it is called at events after the systems."""
         plugin = self.make_plugin()
         require(isinstance(plugin, Profiler), f"{plugin!r} does not derive from Profiler")
+
+    def test_values_are_about_the_mission_alone(self, tmp_path: Path) -> None:
+        """Hold that a profiler that takes its time, listed before or behind, changes no value; or that values are doubted.
+
+        Listed behind, it has the profiler sample for some seconds before the mission and for some after it.
+        """
+        short, _ = self._with_neighbour(tmp_path / "before", is_first=True)
+        long, doubted = self._with_neighbour(tmp_path / "behind", is_first=False)
+        changed = [name for name, value in short.items() if not self._is_same(value, long[name])]
+        unsaid = {name: (short[name], long[name]) for name in changed if name not in doubted}
+        require(
+            not unsaid,
+            f"values depend on the order of the plugins, and no doubt says so: {unsaid}. Evaluate over context.window, "
+            "or tell of a window of your own with note_own_window.",
+        )
+
+    def _with_neighbour(self, folder: Path, *, is_first: bool) -> tuple[dict[str, MeasureValue], set[str]]:
+        """Return what is published beside a slow neighbour, and whose values are doubted."""
+        plugin, neighbour = self.make_plugin(), _SlowNeighbour(self.neighbour_seconds)
+        context = self.make_context(folder, plugin)
+        plugins = (neighbour, plugin) if is_first else (plugin, neighbour)
+        try:
+            Rehearsal(context, *plugins).execute(lambda: self.mission(context))
+            self._require_window(folder, plugin, context)
+            return dict(context.measures), set(_doubted(context))
+        finally:
+            context.resources.close()
+
+    def _is_same(self, ours: MeasureValue, those: MeasureValue) -> bool:
+        tolerance = 0.0 if self.tolerance is None and self.is_repeatable else self.tolerance
+        if isinstance(ours, int | float) and isinstance(those, int | float):
+            return tolerance is None or math.isclose(ours, those, rel_tol=tolerance)
+        return (ours is None) == (those is None) if tolerance is None else ours == those
+
+    def _require_window(self, folder: Path, plugin: Plugin, context: RobotRunnerContext) -> None:
+        """Hold that the window in `quality.json`, where there is one, is the mission."""
+        path = folder / "runs" / context.run_id / plugin.name / "quality.json"
+        said = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+        mission = context.times.window(SystemClock() if said.get("clock") == "machine" else None)
+        if said.get("window") is None or mission is None:
+            return
+        start, end = said["window"]["start"], said["window"]["end"]
+        is_same = max(abs(start - mission.start), abs(end - mission.end)) <= _SAME_WINDOW
+        told = f"from {start} to {end} s, and the mission was from {mission.start} to {mission.end} s"
+        require(is_same, f"its quality.json has a window {told}")
 
     def test_a_run_that_never_measured_is_closed(self, tmp_path: Path) -> None:
         """Hold that a run that fails before its measurement can be closed."""

@@ -12,7 +12,7 @@ from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError, StorageError
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.execution.recovery import Resumption, TableChoice
 
 Execute = Callable[..., Any]
 Write = Callable[..., Path]
@@ -115,7 +115,7 @@ def test_a_run_that_a_user_marks_as_to_do_is_executed_again(execute: Execute) ->
     executed = execute(COUNTING)
     path = executed.folder / "run_table.csv"
     write(path, path.read_text(encoding="utf-8").replace("r_2,Done", "r_2,-"))
-    assert [row["Energy"] for row in resume(executed.config)] == ["1", "2", "1", "1"]
+    assert [row["Energy"] for row in resume(executed.config, table=TableChoice.FILE)] == ["1", "2", "1", "1"]
 
 
 def test_a_hand_written_table_is_the_design(write_config: Write) -> None:

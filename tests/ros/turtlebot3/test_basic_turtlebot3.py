@@ -96,6 +96,15 @@ def test_no_command_is_beyond_what_the_robot_can_do(stage):
     assert max(abs(speed) for _, speed, _ in commands(played.robot)) <= 0.22
 
 
+def test_its_phases_are_those_of_the_run(stage):
+    played = stage()
+    played.execute()
+    assert [phase.name for phase in played.context.phases] == [row["phase"] for row in played.phases]
+    for phase, row in zip(played.context.phases, played.phases, strict=True):
+        assert phase.window.start == pytest.approx(float(row["start_s"]), abs=1e-4)
+        assert phase.window.end == pytest.approx(float(row["end_s"]), abs=1e-4)
+
+
 def test_phases_are_kept_with_their_times_and_poses(stage):
     played = stage()
     played.execute()
@@ -166,6 +175,7 @@ def test_the_mission_stops_the_robot_itself_and_does_not_leave_it_to_the_closing
     played = stage(task_s=10.0)
     played.plugin.start_run(played.context)
     played.robot.odometry_ends_at = 1000.0 + 3.5
+    played.context.times.begin()
     with pytest.raises(LinkError):
         played.plugin.launch_mission(played.context)
     assert played.robot.working_on is None
@@ -368,6 +378,7 @@ def test_what_broke_the_mission_off_is_told_though_the_robot_cannot_be_made_safe
 
     played.clock.at(played.clock.now() + 1.5, lose_the_link)
     played.robot.publish = lambda *_, **__: None  # commands go nowhere, and nobody says so
+    played.context.times.begin()
     with pytest.raises(LinkError, match="no odometry arrived") as caught:
         played.plugin.launch_mission(played.context)
     assert "could not be made safe" in caught.value.__notes__[0]

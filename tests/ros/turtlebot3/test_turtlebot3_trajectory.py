@@ -45,6 +45,7 @@ def test_the_way_of_a_mission_that_breaks_off_is_kept_so_far(tmp_path):
 
     plugin.start_run(context)
     plugin._reached_robot().tasks.start = fail
+    context.times.begin()
     with pytest.raises(LinkError):
         plugin.launch_mission(context)
     assert max(row["x_m"] for row in rows_of(context.raw_data_folder / "trajectory.csv")) > 0.2

@@ -46,7 +46,7 @@ class Course:
 
     Attributes:
         label: whose it is: a run's id or a treatment.
-        time: the middle of each bin, s since the start of measurement.
+        time: the middle of each bin, s since the start of the mission.
         middle: the mean in each bin.
         low, high: of one run the least and the greatest sample in the bin; of several runs their mean less and
             plus one standard deviation between runs, and NaN where there are fewer than two.
@@ -67,7 +67,7 @@ class PhaseSpan:
 
     Attributes:
         name: what the robot does in it.
-        start, end: s since the start of measurement.
+        start, end: s since the start of the mission.
     """
 
     name: str
@@ -85,7 +85,7 @@ class MissionCourses:
         runs: the courses of each treatment's runs; treatments without any are left out.
         width: of a bin, s.
         phases: of the mission, where all runs went through the same ones.
-        events: when they were, s since the start of measurement, by name.
+        events: when they were, s since the start of the mission, by name.
     """
 
     label: str
@@ -132,7 +132,7 @@ def course_of_run(label: str, time: NDArray[np.float64], values: NDArray[np.floa
 
     Args:
         label: the run's id.
-        time: s since the start of measurement, ascending.
+        time: s since the start of the mission, ascending.
         values: as many as times; NaN where there is no value.
         width: of a bin, s.
     """
@@ -219,7 +219,7 @@ def draw_events(axes: Axes, events: Mapping[str, float], seconds: float) -> None
 
     Args:
         axes: of a course.
-        events: when they were, s since the start of measurement, by name.
+        events: when they were, s since the start of the mission, by name.
         seconds: what the width of the figure stands for, s.
     """
     for name, moment in events.items():

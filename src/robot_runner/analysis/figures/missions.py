@@ -42,7 +42,7 @@ __all__ = [
 _PANEL = 1.0  # height of one run's panel, inches
 _HEIGHT = 2.3  # of all means, inches
 _FOOT, _SIDE = 0.42, 0.55  # what labels take, inches
-_TIME = "Time since the start of measurement (s)"
+_TIME = "Time since the start of the mission (s)"
 #: The least height of a trajectory's frame, as a share of its width: a way straight ahead is a line.
 _FLATTEST = 0.22
 _MOST_IN_LEGEND = 6  # more would hide the ways

@@ -66,6 +66,12 @@ def order_in_words(material: Material) -> str:
     design = material.manifest("design", default={})
     if design.get("source") == "run_table.csv":
         return "as in a run table that was made by hand"
+    if design.get("is_reordered"):
+        return f"changed by hand in run_table.csv; planned: {_planned_order(material, design)}"
+    return _planned_order(material, design)
+
+
+def _planned_order(material: Material, design: Mapping[str, Any]) -> str:
     if not design.get("shuffle"):
         return "as written; not randomised" if "shuffle" in design else "not recorded"
     blocks = f" within blocks of {design['blocks']}" if design.get("blocks") else ""

@@ -132,7 +132,7 @@ def mission_courses(material: Material, measure: SampledMeasure, groups: Sequenc
 def _samples(
     material: Material, measure: SampledMeasure, groups: Sequence[str]
 ) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Return times and values of each run that has two samples at least."""
+    """Return times and values of each run that has two samples of its mission at least."""
     file, labels = measure.file, material.labels
     samples = material.results.samples(
         file.plugin,
@@ -142,6 +142,7 @@ def _samples(
         with_factors=False,
         with_phases=False,
     )
+    samples = samples[samples["in_window"]]
     times = samples["time_s"].to_numpy(dtype="float64")
     values = pd.to_numeric(samples[measure.column], errors="coerce").to_numpy(dtype="float64")
     by_run = samples.groupby("run_id", observed=True, sort=False).indices
@@ -161,7 +162,7 @@ def _phases(material: Material, run_ids: list[str]) -> tuple[PhaseSpan, ...]:
 
 
 def _events(material: Material, run_ids: list[str]) -> dict[str, float]:
-    """Return when events were, s since the start of measurement; the median of all runs."""
+    """Return when events were, s since the start of the mission; the median of all runs."""
     events = material.results.events(run_ids) if run_ids else pd.DataFrame()
     if events.empty:
         return {}

@@ -59,7 +59,7 @@ def threats_of(material: Material) -> tuple[Remark, ...]:
     kinds = {
         "Conclusion validity": (_groups, _power, _plan),
         "Internal validity": (_drifts, _order, _unfinished, _circumstances, _odd, _gaps),
-        "Construct validity": (_origins, _saturation),
+        "Construct validity": (_unread, _origins, _saturation),
         "External validity": (_constant_factors,),
     }
     return tuple(
@@ -129,6 +129,9 @@ def _order(material: Material) -> Threats:
             "Runs were executed in the order in which they were written; what changes with time may pass for an effect."
         )
         yield "The order was not randomised", text, Tone.WARNING
+    if design.get("is_reordered"):
+        text = "The rows of run_table.csv were put into another order by hand, and runs were executed in that order."
+        yield "The order was changed by hand", text, Tone.WARNING
 
 
 def _unfinished(material: Material) -> Threats:
@@ -168,6 +171,11 @@ def _circumstances(material: Material) -> Threats:
     deviations: dict[str, object] = dict(material.manifest("deviations", default={}))
     for execution in executions:
         deviations |= execution.get("deviations") or {}
+    changed: list[dict[str, str]] = [each for each in material.manifest("table_deviations", default=[]) if each["run"]]
+    if changed:
+        cells = (f"{each['column']} of {each['run']} from {each['was']!r} to {each['is']!r}" for each in changed)
+        text = f"Cells of runs that were executed were changed in run_table.csv: {listed(cells, shown=20)}."
+        yield "Results were changed by hand", text, Tone.BAD
     if deviations:
         shown = listed((f"{name} = {value}" for name, value in deviations.items()), shown=20)
         text = f"Set on the command line, against what the config says: {shown}."
@@ -211,6 +219,19 @@ def _by_plugin(qualities: Iterable[RunQuality]) -> Iterable[tuple[str, list[RunQ
     for each in qualities:
         found.setdefault(each.plugin, []).append(each)
     return found.items()
+
+
+def _unread(material: Material) -> Threats:
+    readers, constant = material.results.readers, material.statistics.design.constant_factors
+    if readers is None:
+        return
+    for factor in material.results.factors:
+        if factor not in readers and factor not in constant:
+            text = (
+                f"No callback and no plugin looked at {factor} in any run: unless somebody applied it by hand, the "
+                "treatments differ in name only, and that no effect is found says nothing."
+            )
+            yield f"{factor} may never have been applied", text, Tone.BAD
 
 
 def _origins(material: Material) -> Threats:

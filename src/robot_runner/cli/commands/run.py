@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,12 +21,13 @@ from robot_runner.cli.screens.ending import print_outcome
 from robot_runner.cli.screens.plain import terminal_input
 from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.loader import parse_assignments
-from robot_runner.core.execution.recovery import Resumption, config_changes
+from robot_runner.core.execution.recovery import Resumption, TableChoice, TableDisagreementError, config_changes
 
 if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Sequence
 
+    from robot_runner.cli.executing import Execution
     from robot_runner.cli.parser import Parser
     from robot_runner.core.config.experiment import Experiment
 
@@ -55,6 +57,12 @@ def add_arguments(parser: Parser) -> None:
         action="store_true",
         help="go on though the config, what is set, or the run table differs from what was executed before",
     )
+    parser.add_argument(
+        "--table",
+        choices=[choice.value for choice in TableChoice],
+        help="what counts where run_table.csv and the journal disagree about runs that were executed: the journal "
+        "(the file is kept beside), or the file (each change is recorded)",
+    )
     parser.add_argument("--plain", action="store_true", help="print plain lines on a terminal, too")
 
 
@@ -65,14 +73,24 @@ def execute(arguments: Namespace) -> int:
     if preparation.experiment is None:
         show_findings(preparation.findings)
         return REFUSED
+    experiment = preparation.experiment
     resumption = Resumption(
-        accept_changes=arguments.accept_changes or _changes_are_accepted(preparation.experiment),
+        accept_changes=arguments.accept_changes or _changes_are_accepted(experiment),
         redo=_listed(arguments.redo),
         only=_listed(arguments.only),
+        table=TableChoice(arguments.table) if arguments.table else None,
     )
-    execution = execute_on_screen(
-        preparation.experiment, preparation.findings, plain=arguments.plain, resumption=resumption
-    )
+
+    def executed(asked: Resumption) -> Execution:
+        return execute_on_screen(experiment, preparation.findings, plain=arguments.plain, resumption=asked)
+
+    try:
+        execution = executed(resumption)
+    except TableDisagreementError as disagreement:
+        chosen = _chosen_table(disagreement)
+        if chosen is None:
+            raise
+        execution = executed(replace(resumption, table=chosen))
     settings = [word for each in arguments.set for word in ("--set", each)]
     command = shlex.join(["robot-runner", arguments.config, *settings])
     with read_or_not():
@@ -89,6 +107,17 @@ def _changes_are_accepted(experiment: Experiment) -> bool:
     sys.stderr.write("The config has changed since this experiment was executed. Go on with it as it is now? [y/N] ")
     sys.stderr.flush()
     return sys.stdin.readline().strip().casefold() in {"y", "yes"}
+
+
+def _chosen_table(disagreement: TableDisagreementError) -> TableChoice | None:
+    """Ask, where somebody sits at a terminal, what counts; None where nobody says."""
+    if terminal_input() is None:
+        return None
+    show_findings(disagreement.findings)
+    sys.stderr.write("What counts: what was executed (journal), or the run table on disk (file)? [journal/file/N] ")
+    sys.stderr.flush()
+    said = sys.stdin.readline().strip().casefold()
+    return next((choice for choice in TableChoice if said and choice.value.startswith(said)), None)
 
 
 def _listed(given: Sequence[str]) -> tuple[str, ...]:

@@ -26,6 +26,7 @@ from robot_runner.core.execution.notices import (
     AttemptFinished,
     AttemptStarted,
     ExperimentStarted,
+    FindingsNoticed,
     InterruptionNoticed,
     Notice,
     WaitingForUser,
@@ -101,6 +102,9 @@ class LiveScreen:
                 self._finished.append(notice)
                 if self._clock() - self._printed >= (self.refresh_interval or 0):
                     self._print_finished()
+            case FindingsNoticed(findings):
+                self._print_finished()
+                print_findings(self._console, findings)
             case InterruptionNoticed(run_id):
                 self._print_finished()
                 self._print_lines([Text(closing(run_id), style="bold yellow")])

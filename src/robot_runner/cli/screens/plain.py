@@ -20,6 +20,7 @@ from robot_runner.core.execution.notices import (
     AttemptFinished,
     AttemptStarted,
     ExperimentStarted,
+    FindingsNoticed,
     InterruptionNoticed,
     Notice,
     WaitingForUser,
@@ -200,6 +201,8 @@ class PlainScreen:
                 self._print(f"{_named(task)} starts{f': {treatments}' if treatments else ''}")
             case AttemptFinished(task, outcome, is_last):
                 self._print(f"{_named(task)} {self._ended(outcome, is_last=is_last)}")
+            case FindingsNoticed(findings):
+                print_findings(self._console, findings)
             case InterruptionNoticed(run_id):
                 self._print(closing(run_id))
             case WaitingForUser():

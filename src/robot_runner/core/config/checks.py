@@ -1,4 +1,4 @@
-"""Threads that a config starts while it is loaded: a process that has them cannot be forked safely."""
+"""What validation looks at in a config: names, static parameters, the run table, the results folder, threads."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import shutil
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.experiment import experiment_folder
-from robot_runner.core.config.loader import place_in, raised_in
+from robot_runner.core.config.loader import raised_in
 from robot_runner.core.config.parameters import (
     PARAMETERS,
     REQUIRED,
@@ -16,29 +16,29 @@ from robot_runner.core.config.parameters import (
     Parameters,
     RunProcess,
 )
+from robot_runner.core.config.plugin_checks import failed_check
 from robot_runner.core.design.run_table_model import RunTable, RunTableModel
 from robot_runner.core.entry_points import entry_points
-from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError
+from robot_runner.core.errors import ConfigError, Finding
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
-from robot_runner.core.plugin import Circumstances, Plugin
+from robot_runner.core.treatments import parameters_guarded
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from robot_runner.core.config.loader import LoadedConfig
     from robot_runner.core.events.measure import MeasureColumns
+    from robot_runner.core.plugin import Plugin
 
 __all__ = [
     "announced_checks",
     "check_analysis",
     "check_disk_space",
     "check_names",
-    "check_plugins",
     "check_results_path",
     "check_threads",
     "create_model",
-    "gather_plugins",
     "read_parameters",
 ]
 
@@ -134,32 +134,7 @@ def _malformed(loaded: LoadedConfig, parameter: Parameter, value: object) -> Fin
     )
 
 
-# The plugins that a config asks for: that they are plugins, can be told apart, and find what they need.
-
-
-def gather_plugins(loaded: LoadedConfig) -> tuple[tuple[Plugin, ...], list[Finding]]:
-    """Return the plugins of the config: those in `plugins`, then those that an import line activated."""
-    findings: list[Finding] = []
-    plugins = list(_listed(loaded, findings))
-    for activated in loaded.activated:
-        if not any(isinstance(plugin, activated) for plugin in plugins):
-            plugins += _instantiated(loaded, activated, findings)
-    return tuple(plugins), [*findings, *_equal_names(loaded, plugins)]
-
-
-def check_plugins(plugins: Iterable[Plugin], model: RunTableModel | None, robot: Any) -> list[Finding]:
-    """Return what each plugin finds missing."""
-    factors = {factor.name: factor.treatments for factor in model.factors} if model else {}
-    circumstances = Circumstances(
-        robot=robot if isinstance(robot, str) else None, factors=factors, plugins=tuple(plugins)
-    )
-    findings: list[Finding] = []
-    for plugin in plugins:
-        try:
-            findings += plugin.check(circumstances)
-        except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
-            findings.append(_failed_check(plugin.name, error))
-    return findings
+# What the checks of installed packages find.
 
 
 def announced_checks(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> list[Finding]:
@@ -177,60 +152,8 @@ def announced_checks(where: str, parameters: Parameters, plugins: Sequence[Plugi
         try:
             findings += point.load()(where, parameters, plugins)
         except Exception as error:  # noqa: BLE001 - a stranger's code, as above
-            findings.append(_failed_check(point.where, error))
+            findings.append(failed_check(point.where, error))
     return findings
-
-
-def _listed(loaded: LoadedConfig, findings: list[Finding]) -> Iterable[Plugin]:
-    where = f"{loaded.where}.plugins"
-    listed = getattr(loaded.config, "plugins", ())
-    if not isinstance(listed, list | tuple):
-        findings.append(
-            Finding.error(where, f"the value is {listed!r}", "Give a list, such as [BasicTurtlebot3(), PsUtil()].")
-        )
-        return
-    for plugin in listed:
-        if isinstance(plugin, Plugin):
-            yield plugin
-        elif isinstance(plugin, type) and issubclass(plugin, Plugin):
-            name = plugin.__name__
-            findings.append(Finding.error(where, f"{name} is a class, not a plugin", f"Write {name}()."))
-        else:
-            fix = "Give instances of System or Profiler (robot_runner.plugins)."
-            findings.append(Finding.error(where, f"{plugin!r} is no plugin", fix))
-
-
-def _instantiated(loaded: LoadedConfig, activated: type[Plugin], findings: list[Finding]) -> list[Plugin]:
-    try:
-        return [activated()]
-    except (TypeError, RobotRunnerError) as error:
-        name = activated.__name__
-        place = place_in(loaded.source.path, error)
-        problem = f"{name} cannot be activated by its import alone: {error}"
-        findings.append(
-            Finding.error(place, problem, f"List it in `plugins` instead, with its parameters: {name}(...).")
-        )
-        return []
-
-
-def _equal_names(loaded: LoadedConfig, plugins: list[Plugin]) -> list[Finding]:
-    names = [plugin.name.casefold() for plugin in plugins]
-    return [
-        Finding.error(
-            f"{loaded.where}.plugins",
-            f"{names.count(folded)} plugins are named {plugin.name!r}",
-            f"Give each a name of its own: {type(plugin).__name__}(name=...).",
-        )
-        for index, (plugin, folded) in enumerate(zip(plugins, names, strict=True))
-        if names.count(folded) > 1 and names.index(folded) == index
-    ]
-
-
-def _failed_check(where: str, error: Exception) -> Finding:
-    if isinstance(error, RobotRunnerError):
-        return Finding.error(error.where or where, error.problem, error.fix)
-    problem = f"the check raised {type(error).__name__}: {error}"
-    return Finding.error(where, problem, "Tell the plugin's author; update or leave out the plugin.")
 
 
 # The results folder: that it can be made or written, found out without touching it.
@@ -286,7 +209,7 @@ def create_model(loaded: LoadedConfig) -> tuple[RunTableModel | None, list[Findi
         fix = "Define create_run_table(self) and return a RunTableModel."
         return None, [Finding.error(where, "the config does not define it", fix)]
     try:
-        with raised_in(loaded.source.path, "in create_run_table"):
+        with raised_in(loaded.source.path, "in create_run_table"), parameters_guarded():
             created = create()
     except ConfigError as error:
         return None, list(error.findings)

@@ -17,6 +17,7 @@ from robot_runner.core.config.source import ConfigSource, activating_imports, re
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, did_you_mean, nearest
 from robot_runner.core.events.manager import RequestedSubscription, recorded_subscriptions
 from robot_runner.core.storage.table_columns import OWN_SPELLING, TableSpelling
+from robot_runner.core.treatments import CONFIG_MODULE, is_waiting, parameters_guarded
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -120,9 +121,6 @@ def _reader(kind: type) -> Any:
     return (lambda text: _BOOLEANS[text.casefold()]) if kind is bool else kind
 
 
-_MODULE_NAME = "robot_runner_config"
-
-
 @dataclass(frozen=True, slots=True)
 class LoadedConfig:
     """A config file that was executed and whose class was instantiated.
@@ -171,6 +169,7 @@ def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({}))
         activating_imports() as activated,
         recorded_subscriptions() as subscriptions,
         raised_in(source.path, "while it was loaded"),
+        parameters_guarded(),
     ):
         before, threads_before = set(sys.modules), set(threading.enumerate())
         module = execute_source(source)
@@ -235,6 +234,8 @@ def _says_where(path: Path, finding: Finding) -> bool:
 def _fix_of(error: BaseException) -> str:
     if isinstance(error, ModuleNotFoundError) and error.name:
         return f"Install the package that brings {error.name!r}, or mend the name."
+    if isinstance(error, AttributeError) and is_waiting(error.obj):
+        return "A plugin with a bound parameter is built once the run table is made: read its attributes in callbacks."
     if isinstance(error, AttributeError) and error.name and error.obj is not None:
         near = nearest(error.name, dir(error.obj))
         return f"Did you mean {near!r}?" if near else ""
@@ -258,13 +259,13 @@ def execute_source(source: ConfigSource) -> ModuleType:
     Raises:
         ConfigError: it cannot be imported; what its code raises is raised as it is.
     """
-    spec = importlib.util.spec_from_file_location(_MODULE_NAME, source.path)
+    spec = importlib.util.spec_from_file_location(CONFIG_MODULE, source.path)
     if spec is None or spec.loader is None:
         raise ConfigError(
             "the config cannot be imported", where=str(source.path), fix="Give it a name that ends in .py."
         )
     module = importlib.util.module_from_spec(spec)
-    sys.modules[_MODULE_NAME] = module
+    sys.modules[CONFIG_MODULE] = module
     exec(compile(source.text, str(source.path), "exec"), module.__dict__)  # noqa: S102 - a config file is code
     return module
 

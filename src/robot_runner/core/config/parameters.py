@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = [
     "PARAMETERS",
     "REQUIRED",
+    "BadValuePolicy",
     "ExperimentConfig",
     "FailurePolicy",
     "OperationType",
@@ -48,6 +49,19 @@ class FailurePolicy(Enum):
 
     CONTINUE = "continue"
     STOP = "stop"
+
+
+class BadValuePolicy(Enum):
+    """What follows a value of the run table that is missing or not plausible.
+
+    KEEP: the run counts, and the value is kept with the reason.
+    TRY_AGAIN: the attempt counts as failed while `attempts` leaves another one; the last attempt's values are kept.
+    FAIL: the attempt counts as failed.
+    """
+
+    KEEP = "keep"
+    TRY_AGAIN = "try_again"
+    FAIL = "fail"
 
 
 class RunProcess(Enum):
@@ -164,6 +178,11 @@ def _whole(least: int, what: str) -> Kind:
     return Kind(f"a whole number{what}, {least} or more", lambda value: _is_integer(value) and value >= least, int)
 
 
+def _flag_from_text(text: str) -> bool | str:
+    """Return what a text says; one that says neither is returned as it is, and found to be malformed."""
+    return {"true": True, "false": False}.get(text.strip().casefold(), text)
+
+
 def _choice(choices: type[Enum]) -> Kind:
     return Kind(
         f"one of {', '.join(f'{choices.__name__}.{choice.name}' for choice in choices)}",
@@ -189,6 +208,7 @@ _ROS_GENERATION = Kind(
 ).or_any("1, 2, any or None")
 _ROS_DISTRIBUTION = Kind("", _is_text).or_any('the name of a ROS distribution, such as "noetic", any or None')
 _SECONDS = Kind("a positive number of seconds", _is_seconds, float)
+_FLAG = Kind("True or False", lambda value: isinstance(value, bool), _flag_from_text)
 _PLAN = Kind("an AnalysisPlan(...) in the config file", lambda value: isinstance(value, AnalysisPlan), _not_from_text)
 _AUTHORS = Kind(
     "a list of names or Author(...)",
@@ -252,6 +272,23 @@ class StaticParameters:
         FailurePolicy.CONTINUE,
     )
     attempts: int = _declare("How often a run is tried before it counts as failed.", _whole(1, ""), 1)
+    on_bad_value: BadValuePolicy = _declare(
+        "What follows a value of the run table that is missing, or beyond its measure's `low` or `high`: KEEP it with "
+        "the reason, TRY_AGAIN while there are attempts left, or FAIL the attempt.",
+        _choice(BadValuePolicy),
+        BadValuePolicy.KEEP,
+    )
+    quality_columns: bool = _declare(
+        "Whether each measure has a column `<measure>.quality` in the run table: good, doubtful or missing, and why.",
+        _FLAG,
+        default=False,
+    )
+    probe: bool = _declare(
+        "Whether each profiler is tried for a moment before the first run, so that one that is silent is found before "
+        "the robot moves.",
+        _FLAG,
+        default=True,
+    )
     run_deadline_in_s: float | None = _declare(
         "How long a run may take, in seconds of real time; None for no limit.", _SECONDS.or_none(), None
     )

@@ -13,15 +13,14 @@ from robot_runner.core.config.checks import (
     check_analysis,
     check_disk_space,
     check_names,
-    check_plugins,
     check_results_path,
     check_threads,
     create_model,
-    gather_plugins,
     read_parameters,
 )
 from robot_runner.core.config.experiment import Experiment, event_manager_for, experiment_folder
 from robot_runner.core.config.loader import LoadedConfig, load_config
+from robot_runner.core.config.plugin_checks import check_plugins, gather_plugins
 from robot_runner.core.errors import ConfigError, Finding, LinkError
 from robot_runner.core.events.manager import EventManager
 from robot_runner.core.events.measure import MeasureColumns, resolve_columns, with_phases
@@ -100,11 +99,11 @@ def prepare(
         return Preparation(None, error.findings)
     findings = [*loaded.findings, *check_names(loaded), *(choose_robot(loaded) if is_for_here else ())]
     parameters, parameter_findings = read_parameters(loaded)
-    plugins, plugin_findings = gather_plugins(loaded)
     model, model_findings = create_model(loaded)
+    plugins, plugin_findings = gather_plugins(loaded, model)
     findings += [*parameter_findings, *plugin_findings, *model_findings]
     events = _subscribe(loaded, plugins, findings)
-    columns = _columns(model, plugins, parameters.phases if parameters else (), findings)
+    columns = _columns(model, plugins, parameters, findings)
     if parameters is not None:
         findings += [*check_analysis(parameters, model, columns), *check_threads(loaded, parameters)]
     if is_for_here:
@@ -150,12 +149,13 @@ def _subscribe(loaded: LoadedConfig, plugins: tuple[Plugin, ...], findings: list
 
 
 def _columns(
-    model: RunTableModel | None, plugins: tuple[Plugin, ...], phases: Sequence[str], findings: list[Finding]
+    model: RunTableModel | None, plugins: tuple[Plugin, ...], parameters: Parameters | None, findings: list[Finding]
 ) -> MeasureColumns:
+    phases = parameters.phases if parameters is not None else ()
     measures = {plugin.name: with_phases(plugin.measures, phases) for plugin in plugins}
     columns, column_findings = resolve_columns(model.data_columns if model else None, measures)
     findings += column_findings
-    return columns
+    return columns.with_quality() if parameters is not None and parameters.quality_columns else columns
 
 
 def _experiment(

@@ -3,14 +3,33 @@
 from __future__ import annotations
 
 import unicodedata
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from robot_runner.core.errors import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["REPETITION", "RUN_ID", "STAMP_COLUMNS", "STATUS", "name_findings", "numbered_run_id", "reserved_names"]
+__all__ = [
+    "REPETITION",
+    "RUN_ID",
+    "STAMP_COLUMNS",
+    "STATUS",
+    "NamedColumn",
+    "column_name",
+    "name_findings",
+    "numbered_run_id",
+    "reserved_names",
+]
+
+
+class _Named(Protocol):
+    @property
+    def name(self) -> str: ...
+
+
+#: How a config names a column of its own: by the name, or by a measure that has it.
+NamedColumn = str | _Named
 
 RUN_ID = "run_id"
 STATUS = "status"
@@ -32,6 +51,11 @@ STAMP_COLUMNS = (
 _UNFIT_CATEGORIES = frozenset({"Cc", "Zl", "Zp", "Cs"})
 
 _TAKEN = (RUN_ID, STATUS, "attempt", *STAMP_COLUMNS)
+
+
+def column_name(column: object) -> object:
+    """Return the name of a column that a config named in either way; whatever else was given is returned as it is."""
+    return column if isinstance(column, str) else getattr(column, "name", column)
 
 
 def numbered_run_id(number: int) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import repeat
 from typing import TYPE_CHECKING, Any, Final
 
+from robot_runner.core.design.columns import column_name
 from robot_runner.core.design.factor import Combination, factor_places
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder
 from robot_runner.core.design.run_table_model import RunTable, RunTableModel
@@ -16,6 +17,7 @@ from robot_runner.core.errors import DesignError, Finding
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+    from robot_runner.core.design.columns import NamedColumn
     from robot_runner.core.design.factor import Factor
 
 __all__ = ["ListedRun", "ListedRunTableModel"]
@@ -57,7 +59,7 @@ class ListedRunTableModel(RunTableModel):
         factors: Sequence[Factor],
         runs: Sequence[ListedRun],
         *,
-        data_columns: Sequence[str] = (),
+        data_columns: Sequence[NamedColumn] = (),
         warnings: Sequence[Finding] = (),
         order: RunOrder | None = None,
     ) -> None:
@@ -124,7 +126,7 @@ def _run_findings(runs: Sequence[ListedRun]) -> Iterator[Finding]:
             yield Finding.error("run table", f"a run cannot have the id {run.run_id!r}", fix)
 
 
-def _column_findings(factors: Sequence[Factor], data_columns: Sequence[str]) -> Iterator[Finding]:
-    for name, count in Counter([*(factor.name for factor in factors), *data_columns]).items():
+def _column_findings(factors: Sequence[Factor], data_columns: Sequence[NamedColumn]) -> Iterator[Finding]:
+    for name, count in Counter([*(factor.name for factor in factors), *map(column_name, data_columns)]).items():
         if count > 1:
             yield Finding.error("run table", f"{count} columns are called {name!r}", "Rename all but one.")

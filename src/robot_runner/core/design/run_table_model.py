@@ -8,7 +8,7 @@ from functools import cached_property
 from math import prod
 from typing import TYPE_CHECKING, Any, Final, overload
 
-from robot_runner.core.design.columns import REPETITION, name_findings
+from robot_runner.core.design.columns import REPETITION, column_name, name_findings
 from robot_runner.core.design.exclusions import apply_exclusions
 from robot_runner.core.design.factor import Factor, full_factorial
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, garbage_collection_paused, planned_runs
@@ -17,6 +17,7 @@ from robot_runner.core.errors import DesignError, Finding, did_you_mean
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from robot_runner.core.design.columns import NamedColumn
     from robot_runner.core.design.exclusions import Exclusion, Exclusions
     from robot_runner.core.design.factor import Combination
 
@@ -95,8 +96,9 @@ def _data_column_findings(columns: object, factors: Sequence[Factor], repetition
         return
     names_of_factors = {factor.name for factor in factors}
     seen = set()
-    for place, name in enumerate(columns):
+    for place, column in enumerate(columns):
         where = f"data_columns[{place}]"
+        name = column_name(column)
         yield from name_findings(name, kind="data column", repetitions=repetitions)
         if not isinstance(name, str):
             continue
@@ -189,7 +191,8 @@ class RunTableModel:
     Attributes:
         factors: what is varied.
         repetitions: how often each combination is executed; from two on the table has a column `Repetition`.
-        data_columns: the measures that the run table has columns for; None stands for all measures of all plugins.
+        data_columns: the measures that the run table has columns for, by name, or as a `Measure` where it is the
+            config's own; None stands for all measures of all plugins.
         warnings: findings that do not refuse the design, as on exclusions that remove nothing.
 
     Example:
@@ -208,7 +211,7 @@ class RunTableModel:
         factors: Iterable[Factor],
         exclude_combinations: Sequence[Exclusion] = (),
         repetitions: int = 1,
-        data_columns: Sequence[str] | None = None,
+        data_columns: Sequence[NamedColumn] | None = None,
         shuffle: bool = False,
         seed: int | None = None,
         blocks: str | Factor | None = None,

@@ -12,6 +12,7 @@ from enum import Enum, IntEnum
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import ConfigError, did_you_mean
+from robot_runner.core.treatments import parameters_guarded
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
@@ -134,8 +135,11 @@ class Subscriber:
     takes_context: bool
 
     def call(self, context: object) -> Any:
-        """Call the callback, with the context if it takes one."""
-        return self.callback(context) if self.takes_context else self.callback()
+        """Call the callback, with the context if it takes one; a config may not set parameters of plugins meanwhile."""
+        if self.kind is not OwnerKind.CONFIG:
+            return self.callback(context) if self.takes_context else self.callback()
+        with parameters_guarded(getattr(context, "combination", ())):
+            return self.callback(context) if self.takes_context else self.callback()
 
 
 @dataclass(frozen=True, slots=True)

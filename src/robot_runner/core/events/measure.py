@@ -16,6 +16,8 @@ from robot_runner.core.errors import Finding, MeasureError, did_you_mean
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from robot_runner.core.design.columns import NamedColumn
+
 __all__ = [
     "CONFIG_OWNER",
     "Measure",
@@ -26,8 +28,11 @@ __all__ = [
     "Origin",
     "Over",
     "PublishedMeasure",
+    "Quality",
     "ReportRecord",
     "as_measure_value",
+    "quality_of_value",
+    "quality_text",
     "resolve_columns",
     "with_phases",
 ]
@@ -69,6 +74,11 @@ class Measure:
         description: one sentence: what it is and how it is aggregated from the raw samples.
         over: how the values of several windows make one (a mean is weighted by their durations); None for a measure
             that has no value for a part of the mission.
+        low: the least plausible value; one below it is kept, and doubtful.
+        high: the largest plausible value; one above it is kept, and doubtful.
+
+    Raises:
+        MeasureError: `low` lies above `high`.
 
     Example:
         >>> Measure("Energy", "J", "Energy drawn from the battery over the measured window.")
@@ -79,6 +89,31 @@ class Measure:
     unit: str = ""
     description: str = ""
     over: Over | None = field(default=None, kw_only=True, repr=False)
+    low: float | None = field(default=None, kw_only=True, repr=False)
+    high: float | None = field(default=None, kw_only=True, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.low is not None and self.high is not None and not self.low <= self.high:
+            problem = f"no value can be plausible: low is {self.low!r}, and high is {self.high!r}"
+            raise MeasureError(problem, where=f"measure {self.name!r}", fix="Give low the smaller number.")
+
+    def implausible(self, value: MeasureValue) -> str:
+        """Return why a value is not plausible; nothing where it is, or is no number.
+
+        Example:
+            >>> Measure("MeanPower", "W", "Mean power.", low=0.5, high=25.0).implausible(31.0)
+            'the value, 31 W, is above 25 W, the largest that is plausible'
+        """
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return ""
+        if self.low is not None and value < self.low:
+            return f"the value, {self._told(value)}, is below {self._told(self.low)}, the least that is plausible"
+        if self.high is not None and value > self.high:
+            return f"the value, {self._told(value)}, is above {self._told(self.high)}, the largest that is plausible"
+        return ""
+
+    def _told(self, value: float) -> str:
+        return f"{value:g} {self.unit}".rstrip()
 
     def in_phase(self, phase: str) -> Measure:
         """Return the same measure for one phase of the mission.
@@ -97,13 +132,53 @@ def with_phases(measures: Sequence[Measure], phases: Sequence[str]) -> tuple[Mea
 
 @dataclass(frozen=True, slots=True)
 class PublishedMeasure:
-    """A measure's value in one run, with who published it and where it comes from."""
+    """A measure's value in one run, with who published it, where it comes from, and what makes it doubtful.
+
+    Attributes:
+        doubts: the reasons for which the value is doubtful, or missing; none for a good one.
+    """
 
     name: str
     value: MeasureValue
     owner: str
     unit: str = ""
     origin: Origin = Origin.MEASURED
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def quality(self) -> Quality:
+        """How far the value can be trusted."""
+        return quality_of_value(self.value, self.doubts)
+
+
+class Quality(Enum):
+    """How far a value can be trusted."""
+
+    GOOD = "good"
+    DOUBTFUL = "doubtful"
+    MISSING = "missing"
+
+
+def quality_of_value(value: MeasureValue, doubts: Sequence[str]) -> Quality:
+    """Return the quality of a value that has these doubts."""
+    if value is None:
+        return Quality.MISSING
+    return Quality.DOUBTFUL if doubts else Quality.GOOD
+
+
+#: Behind the name of a measure: the column that tells the quality of its values, where the config asks for it.
+_QUALITY = ".quality"
+
+
+def quality_text(value: MeasureValue, doubts: Sequence[str]) -> str:
+    """Return what a column of qualities holds: the quality, and its reasons.
+
+    Example:
+        >>> quality_text(7.5, ["the sensor is at its limit"])
+        'doubtful: the sensor is at its limit'
+    """
+    quality = quality_of_value(value, doubts).value
+    return f"{quality}: {'; '.join(doubts)}" if doubts else quality
 
 
 def as_measure_value(name: str, value: object, *, where: str) -> MeasureValue:
@@ -175,12 +250,14 @@ class MeasureColumn:
         name: the column: the measure's name, or `<plugin>.<measure>` where names clash.
         owner: the plugin that yields it, or `config`.
         is_in_table: whether the run table has a column for it; published values are in the journal in any case.
+        tells_of: the column whose quality it tells; empty for a measure of a plugin or the config.
     """
 
     name: str
     owner: str
     measure: Measure
     is_in_table: bool = True
+    tells_of: str = ""
 
 
 @dataclass(frozen=True)
@@ -206,6 +283,24 @@ class MeasureColumns:
         """The names of the run table's measure columns, in order."""
         return tuple(column.name for column in self.in_table)
 
+    def with_quality(self) -> MeasureColumns:
+        """Return the same columns, and behind each of the run table's one that tells the quality of its values."""
+        described = "Whether the value of {} is good, doubtful or missing, and why."
+        in_table = [
+            each
+            for column in self.in_table
+            for each in (
+                column,
+                MeasureColumn(
+                    column.name + _QUALITY,
+                    column.owner,
+                    Measure(column.measure.name + _QUALITY, "", described.format(column.name)),
+                    tells_of=column.name,
+                ),
+            )
+        ]
+        return MeasureColumns(tuple(in_table), (*self.declared, *(each for each in in_table if each.tells_of)))
+
     def prepare(self) -> None:
         """Look everything up that looking up a column needs, so that a run that is forked finds it done."""
         _ = self._by_owner
@@ -225,13 +320,13 @@ class MeasureColumns:
 
 
 def resolve_columns(
-    data_columns: Sequence[str] | None, measures_by_plugin: Mapping[str, Sequence[Measure]]
+    data_columns: Sequence[NamedColumn] | None, measures_by_plugin: Mapping[str, Sequence[Measure]]
 ) -> tuple[MeasureColumns, list[Finding]]:
     """Match the config's `data_columns` with the measures that plugins declare.
 
     Args:
         data_columns: the measure columns that the run table is to have, in order; None asks for all measures of
-            all plugins. A name that no plugin declares is the config's own.
+            all plugins. A name that no plugin declares is the config's own, and may come as a `Measure` with its unit.
         measures_by_plugin: what each plugin declares, by the plugin's name.
 
     Returns:
@@ -243,17 +338,18 @@ def resolve_columns(
     by_name = {column.name: column for column in declared}
     findings: list[Finding] = []
     chosen: list[MeasureColumn] = []
-    for name in data_columns:
-        column = by_name.get(name)
-        findings += _ambiguity(name, declared) if column is None else []
-        chosen.append(column or MeasureColumn(name, CONFIG_OWNER, Measure(name)))
+    for each in data_columns:
+        own = each if isinstance(each, Measure) else Measure(str(each))
+        column = by_name.get(own.name)
+        findings += _misnamed(own.name, declared) if column is None else _twice(each, column)
+        chosen.append(column or MeasureColumn(own.name, CONFIG_OWNER, own))
     wanted = {column.name for column in chosen}
-    own = [column for column in chosen if column.owner == CONFIG_OWNER]
+    owns = [column for column in chosen if column.owner == CONFIG_OWNER]
     marked = [
         MeasureColumn(column.name, column.owner, column.measure, is_in_table=column.name in wanted)
         for column in declared
     ]
-    return MeasureColumns(tuple(chosen), (*marked, *own)), findings
+    return MeasureColumns(tuple(chosen), (*marked, *owns)), findings
 
 
 def _declared_columns(measures_by_plugin: Mapping[str, Sequence[Measure]]) -> list[MeasureColumn]:
@@ -265,7 +361,12 @@ def _declared_columns(measures_by_plugin: Mapping[str, Sequence[Measure]]) -> li
     ]
 
 
-def _ambiguity(name: str, declared: Sequence[MeasureColumn]) -> list[Finding]:
+def _misnamed(name: str, declared: Sequence[MeasureColumn]) -> list[Finding]:
+    """Return what is wrong with a name that seems to be meant for a plugin's measure."""
+    measure, _, phase = name.rpartition(".")
+    if phase and any(column.name == measure and column.measure.over is not None for column in declared):
+        problem = f"{name!r} would be {measure!r} in a phase that the config does not ask for"
+        return [Finding.error("data_columns", problem, f"Add {phase!r} to the config's `phases`.")]
     full_names = [column.name for column in declared if column.measure.name == name]
     if not full_names:
         return []
@@ -276,6 +377,13 @@ def _ambiguity(name: str, declared: Sequence[MeasureColumn]) -> list[Finding]:
             f"Write {full_names[0]!r}, or give one of the plugins fewer measures.",
         )
     ]
+
+
+def _twice(asked: NamedColumn, column: MeasureColumn) -> list[Finding]:
+    if isinstance(asked, str):
+        return []
+    problem = f"measure {asked.name!r} is declared here, and by plugin {column.owner}"
+    return [Finding.error("data_columns", problem, f"Write {asked.name!r} for the plugin's, or rename this one.")]
 
 
 #: Takes what happens in a run as it happens: a kind and its plain fields.

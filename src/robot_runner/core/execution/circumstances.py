@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import os
 import shutil
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import ExecutionError
+from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.execution.recovery import config_files
 from robot_runner.core.plugin import described_circumstances, installed_plugins
-from robot_runner.core.storage.journal import utc_now
-from robot_runner.core.storage.manifest import describe_host, describe_software
+from robot_runner.core.storage.journal import read_journal, utc_now
+from robot_runner.core.storage.manifest import describe_host, describe_software, is_damaged, read_manifest
 from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.treatments import factors_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.plugin import Plugin
 
-__all__ = ["keep_config", "manifest_of", "note_clock", "resumed_manifest"]
+__all__ = ["RestoredManifest", "keep_config", "manifest_of", "note_clock", "restored_manifest", "resumed_manifest"]
 
 
 # What is written down beside the results, so that others can judge and repeat them.
@@ -78,6 +80,52 @@ def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[s
     return manifest
 
 
+@dataclass(frozen=True, slots=True)
+class RestoredManifest:
+    """A manifest that was made again, since the folder had lost it, and the finding that says so."""
+
+    manifest: dict[str, Any]
+    finding: Finding
+
+
+def restored_manifest(experiment: Experiment) -> RestoredManifest | None:
+    """Return a manifest made from the journal where the folder's is missing or damaged; None where there is no need.
+
+    The seed is that of the journal, so that the plan is the same as before. A damaged file is kept beside.
+
+    Raises:
+        StorageError: the manifest is of a newer format, or the journal cannot be read.
+    """
+    folder = experiment.folder
+    started = next(read_journal(folder.journal, kinds={"experiment_started"}), None)
+    if started is None:
+        return None
+    problem = "the manifest is missing"
+    if folder.manifest.exists():
+        try:
+            read_manifest(folder.manifest)
+        except StorageError as error:
+            if not is_damaged(folder.manifest):
+                raise
+            problem = error.problem
+            folder.manifest.replace(folder.manifest.with_suffix(".damaged.json"))
+        else:
+            return None
+    manifest = manifest_of(experiment)
+    manifest["seed"] = started["seed"]
+    manifest["design"]["source"] = started.get("design", "config")
+    manifest["restored_at"] = utc_now()
+    deviations = [
+        {name: record[name] for name in ("at", "run", "column", "was", "is")}
+        for record in read_journal(folder.journal, kinds={"deviation"})
+    ]
+    if deviations:
+        manifest["table_deviations"] = deviations
+        manifest["design"]["is_reordered"] = any(not each["run"] for each in deviations)
+    told = f"{problem}: it is made anew, with the seed of the journal; of earlier executions it tells nothing"
+    return RestoredManifest(manifest, Finding.warning(str(folder.manifest), told))
+
+
 def keep_config(experiment: Experiment) -> None:
     """Copy the config file and the local modules that it imported, as executed; changed ones replace earlier copies.
 
@@ -129,6 +177,8 @@ def _described(plugin: Plugin) -> dict[str, Any]:
         "package": announced.package if announced else None,
         "version": announced.version if announced else None,
         "measures": [measure.name for measure in plugin.measures],
+        # The factor of each: the journal has the value of each run.
+        "bound_parameters": dict(factors_of(plugin)),
     }
 
 

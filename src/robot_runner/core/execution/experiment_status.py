@@ -142,6 +142,10 @@ class _History:
         del record
         self._since_table.clear()
 
+    def _take_deviation(self, record: Mapping[str, Any]) -> None:
+        problem = f"{record['column']} was changed by hand from {record['was']!r} to {record['is']!r}"
+        self.findings.append(Finding.warning(record["run"] or "run_table.csv", problem))
+
     def _take_finding(self, record: Mapping[str, Any]) -> None:
         where = f"{record['run']}, {record['owner']}"
         self.findings.append(Finding.warning(where, record["problem"], record["fix"]))

@@ -17,6 +17,7 @@ __all__ = [
     "AttemptStarted",
     "ExperimentFinished",
     "ExperimentStarted",
+    "FindingsNoticed",
     "InterruptionNoticed",
     "Notice",
     "Observer",
@@ -71,6 +72,13 @@ class AttemptFinished:
 
 
 @dataclass(frozen=True, slots=True)
+class FindingsNoticed:
+    """A run that was just recorded shows something about all that follow; it is said again at the end."""
+
+    findings: Sequence[Finding]
+
+
+@dataclass(frozen=True, slots=True)
 class WaitingForUser:
     """SEMI: the next run starts once the user says so."""
 
@@ -117,6 +125,7 @@ Notice = (
     | AttemptStarted
     | RunRecord
     | AttemptFinished
+    | FindingsNoticed
     | WaitingForUser
     | InterruptionNoticed
     | ExperimentFinished

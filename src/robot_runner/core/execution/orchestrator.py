@@ -22,6 +22,7 @@ from robot_runner.core.execution.notices import (
     AttemptStarted,
     ExperimentFinished,
     ExperimentStarted,
+    FindingsNoticed,
     InterruptionNoticed,
     Notice,
     Observer,
@@ -34,6 +35,8 @@ from robot_runner.core.execution.run_events import failure_fields, run_contexts
 from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.lock import Command, forget_command, take_command
+from robot_runner.core.treatments import bind, factors_of, values_of
+from robot_runner.core.words import plain
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -42,6 +45,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.errors import Finding
+    from robot_runner.core.execution.task import Report
 
 __all__ = ["Patience", "execute_experiment", "rest", "wait_for_user"]
 
@@ -174,10 +178,12 @@ class _Orchestrator:
         for attempts_left in reversed(range(self._parameters.attempts)):
             task = self._progress.begin(run)
             self._notice(AttemptStarted(task))
-            outcome = self._attempt(task)
+            outcome = self._attempt(task, has_attempts_left=attempts_left > 0)
             is_last = attempts_left == 0 or outcome.status is not AttemptStatus.FAILED
-            self._progress.record_outcome(task, outcome, is_last=is_last)
+            noticed = self._progress.record_outcome(task, outcome, is_last=is_last)
             self._notice(AttemptFinished(task, outcome, is_last))
+            if noticed:
+                self._notice(FindingsNoticed(noticed))
             if is_last:
                 break
         self._stopped_by_policy = (
@@ -185,8 +191,13 @@ class _Orchestrator:
         )
         return outcome.status is not AttemptStatus.INTERRUPTED and not self._stopped_by_policy
 
-    def _attempt(self, task: RunTask) -> RunOutcome:
-        builder = OutcomeBuilder(task.run_id, self._experiment.columns)
+    def _attempt(self, task: RunTask, *, has_attempts_left: bool) -> RunOutcome:
+        builder = OutcomeBuilder(
+            task.run_id,
+            self._experiment.columns,
+            on_bad_value=self._parameters.on_bad_value,
+            has_attempts_left=has_attempts_left,
+        )
 
         def report(kind: str, fields: dict[str, Any]) -> None:
             self._progress.record(task, kind, fields)
@@ -196,7 +207,9 @@ class _Orchestrator:
             builder.take(kind, fields)
             report(kind, fields)
 
-        self._emit_to_run(RobotRunnerEvents.BEFORE_RUN, task, report_own)
+        self._bind_plugins(task, report_own)
+        if not builder.has_failed:
+            self._emit_to_run(RobotRunnerEvents.BEFORE_RUN, task, report_own)
         if builder.has_failed or self._interruption.is_requested:
             return builder.outcome(interrupted=self._interruption.is_requested)
         watch = Watch(
@@ -207,6 +220,20 @@ class _Orchestrator:
             noticed_interruption=lambda: self._notice(InterruptionNoticed(task.run_id)),
         )
         return self._executor.execute(task, builder, watch)
+
+    def _bind_plugins(self, task: RunTask, report: Report) -> None:
+        """Build plugins with bound parameters with the treatments of a run; what they raise fails the run."""
+        for plugin in self._experiment.plugins:
+            values = values_of(plugin, task.combination)
+            if not values:
+                continue
+            factors = factors_of(plugin)
+            parameters = {name: {"factor": factors[name], "value": plain(values[name])} for name in values}
+            report("bound", {"owner": plugin.name, "parameters": parameters})
+            try:
+                bind(plugin, task.combination)
+            except Exception as error:  # noqa: BLE001 - a stranger's code
+                report("failure", {"event": "", "owner": plugin.name, **failure_fields(error)})
 
     def _pause(self, finished: PendingRun, following: PendingRun) -> None:
         if self._parameters.operation_type is OperationType.SEMI and not self._user_has_continued(finished):

@@ -8,15 +8,20 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
+from robot_runner.core.config.plugin_checks import check_treatments
+from robot_runner.core.design.columns import REPETITION
+from robot_runner.core.design.watched_combination import unread
 from robot_runner.core.errors import ExecutionError, Finding
-from robot_runner.core.execution.circumstances import keep_config, manifest_of, note_clock, resumed_manifest
-from robot_runner.core.execution.recovery import (
-    RecoveredTable,
-    Resumption,
-    config_changes,
-    recover_table,
-    selected_places,
+from robot_runner.core.events.manager import RUN_EVENTS, RobotRunnerEvents
+from robot_runner.core.execution.circumstances import (
+    keep_config,
+    manifest_of,
+    note_clock,
+    restored_manifest,
+    resumed_manifest,
 )
+from robot_runner.core.execution.recovery import config_changes, selected_places
+from robot_runner.core.execution.table_recovery import recover_table, texts_of
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome, RunTask, seed_of_run
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import Journal, utc_now
@@ -30,6 +35,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.execution.recovered_table import RecoveredTable
+    from robot_runner.core.execution.recovery import Resumption
 
 __all__ = ["PendingRun", "ProgressManager"]
 
@@ -38,7 +45,7 @@ __all__ = ["PendingRun", "ProgressManager"]
 _SHARE_FOR_TABLE = 1 / 50
 
 #: What a run reports that is kept in the journal; measures are kept with the end of the attempt.
-_KEPT = frozenset({"event", "window", "phase", "shared", "finding", "refused", "failure", "clock"})
+_KEPT = frozenset({"event", "window", "phase", "shared", "finding", "refused", "failure", "clock", "bound"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +75,7 @@ class ProgressManager:
         self._resumption = resumption
         self._failed: dict[str, str] = {}
         self._findings: list[Finding] = []
+        self._unread: dict[str, Finding] | None = None
         self._resources = ExitStack()
         self._table_written = 0.0
         self._table_cost = 0.0
@@ -79,13 +87,15 @@ class ProgressManager:
             opened.enter_context(ExperimentLock(self._folder.lock))
             self._manifest = self._load_manifest()
             started = time.monotonic()
-            recovered = recover_table(self._experiment, self._manifest, accept_changes=self._resumption.accept_changes)
+            recovered = recover_table(self._experiment, self._manifest, self._resumption)
             self._selected = selected_places(recovered.rows, self._resumption)
+            self._refuse_unfit_treatments(recovered)
             self._take(recovered)
             if recovered.unfinished is not None:  # the orchestrator died: what the run printed is still its log
                 keep_log(self._folder, recovered.unfinished)
                 self._left_behind.add(recovered.unfinished)
             self._journal = opened.enter_context(Journal(self._folder.journal))
+            self._keep_deviations(recovered)
             keep_config(self._experiment)
             write_manifest(self._folder.manifest, self._manifest)
             if recovered.is_on_disk:  # reading it took longer than writing it will
@@ -95,8 +105,15 @@ class ProgressManager:
                 recovered.write_schema(self._folder.schema)
                 self._write_table()
             self._resources = opened.pop_all()
-        seed, runs = self.seed, self.run_count
-        self.note("experiment_started", flush=True, name=self._manifest["experiment_name"], seed=seed, runs=runs)
+        manifest = self._manifest
+        self.note(
+            "experiment_started",
+            flush=True,
+            name=manifest["experiment_name"],
+            seed=self.seed,
+            runs=self.run_count,
+            design=manifest["design"]["source"],
+        )
         return self
 
     def __exit__(self, *raised: object) -> None:
@@ -132,7 +149,7 @@ class ProgressManager:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What looked odd in the table on disk and in the runs."""
-        return tuple(self._findings)
+        return (*self._findings, *(self._unread or {}).values())
 
     def pending(self) -> Iterator[PendingRun]:
         """Yield the runs to execute, in order: those to do, those that failed, those asked for again."""
@@ -163,9 +180,16 @@ class ProgressManager:
         self._left_behind.add(run.run_id)
         self._rows.record(run.run_id, status=RunStatus.RUNNING)
         self._failed.pop(run.run_id, None)
-        self.note("attempt_started", run=run.run_id, attempt=self._attempts[run.run_id])
+        task = self.task_of(run)
+        self.note(
+            "attempt_started",
+            run=run.run_id,
+            attempt=task.attempt,
+            combination=texts_of(task.combination),
+            repetition=task.repetition,
+        )
         self._refresh_table()
-        return self.task_of(run)
+        return task
 
     def record(self, task: RunTask, kind: str, fields: dict[str, Any]) -> None:
         """Keep what a run reports while it is executed."""
@@ -179,8 +203,12 @@ class ProgressManager:
             self._rows.record(task.run_id, stamps={"continue_at": fields["at"]})
             self._refresh_table()
 
-    def record_outcome(self, task: RunTask, outcome: RunOutcome, *, is_last: bool) -> None:
-        """Keep how an attempt went; it is on the disk when this returns."""
+    def record_outcome(self, task: RunTask, outcome: RunOutcome, *, is_last: bool) -> tuple[Finding, ...]:
+        """Keep how an attempt went; it is on the disk when this returns.
+
+        Returns:
+            what it shows about the runs that follow.
+        """
         keep_log(self._folder, task.run_id)
         self._journal.append(
             "attempt_finished", flush=True, run=task.run_id, attempt=task.attempt, is_last=is_last, **_plain(outcome)
@@ -192,6 +220,7 @@ class ProgressManager:
             # From here on the schema tells the types: without it a text such as "1" would come back as a number.
             self._table.write_schema(self._folder.schema)
         self._refresh_table()
+        return self._look_for_readers(task, outcome) if outcome.status is AttemptStatus.DONE else ()
 
     def note(self, kind: str, *, flush: bool = False, **fields: Any) -> None:
         """Keep something that is not about a run."""
@@ -219,12 +248,41 @@ class ProgressManager:
         except OSError as error:
             raise storage_error(self._folder.root, "made", error) from error
 
+    def _keep_deviations(self, recovered: RecoveredTable) -> None:
+        """Record what was changed by hand: in the journal, and for readers of the manifest."""
+        for each in recovered.deviations:
+            fields = {"run": each.run, "column": each.column, "was": each.was, "is": each.is_now}
+            self._journal.append("deviation", flush=True, **fields)
+            self._manifest.setdefault("table_deviations", []).append({"at": utc_now(), **fields})
+            if not each.run:
+                self._manifest["design"]["is_reordered"] = True
+
     def _load_manifest(self) -> dict[str, Any]:
+        lost = restored_manifest(self._experiment)
+        if lost is not None:
+            self._findings.append(lost.finding)
+            return lost.manifest
         if self._folder.manifest.exists():
             if not self._resumption.accept_changes and (changes := config_changes(self._experiment)):
                 raise ExecutionError.of_findings(changes)
             return resumed_manifest(self._experiment, read_manifest(self._folder.manifest))
         return manifest_of(self._experiment)
+
+    def _refuse_unfit_treatments(self, recovered: RecoveredTable) -> None:
+        """See that plugins can be built with the treatments of a table that was written or changed by hand.
+
+        Raises:
+            ExecutionError: one of them cannot be.
+        """
+        by_hand = self._manifest["design"]["source"] != "config" or self._resumption.accept_changes
+        if not by_hand or (not recovered.is_on_disk and not self._folder.run_table.exists()):
+            return
+        experiment = self._experiment
+        combinations = (recovered.rows.combination(place) for place in self._selected)
+        found = check_treatments(experiment.plugins, experiment.model, experiment.parameters.robot, combinations)
+        refused = [finding for finding in found if finding.is_error]
+        if refused:
+            raise ExecutionError.of_findings(refused)
 
     def _take(self, recovered: RecoveredTable) -> None:
         self._table = recovered
@@ -232,6 +290,23 @@ class ProgressManager:
         self._attempts = Counter(recovered.attempts)
         self._failed.update(recovered.failed)
         self._findings += recovered.findings
+
+    def _look_for_readers(self, task: RunTask, outcome: RunOutcome) -> tuple[Finding, ...]:
+        """Return what nobody read in the first run that is done; what a later run reads is not told at the end."""
+        if not any(map(self._experiment.events.subscribers, (RobotRunnerEvents.BEFORE_RUN, *RUN_EVENTS))):
+            return ()  # a plan that is still to be filled: nothing happens in a run that could be misread
+        if self._unread is None:
+            varied = [factor.name for factor in self._experiment.model.factors if len(factor.treatments) > 1]
+            # A factor of that name counts repetitions, as in the paper's Listing 1.
+            self._unread = {
+                name: unread(task.run_id, name)
+                for name in varied
+                if name not in outcome.readers and name.casefold() != REPETITION.casefold()
+            }
+            return tuple(self._unread.values())
+        for name in outcome.readers:
+            self._unread.pop(name, None)
+        return ()
 
     def _missing_measures(self, task: RunTask, outcome: RunOutcome) -> list[Finding]:
         if outcome.status is not AttemptStatus.DONE:
@@ -249,9 +324,9 @@ class ProgressManager:
 
     def _write_table(self) -> None:
         started = time.monotonic()
-        write_run_table(self._folder.run_table, self._rows)
+        digest = write_run_table(self._folder.run_table, self._rows)
         # After the rename: a run that is in the table and not yet known to be is taken from the journal once more.
-        self._journal.append("table_written")
+        self._journal.append("table_written", sha256=digest)
         self._table_written = time.monotonic()
         self._table_cost = self._table_written - started
         self._table_is_stale = False
@@ -259,7 +334,12 @@ class ProgressManager:
 
 def _plain(outcome: RunOutcome) -> dict[str, Any]:
     measures = {
-        name: {"value": measure.value, "owner": measure.owner, "origin": measure.origin.value}
+        name: {
+            "value": measure.value,
+            "owner": measure.owner,
+            "origin": measure.origin.value,
+            **({"doubts": list(measure.doubts)} if measure.doubts else {}),
+        }
         for name, measure in outcome.measures.items()
     }
     return {
@@ -268,6 +348,7 @@ def _plain(outcome: RunOutcome) -> dict[str, Any]:
         "stamps": dict(outcome.stamps),
         "measures": measures,
         "failure": str(outcome.failure) if outcome.failure else None,
+        "readers": dict(outcome.readers),
     }
 
 

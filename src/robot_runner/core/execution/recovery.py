@@ -1,25 +1,18 @@
-"""The run table in memory: made from the plan, or read from the folder and brought up to date from the journal."""
+"""How an experiment is to go on: what is executed again, and what may differ from what was executed before."""
 
 from __future__ import annotations
 
 import ast
 import difflib
-import re
-from collections import Counter, defaultdict
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from enum import Enum
 from operator import is_
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
 from robot_runner.core.errors import ExecutionError, Finding, did_you_mean
-from robot_runner.core.execution.task import AttemptStatus, RunOutcome
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.journal import journal_lines, parsed_record
-from robot_runner.core.storage.manifest import read_manifest
-from robot_runner.core.storage.run_table_reading import read_run_table
-from robot_runner.core.storage.run_table_rows import RunTableRows
-from robot_runner.core.storage.table_columns import ColumnRole
-from robot_runner.core.storage.table_schema import ColumnDescription, describe_columns, read_schema, write_schema
+from robot_runner.core.storage.manifest import is_damaged, read_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -28,14 +21,16 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.design.run_table_model import RunTable
+    from robot_runner.core.storage.run_table_rows import RunTableRows
 
 __all__ = [
     "ACCEPT",
-    "RecoveredTable",
     "Resumption",
+    "TableChoice",
+    "TableDisagreementError",
     "config_changes",
     "config_files",
-    "recover_table",
+    "refuse_differences",
     "selected_places",
     "table_differences",
 ]
@@ -44,19 +39,42 @@ __all__ = [
 # How an experiment is to go on: what is executed again, and what may differ from before.
 
 
+class TableDisagreementError(ExecutionError):
+    """The run table on disk and the journal disagree about runs that were executed, and nobody said which counts."""
+
+
+class TableChoice(Enum):
+    """What counts where the run table on disk and the journal disagree about runs that were executed.
+
+    JOURNAL: what was executed; the file is put aside.
+    FILE: what the file says; each difference is recorded as a deviation.
+    """
+
+    JOURNAL = "journal"
+    FILE = "file"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Resumption:
     """What the user asks for when an experiment is started or goes on.
 
     Attributes:
         accept_changes: go on though the config, what was set, or the run table differs from before.
+        table: what counts where the run table and the journal disagree; None refuses to go on, unless changes are
+            accepted: then the file counts.
         redo: runs to execute again though they are done; what they left is kept.
         only: the only runs to execute; nothing means all.
     """
 
     accept_changes: bool = False
+    table: TableChoice | None = None
     redo: tuple[str, ...] = ()
     only: tuple[str, ...] = ()
+
+    @property
+    def chosen_table(self) -> TableChoice | None:
+        """What counts where the run table and the journal disagree, or None where nobody has said."""
+        return self.table or (TableChoice.FILE if self.accept_changes else None)
 
 
 def selected_places(rows: RunTableRows, resumption: Resumption) -> list[int]:
@@ -112,7 +130,7 @@ def config_changes(experiment: Experiment) -> list[Finding]:
         StorageError: the experiment's manifest cannot be read.
     """
     folder = experiment.folder
-    if not folder.manifest.exists():
+    if not folder.manifest.exists() or is_damaged(folder.manifest):
         return []
     manifest = read_manifest(folder.manifest)
     findings = [
@@ -184,178 +202,16 @@ def _setting(name: str, value: str | None) -> str:
     return "not set" if value is None else f"set by --set {name}={value}"
 
 
+#: More differences than people read are counted, not listed.
 _MOST_DIFFERENCES = 20
-_ENDS = {AttemptStatus.DONE.value: RunStatus.DONE, AttemptStatus.FAILED.value: RunStatus.FAILED}
 
 
-@dataclass(slots=True)
-class RecoveredTable:
-    """The run table of an experiment, as far as it has come.
-
-    Attributes:
-        rows: the table, kept up to date.
-        attempts: how often each run was tried.
-        failed: why each failed run failed.
-        unfinished: the run whose attempt did not come to a recorded end, or None.
-        findings: what looked odd in the file.
-        is_on_disk: whether the file holds all this, and has a schema, so that neither need be written.
-    """
-
-    experiment: Experiment
-    rows: RunTableRows
-    attempts: Counter[str] = field(default_factory=Counter)
-    failed: dict[str, str] = field(default_factory=dict)
-    unfinished: str | None = None
-    findings: tuple[Finding, ...] = ()
-    is_on_disk: bool = False
-    origins: defaultdict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
-    _kinds: set[tuple[str, Any]] = field(default_factory=set)
-    doubts: defaultdict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
-
-    def take_outcome(self, run_id: str, outcome: RunOutcome) -> bool:
-        """Bring the row of a run up to date with how its attempt ended; returns whether a type or origin is new."""
-        for measure in outcome.measures.values():
-            self.origins[measure.name].add(measure.origin.value)
-        for finding in outcome.findings:
-            self.doubts[finding.where.partition(", ")[2]].add(f"{run_id}: {finding.problem}")
-        values = {name: measure.value for name, measure in outcome.measures.items()}
-        self._record(run_id, outcome.status.value, outcome.stamps, values)
-        kinds: set[tuple[str, Any]] = {(name, type(value)) for name, value in values.items() if value is not None}
-        kinds |= {(measure.name, measure.origin) for measure in outcome.measures.values()}
-        has_new = not kinds <= self._kinds
-        self._kinds |= kinds
-        return has_new
-
-    def take_record(self, record: Mapping[str, Any]) -> None:
-        """Bring the row of a run up to date with how the journal says that its attempt ended."""
-        self.take_origins(record)
-        values = {name: measure["value"] for name, measure in record["measures"].items()}
-        self._record(record["run"], record["status"], record["stamps"], values)
-
-    def take_origins(self, record: Mapping[str, Any]) -> None:
-        """Remember where the measures of an attempt came from, as the journal says."""
-        for name, measure in record["measures"].items():
-            self.origins[name].add(measure["origin"])
-
-    def write_schema(self, path: Path) -> None:
-        """Write the run table's schema as far as it is known."""
-        write_schema(path, describe_columns(self.rows, self._known()))
-
-    def _record(self, run_id: str, status: str, stamps: Mapping[str, str], measures: Mapping[str, Any]) -> None:
-        if status == AttemptStatus.INTERRUPTED.value:
-            self.rows.clear(run_id)
-            return
-        self.rows.record(
-            run_id,
-            status=_ENDS[status],
-            stamps={
-                name: stamp for event, stamp in stamps.items() if (name := f"{event}_at") in self.rows.layout.stamps
-            },
-            measures={name: value for name, value in measures.items() if name in self.rows.layout.measures},
-        )
-
-    def _known(self) -> dict[str, ColumnDescription]:
-        return {
-            column.name: ColumnDescription(
-                name=column.name,
-                role=ColumnRole.MEASURE,
-                description=column.measure.description,
-                unit=column.measure.unit,
-                owner=column.owner,
-                origin=", ".join(sorted(self.origins[column.name])) or None,
-                findings=tuple(sorted(self.doubts[column.owner])),
-            )
-            for column in self.experiment.columns.in_table
-        }
-
-
-def recover_table(
-    experiment: Experiment, manifest: Mapping[str, Any], *, accept_changes: bool = False
-) -> RecoveredTable:
-    """Return the run table: planned anew, or as it stands in the folder with what the journal knows better.
-
-    The journal is flushed at the end of each run, the file is only brought up to date now and then: runs that ended
-    after the file was written last are taken from the journal. What a user changed in the file counts.
-
-    Args:
-        experiment: what is to be executed.
-        manifest: as written when the experiment was first executed.
-        accept_changes: let the table on disk count where it differs from the plan.
+def refuse_differences(differences: Iterable[Finding], kind: type[ExecutionError] = ExecutionError) -> None:
+    """Raise an error of these differences, with as many of them as people read; nothing where there are none.
 
     Raises:
-        StorageError: the table cannot be read; every problem is named.
-        ExecutionError: it differs from the plan; every cell is named.
+        ExecutionError: there are some.
     """
-    folder = experiment.folder
-    plan = experiment.model.plan(manifest["seed"])
-    schema = read_schema(folder.schema) if folder.schema.exists() else ()
-    layout = experiment.table_layout({column.name: column.type for column in schema} or None)
-    if not folder.run_table.exists():
-        recovered = RecoveredTable(experiment, RunTableRows.of_plan(plan, layout))
-    else:
-        rows = read_run_table(folder.run_table, layout, plan)
-        if manifest["design"]["source"] == "config" and not accept_changes:
-            _refuse(table_differences(folder.run_table, plan, rows))
-        recovered = RecoveredTable(experiment, rows, findings=rows.warnings, is_on_disk=rows.has_file and bool(schema))
-    for column in schema:
-        recovered.origins[column.name].update(column.origin.split(", ") if column.origin else ())
-    _replay(recovered, folder.journal, has_origins=bool(schema))
-    return recovered
-
-
-# As `Journal.append` writes them: run and status are read from the line, as parsing takes twenty times as long.
-_RUN = re.compile(rb'\{"kind":"[^"]*","at":"[^"\\]*","run":"([^"\\]*)"')
-_STARTED = b'{"kind":"attempt_started"'
-_TABLE_WRITTEN = b'{"kind":"table_written"'
-_IS_DONE = b'"status":"done"'  # quotes inside a text are escaped: these stand nowhere else
-
-
-def _replay(recovered: RecoveredTable, journal: Path, *, has_origins: bool) -> None:
-    """Take from the journal what the file does not have; measures' origins as well, where no schema tells them."""
-    since_table_written: list[bytes] = []
-    failed: list[bytes] = []
-    attempted: list[str] = []
-    is_open = False
-    for line in journal_lines(journal, kinds={"attempt_started", "attempt_finished", "table_written"}):
-        if line.startswith(_STARTED):
-            attempted.append(_run_of(journal, line))
-            is_open = True
-        elif line.startswith(_TABLE_WRITTEN):
-            parsed_record(journal, line)  # what comes before is left out from here on: a damaged line must not do that
-            since_table_written.clear()
-        else:
-            is_open = False
-            since_table_written.append(line)
-            if _IS_DONE not in line:
-                failed.append(line)
-            if not has_origins:
-                recovered.take_origins(parsed_record(journal, line))
-    recovered.attempts.update(attempted)
-    recovered.unfinished = attempted[-1] if is_open else None
-    last_ends = {_run_of(journal, line): line for line in since_table_written}
-    for line in last_ends.values():
-        recovered.take_record(parsed_record(journal, line))
-    recovered.is_on_disk &= not last_ends and not recovered.rows.count(RunStatus.RUNNING)
-    _settle(recovered, {_run_of(journal, line): parsed_record(journal, line)["failure"] or "" for line in failed})
-
-
-def _run_of(journal: Path, line: bytes) -> str:
-    found = _RUN.match(line)
-    return found[1].decode() if found else str(parsed_record(journal, line)["run"])
-
-
-def _settle(recovered: RecoveredTable, reasons: Mapping[str, str]) -> None:
-    """Runs whose end nobody saw are to do again; failed ones are listed with their reason."""
-    rows = recovered.rows
-    for place in range(len(rows)) if rows.count(RunStatus.RUNNING) or rows.count(RunStatus.FAILED) else ():
-        run_id = rows.run_id(place)
-        if rows.status(place) is RunStatus.RUNNING:
-            rows.clear(run_id)
-        elif rows.status(place) is RunStatus.FAILED:
-            recovered.failed[run_id] = reasons.get(run_id, "")
-
-
-def _refuse(differences: Iterable[Finding]) -> None:
     listed = list(differences)
     more = len(listed) - _MOST_DIFFERENCES
     if more > 0:
@@ -363,4 +219,4 @@ def _refuse(differences: Iterable[Finding]) -> None:
             Finding.error(listed[0].where, f"there are {more:,} more differences", listed[0].fix)
         ]
     if listed:
-        raise ExecutionError.of_findings(listed)
+        raise kind.of_findings(listed)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.watched_combination import WatchedCombination
 from robot_runner.core.errors import MeasureError, RobotRunnerError, did_you_mean
 from robot_runner.core.events.context import Resources, RobotRunnerContext
 from robot_runner.core.events.manager import CLOSED_BY, CallbackFailure, Emission, RobotRunnerEvents
@@ -54,7 +55,9 @@ def run_contexts(
                 run_number=task.run_number,
                 run_count=task.run_count,
                 attempt=task.attempt,
-                combination=task.combination,
+                combination=WatchedCombination(
+                    task.combination, lambda factor: report("read", {"owner": owner, "factor": factor})
+                ),
                 repetition=task.repetition,
                 run_seed=task.run_seed,
                 run_path=run_path,

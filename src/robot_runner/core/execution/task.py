@@ -7,16 +7,18 @@ import json
 import os
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.config.parameters import BadValuePolicy
 from robot_runner.core.errors import Finding
-from robot_runner.core.events.measure import Origin, PublishedMeasure
+from robot_runner.core.events.measure import Origin, PublishedMeasure, quality_text
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from robot_runner.core.events.measure import MeasureColumns
 
@@ -103,6 +105,7 @@ class RunOutcome:
         measures: what was published, by column.
         failure: the first thing that went wrong, if any did.
         later_failures: what went wrong after that, while what was open was closed.
+        readers: who read the treatment of each factor, or has a parameter bound to it, by the factor's name.
         seconds: real time that the attempt took.
     """
 
@@ -112,6 +115,7 @@ class RunOutcome:
     findings: tuple[Finding, ...] = ()
     failure: RunFailure | None = None
     later_failures: tuple[RunFailure, ...] = ()
+    readers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     seconds: float = 0.0
 
 
@@ -184,16 +188,32 @@ def _decoded(line: bytes) -> tuple[str, dict[str, Any]] | None:
     return (kind, fields) if isinstance(kind, str) and isinstance(fields, dict) else None
 
 
+_POPULATE = "populate_run_data"
+
+
 class OutcomeBuilder:
     """Gathers the records of one attempt; what it lacks when the run has ended tells how it ended."""
 
-    def __init__(self, run_id: str, columns: MeasureColumns) -> None:
+    def __init__(
+        self,
+        run_id: str,
+        columns: MeasureColumns,
+        *,
+        on_bad_value: BadValuePolicy = BadValuePolicy.KEEP,
+        has_attempts_left: bool = False,
+    ) -> None:
         self._run_id = run_id
+        self._columns = columns
+        self._refuses_bad_values = on_bad_value is BadValuePolicy.FAIL or (
+            on_bad_value is BadValuePolicy.TRY_AGAIN and has_attempts_left
+        )
+        self._doubts: defaultdict[str, list[str]] = defaultdict(list)
         self._units = {column.name: column.measure.unit for column in columns.declared}
         self._stamps: dict[str, str] = {}
         self._measures: dict[str, PublishedMeasure] = {}
         self._findings: list[Finding] = []
         self._failures: list[RunFailure] = []
+        self._readers: dict[str, tuple[str, ...]] = {}
         self._started = time.monotonic()
         self.is_finished = False
         self.event = ""
@@ -217,8 +237,15 @@ class OutcomeBuilder:
         elif kind == "finding":
             where = f"{self._run_id}, {fields['owner']}"
             self._findings.append(Finding.warning(where, fields["problem"], fields["fix"]))
+            for name in fields.get("measures", ()):
+                self._doubts[name].append(fields["problem"])
         elif kind == "failure":
             self._failures.append(RunFailure(fields["problem"], fields["event"], fields["owner"], fields["traceback"]))
+        elif kind == "read":
+            self._add_reader(fields["factor"], fields["owner"])
+        elif kind == "bound":
+            for each in fields["parameters"].values():
+                self._add_reader(each["factor"], fields["owner"])
         elif kind == FINISHED:
             self.is_finished = True
 
@@ -234,16 +261,52 @@ class OutcomeBuilder:
             failures = (
                 [self._ended(ended_because, failures), *failures[1:]] if failures else [self._ended(ended_because, [])]
             )
+        measures = self._qualified_measures()
+        if not (failures or interrupted) and self._refuses_bad_values:
+            failures = list(self._bad_values(measures))
         status = AttemptStatus.INTERRUPTED if interrupted else AttemptStatus.FAILED if failures else AttemptStatus.DONE
         return RunOutcome(
             status=status,
             stamps=self._stamps,
-            measures=self._measures,
+            measures=measures,
             findings=tuple(self._findings),
             failure=failures[0] if failures else None,
             later_failures=tuple(failures[1:]),
+            readers=self._readers,
             seconds=time.monotonic() - self._started,
         )
+
+    def _qualified_measures(self) -> dict[str, PublishedMeasure]:
+        """Return what was published, each with what makes it doubtful, and the columns that tell of that."""
+        measures = dict(self._measures)
+        for column in self._columns.declared:
+            published = measures.get(column.name)
+            if published is not None:
+                implausible = column.measure.implausible(published.value)
+                doubts = (*dict.fromkeys(self._doubts[column.name]), *filter(None, [implausible]))
+                measures[column.name] = replace(published, doubts=doubts) if doubts else published
+        for column in self._columns.in_table:
+            told = measures.get(column.tells_of)
+            if column.tells_of:
+                text = quality_text(None, ()) if told is None else quality_text(told.value, told.doubts)
+                measures[column.name] = PublishedMeasure(column.name, text, column.owner)
+        return measures
+
+    def _bad_values(self, measures: Mapping[str, PublishedMeasure]) -> Iterator[RunFailure]:
+        """Yield a failure for each value of the run table that is missing, or not plausible."""
+        for column in self._columns.in_table:
+            published = measures.get(column.name)
+            if column.tells_of:
+                continue
+            if published is None or published.value is None:
+                because = f": {'; '.join(published.doubts)}" if published is not None and published.doubts else ""
+                yield RunFailure(f"{column.name} has no value{because}", _POPULATE, column.owner)
+            elif implausible := column.measure.implausible(published.value):
+                yield RunFailure(f"{column.name}: {implausible}", _POPULATE, column.owner)
+
+    def _add_reader(self, factor: str, owner: str) -> None:
+        known = self._readers.get(factor, ())
+        self._readers[factor] = known if owner in known else (*known, owner)
 
     def _ended(self, because: str, failures: list[RunFailure]) -> RunFailure:
         # The run's own record of the stop request knows the callback; the orchestrator knows why.

@@ -20,6 +20,7 @@ from robot_runner.core.execution.processes import leave_after, settle_streams
 from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.task import FINISHED, RecordWriter, RunTask
 from robot_runner.core.storage.layout import open_log
+from robot_runner.core.treatments import bind
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -70,7 +71,10 @@ def _print_to_log(experiment: Experiment) -> None:
 
 def _execute_described(description: Mapping[str, Any], report: RecordWriter) -> None:
     experiment = prepare_or_refuse(Path(description["config"]), description["set"])
-    _execute(experiment, _task_of(experiment, description["task"]), report)
+    task = _task_of(experiment, description["task"])
+    for plugin in experiment.plugins:  # a forked run finds this done
+        bind(plugin, task.combination)
+    _execute(experiment, task, report)
 
 
 def _described(experiment: Experiment, task: RunTask) -> dict[str, Any]:

@@ -22,6 +22,7 @@ __all__ = [
     "HostLink",
     "ProcessHost",
     "ProcessUtilisation",
+    "PromptSampler",
     "RemoteHost",
     "ReportingSampler",
     "SamplingReport",
@@ -128,6 +129,15 @@ class ReportingSampler(Protocol):
 
     def report(self) -> SamplingReport:
         """Say how it went; to be asked after `stop`."""
+        ...
+
+
+@runtime_checkable
+class PromptSampler(Protocol):
+    """A sampler that takes a sample when it is told to, such as at the edges of the mission."""
+
+    def take_now(self) -> None:
+        """Take one more sample at once, out of turn."""
         ...
 
 

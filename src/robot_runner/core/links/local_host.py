@@ -134,6 +134,10 @@ class LocalSampler(Generic[R, S]):
         self._sampler = PeriodicSampler(read, rate=rate, clock=clock)
         self._sampler.start()
 
+    def take_now(self) -> None:
+        """Take one more sample at once, out of turn."""
+        self._sampler.take_now()
+
     def stop(self) -> Sequence[S]:
         """End sampling and return the samples, oldest first; a second call returns the same."""
         if self._samples is None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from array import array
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.events.measure import Measure
+from robot_runner.core.events.measure import Measure, Over
 from robot_runner.core.sampling.quality import Column, SampleQuality, quality_of, write_quality, write_samples
 from robot_runner.core.sampling.series import Series, cut, mean, mean_of_intervals
 
@@ -46,7 +46,7 @@ class Selection:
         """Return a measure for each core, and two for each selector."""
         return (
             *(
-                Measure(f"CPU_core{core}", "%", f"CPU utilisation of core {core}, mean over the measured window.")
+                _mean(f"CPU_core{core}", f"CPU utilisation of core {core}, mean over the measured window.")
                 for core in self.cores
             ),
             *(
@@ -60,18 +60,22 @@ class Selection:
 def _process_measures(label: str, selector: str) -> tuple[Measure, Measure]:
     which = f"the processes {selector}"
     return (
-        Measure(f"CPU_{label}", "%", f"Share of all cores together that {which} used, mean over the measured window."),
-        Measure(f"Memory_{label}", "%", f"Share of the physical memory that {which} held, mean over the window."),
+        _mean(f"CPU_{label}", f"Share of all cores together that {which} used, mean over the measured window."),
+        _mean(f"Memory_{label}", f"Share of the physical memory that {which} held, mean over the window."),
     )
+
+
+def _mean(name: str, description: str) -> Measure:
+    return Measure(name, "%", description, over=Over.MEAN)
 
 
 @dataclass(frozen=True, slots=True)
 class Utilisation:
-    """One run's samples and the window that they are about.
+    """One run's samples and the window that they are evaluated over.
 
     Attributes:
         samples: oldest first.
-        window: on the same clock.
+        window: on the same clock; at first from the start to the stop of the sampler.
         selection: what was measured besides the whole computer.
         report: what the sampler said of itself.
         is_simulated: whether the computer is a simulated one.
@@ -98,8 +102,12 @@ class Utilisation:
             self.report.rate,
             clock_offset=None if clock is None else clock.before.wall_offset,
             clock_uncertainty=None if clock is None else clock.uncertainty,
-            cpu_seconds=self.report.cpu_seconds,
+            cpu_seconds=self._own_seconds(),
         )
+
+    def over(self, window: Window) -> Utilisation:
+        """Return the same samples, to be evaluated over another window."""
+        return replace(self, window=window)
 
     def means(self) -> dict[str, float | None]:
         """Return the means over the window, by measure.
@@ -123,10 +131,17 @@ class Utilisation:
             if self.samples and core >= max(len(sample.cores) for sample in self.samples):
                 yield f"the computer tells of no core {core}"
 
-    def write(self, folder: Path) -> None:
-        """Write `samples.csv` and `quality.json`."""
+    def write(self, folder: Path, mission: Window | None) -> None:
+        """Write `samples.csv`, and `quality.json` with the quality over the mission; None where there was none."""
         write_samples(folder / "samples.csv", list(self._columns()))
-        write_quality(folder / "quality.json", self.quality, self.window, self._details())
+        quality = None if mission is None else self.over(mission).quality
+        write_quality(folder / "quality.json", quality, mission, self._details(), sampled=self.window)
+
+    def _own_seconds(self) -> float | None:
+        """Return the CPU time that sampling took in the window, from that of all the time that was sampled."""
+        spent, times = self.report.cpu_seconds, self.times
+        sampled = times[-1] - times[0] if len(times) else 0.0
+        return spent if spent is None or not sampled else spent * min(1.0, self.window.duration / sampled)
 
     def _mean_of_intervals(self, pick: Callable[[UtilisationSample], float | None]) -> float | None:
         # The first sample only tells from when on the second one does. Those without a value are passed over, so that

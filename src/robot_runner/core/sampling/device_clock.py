@@ -41,8 +41,12 @@ class ClockMap:
     drift: float = 0.0
 
     def to_run(self, device_time: float) -> float:
-        """Return the run's time at a time of the device's clock, both in seconds."""
-        return self.offset + self.rate * device_time
+        """Return the run's time at a time of the device's clock, both in seconds; in whole microseconds.
+
+        No two clocks are known to each other better than that; and so a moment has one time, whenever the device was
+        switched on.
+        """
+        return round(self.offset + self.rate * device_time, 6)
 
 
 def fit_clock(

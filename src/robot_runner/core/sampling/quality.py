@@ -139,7 +139,8 @@ class SampleQuality:
         period: the nominal time between two samples, s.
         largest_gap: the longest time without a sample, the window's edges included, s.
         coverage: percentage of the window outside gaps; a gap is a pause of more than five periods.
-        jitter: of the times between the window's samples; None for fewer than two samples.
+        jitter: of the times between the window's samples, those that were taken for its edges left out; None for fewer
+            than two samples.
         duplicates: samples that came twice and were left out.
         lost: samples that were taken or due and never arrived.
         corrupt: messages that arrived damaged and were left out.
@@ -246,7 +247,7 @@ def quality_of(  # noqa: PLR0913 - each is one thing that a sensor may know of i
         period=period,
         largest_gap=max(gaps),
         coverage=100.0 * (1.0 - unseen / window.duration) if window.duration else 0.0,
-        jitter=jitter_of(within),
+        jitter=jitter_of(times[bisect_right(times, window.start) : bisect_left(times, window.end)]),
         duplicates=duplicates,
         lost=lost,
         corrupt=corrupt,

@@ -91,6 +91,11 @@ class ExperimentFolder:
         return self.root / "earlier_configs"
 
     @property
+    def earlier_tables(self) -> Path:
+        """Run tables that the journal did not agree with, numbered."""
+        return self.root / "earlier_tables"
+
+    @property
     def earlier_attempts(self) -> Path:
         """What attempts before the last one left behind."""
         return self.root / "earlier_attempts"

@@ -17,7 +17,7 @@ from robot_runner.core.storage.safe_write import write_beside_and_rename
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["FORMAT", "describe_host", "describe_software", "read_manifest", "write_manifest"]
+__all__ = ["FORMAT", "describe_host", "describe_software", "is_damaged", "read_manifest", "write_manifest"]
 
 #: Version of the experiment folder's format; a newer one is refused by readers.
 FORMAT = 1
@@ -54,6 +54,17 @@ def write_manifest(path: Path, manifest: Mapping[str, Any]) -> None:
     """
     text = json.dumps({"format": FORMAT, **manifest}, indent=2, ensure_ascii=False, default=str) + "\n"
     write_beside_and_rename(path, lambda file: file.write(text))
+
+
+def is_damaged(path: Path) -> bool:
+    """Return whether a file that is there cannot be any version's manifest: empty, torn, or something else."""
+    try:
+        manifest = json.loads(path.read_bytes())
+    except ValueError:
+        return True
+    except OSError:
+        return False
+    return not isinstance(manifest, dict) or not isinstance(manifest.get("format"), int)
 
 
 def read_manifest(path: Path) -> dict[str, Any]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections import Counter
 from itertools import repeat
 from operator import attrgetter, itemgetter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.design.planned_runs import garbage_collection_paused
@@ -297,13 +298,24 @@ def _texts_by_treatment(column: FactorColumn) -> dict[int, str]:
     return {} if factor is None else dict(zip(map(id, factor.treatments), factor.texts, strict=True))
 
 
-def write_run_table(path: Path, rows: RunTableRows) -> None:
+def write_run_table(path: Path, rows: RunTableRows) -> str:
     """Write the run table beside `path` and rename it; the old file is intact until the new one is on the disk.
+
+    Returns:
+        The SHA-256 of what was written, in hexadecimal digits.
 
     Raises:
         StorageError: it cannot be written.
     """
-    write_beside_and_rename(path, lambda file: file.writelines(table_text(rows)))
+    digest = hashlib.sha256()
+
+    def write(file: TextIO) -> None:
+        for text in table_text(rows):
+            file.write(text)
+            digest.update(text.encode())
+
+    write_beside_and_rename(path, write)
+    return digest.hexdigest()
 
 
 def table_text(rows: RunTableRows) -> Iterator[str]:

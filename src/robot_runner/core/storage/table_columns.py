@@ -120,6 +120,7 @@ class ColumnDescription:
         origin: `measured`, `simulated`, `estimated`, several of them with `, ` between, or None.
         findings: what is odd about its values.
         heading: what stands at its head in the file, where that is not its name.
+        doubts: why values are doubtful, or missing: the reasons, by run.
 
     Example:
         >>> ColumnDescription(name="Energy", role=ColumnRole.MEASURE, type="number", unit="J").unit
@@ -136,6 +137,7 @@ class ColumnDescription:
     origin: str | None = None
     findings: tuple[str, ...] = ()
     heading: str = ""
+    doubts: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: MappingProxyType({}))
 
 
 @dataclass(frozen=True, slots=True)

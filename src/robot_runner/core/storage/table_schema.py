@@ -91,6 +91,8 @@ def _field(column: ColumnDescription) -> dict[str, Any]:
     field[f"{_OWN}owner"] = column.owner
     field[f"{_OWN}origin"] = column.origin
     field[f"{_OWN}findings"] = list(column.findings)
+    if column.doubts:
+        field[f"{_OWN}doubts"] = {run_id: list(reasons) for run_id, reasons in column.doubts.items()}
     if column.heading:
         field[f"{_OWN}column"] = column.name
     return field
@@ -106,6 +108,9 @@ def _description(path: Path, place: int, field: object) -> ColumnDescription:
     origin = field.get(f"{_OWN}origin")
     texts = {key: str(field.get(key, "")) for key in ("title", "description", "unit")}
     name = str(field.get(f"{_OWN}column", field["name"]))
+    doubts = field.get(f"{_OWN}doubts") or {}
+    if not isinstance(doubts, dict) or not all(isinstance(reasons, list) for reasons in doubts.values()):
+        raise _no_schema(path, f"the doubts of fields[{place}] are no mapping from runs to reasons")
     return ColumnDescription(
         name=name,
         role=role,
@@ -114,6 +119,7 @@ def _description(path: Path, place: int, field: object) -> ColumnDescription:
         origin=None if origin is None else str(origin),
         findings=tuple(map(str, field.get(f"{_OWN}findings") or ())),
         heading="" if name == field["name"] else field["name"],
+        doubts={run_id: tuple(map(str, reasons)) for run_id, reasons in doubts.items()},
         **texts,
     )
 

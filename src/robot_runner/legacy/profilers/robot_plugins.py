@@ -220,4 +220,5 @@ def _samples(path: Path) -> Iterator[tuple[str, str]]:
         return
     with path.open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
-            yield row["cpu_percent"], row["memory_percent"]
+            if row["cpu_percent"]:  # a first sample has no utilisation: there is none before it
+                yield row["cpu_percent"], row["memory_percent"]

@@ -32,6 +32,9 @@ _JOULES = re.compile(r"joules:\s*([0-9]+(?:\.[0-9]+)?)")
 class SelfMeasure(Profiler):
     """Measures the energy of this machine over a whole run, by EnergiBridge's own summary.
 
+    The earlier tool defines this column as the whole run, from `start_run` to `stop_run`: its window is not the
+    mission, and is not meant to be, so nothing about it is doubted.
+
     Args:
         binary: the program; None is where Experiment Runner looked for it.
         logfile: the name of its log in the run's folder; None for none.
@@ -42,7 +45,11 @@ class SelfMeasure(Profiler):
     """
 
     measures: Sequence[Measure] = (
-        Measure(COLUMN, "J", "Energy of this machine's processor over the whole run, by EnergiBridge's summary."),
+        Measure(
+            COLUMN,
+            "J",
+            "Energy of this machine's processor over the whole run, not the mission alone, by EnergiBridge's summary.",
+        ),
     )
     needs: ClassVar[str] = "EnergiBridge, at self_measure_bin."
 
@@ -78,7 +85,7 @@ class SelfMeasure(Profiler):
             return
         found = _JOULES.search(program.end())
         if found is None:
-            context.warn("EnergiBridge gave no summary", fix=f"Try {self.binary} --summary -- sleep 1 in a terminal.")
+            context.doubt("EnergiBridge gave no summary", fix=f"Try {self.binary} --summary -- sleep 1 in a terminal.")
         else:
             self._joules = round(float(found[1]), 3)
 

@@ -31,6 +31,7 @@ _PATTERNS = ("/sys/class/hwmon/hwmon*/name", "/sys/bus/iio/devices/iio:device*/n
 #: The largest voltage at the shunt, V, by the chips' data sheets; the drivers leave the INA219's gain at 1/8.
 _SHUNT_RANGES = {"ina219": 0.32, "ina220": 0.32, "ina226": 0.08192, "ina230": 0.08192, "ina231": 0.08192}
 _CHIPS = tuple(_SHUNT_RANGES)
+_OTHERS = "For another sensor, such as an INA3221 or INA238, use the profiler PowerRails."
 
 _HWMON = ("power1_input", "curr1_input", "in1_input")
 _HWMON_SHUNT = "shunt_resistor"
@@ -121,7 +122,7 @@ def find_sensor(host: FileHost, folder: str = AUTO, *, where: str) -> SysfsSenso
         problem, fix = f"there are {len(folders)} sensors", f"Name one: sysfs={' or '.join(map(repr, folders))}."
     else:
         problem = "no driver in /sys shows an INA219"
-        fix = "Load the driver ina2xx for it (docs/ina219.md), or name the sensor's folder: sysfs='/sys/...'."
+        fix = f"Load the driver ina2xx for it (docs/ina219.md), or name its folder: sysfs='/sys/...'. {_OTHERS}"
     raise LinkError(problem, where=where, fix=fix)
 
 
@@ -141,7 +142,8 @@ def _open_sensor(host: FileHost, folder: str, where: str) -> SysfsSensor:
         raise LinkError(f"{folder}: {error}", where=where, fix="Look at the sensor's files there.") from error
     lacking = sorted({*_HWMON, _HWMON_SHUNT} - found.keys())
     problem = f"{folder} shows no INA219: it has no {', '.join(lacking)}" if found else f"there is nothing at {folder}"
-    raise LinkError(problem, where=where, fix="Name the sensor's folder, or leave it to sysfs='auto'.")
+    fix = f"Name the sensor's folder, or leave it to sysfs='auto'. {_OTHERS}"
+    raise LinkError(problem, where=where, fix=fix)
 
 
 #: Hz; each sample is two or three transfers on the sensor's bus, made by the kernel while the reader waits.

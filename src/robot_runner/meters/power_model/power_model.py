@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import AnalysisError, Finding, PluginError, did_you_mean
-from robot_runner.core.events.measure import Measure, Origin
-from robot_runner.core.events.window import Window
+from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.evaluation import publish_measures
 from robot_runner.core.sampling.quality import MINIMUM_COVERAGE, Column, write_quality, write_samples
 from robot_runner.meters.power_model.fitting import Sources, read_runs
 from robot_runner.meters.power_model.linear_power_model import LinearModel, read_model
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.events.window import Window
     from robot_runner.core.plugin import Circumstances
 
 __all__ = ["PowerFunction", "PowerModel"]
@@ -91,8 +92,8 @@ class PowerModel(Profiler):
     """
 
     measures: Sequence[Measure] = (
-        Measure("Energy", "J", "Energy over the measured window, estimated by a power model."),
-        Measure("MeanPower", "W", "Mean power over the measured window, estimated by a power model."),
+        Measure("Energy", "J", "Energy over the measured window, estimated by a power model.", over=Over.SUM),
+        Measure("MeanPower", "W", "Mean power over the measured window, estimated by a power model.", over=Over.MEAN),
     )
     needs: ClassVar[str] = "A power model (robot-runner fit-power-model), and the plugins whose samples it reads."
     bytes_per_run: int = 60_000  # a line of 35 bytes for each of the 10 samples a second of a mission of 95 s
@@ -117,8 +118,6 @@ class PowerModel(Profiler):
         self.utilisation = utilisation
         self.phases = phases
         self._linear = None if coefficients is None else LinearModel(dict(coefficients))
-        self._start: float | None = None
-        self._window: Window | None = None
 
     @classmethod
     def fit(
@@ -174,59 +173,60 @@ class PowerModel(Profiler):
             for each in wanted
         ]
 
-    def start_measurement(self, context: RobotRunnerContext) -> None:
-        """Note when the measured window begins."""
-        self._start, self._window = context.clock.now(), None
-
-    def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """Note when the measured window ends."""
-        if self._start is not None:
-            self._window, self._start = Window(self._start, context.clock.now()), None
-
-    def start_run(self, context: RobotRunnerContext) -> None:
-        """Forget the run before."""
-        del context
-        self._start = self._window = None
-
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Estimate, now that all others have written their samples; no value where too little is known."""
-        mean = None
-        if self._window is None:
-            context.warn("nothing was estimated: the measurement was never started")
+        if context.window is None:
+            context.doubt("nothing was estimated: there was no mission")
         else:
-            mean = self._estimated_mean(context, self._window)
-        joules = None if mean is None or self._window is None else mean * self._window.duration
-        context.publish("Energy", joules, origin=Origin.ESTIMATED)
-        context.publish("MeanPower", mean, origin=Origin.ESTIMATED)
+            self._report(context, context.window)
+        publish_measures(
+            context, self.measures, lambda window: self._evaluated(context, window), origin=Origin.ESTIMATED
+        )
 
-    def _estimated_mean(self, context: RobotRunnerContext, window: Window) -> float | None:
+    def _evaluated(self, context: RobotRunnerContext, window: Window) -> Mapping[str, float | None]:
         try:
-            linear = self._read()
-            utilisation, phases = self._sources(linear)
-            states = read_states(context.run_path, window, utilisation=utilisation, phases=phases)
-            estimate = _Estimate(states, [self._power(linear, state) for state in states], window)
+            mean = self._estimate(context, window).mean_power()
+        except (AnalysisError, PluginError):  # `_report` has told of it
+            return {}
+        return {"Energy": None if mean is None else mean * window.duration, "MeanPower": mean}
+
+    def _estimate(self, context: RobotRunnerContext, window: Window) -> _Estimate:
+        """Return the power of each piece of a window.
+
+        Raises:
+            AnalysisError: the samples of another plugin are not there, or not as they should be.
+            PluginError: the model cannot be read, or the function returned no power.
+        """
+        linear = self._read()
+        utilisation, phases = self._sources(linear)
+        states = read_states(context.run_path, window, utilisation=utilisation, phases=phases)
+        return _Estimate(states, [self._power(linear, state) for state in states], window)
+
+    def _report(self, context: RobotRunnerContext, window: Window) -> None:
+        """Keep the estimates of the mission, and doubt what is doubtful about them."""
+        try:
+            estimate, linear = self._estimate(context, window), self._read()
         except (AnalysisError, PluginError) as error:
-            context.warn(f"nothing was estimated: {error.where}: {error.problem}", fix=error.fix)
-            return None
+            context.doubt(f"nothing was estimated: {error.where}: {error.problem}", fix=error.fix)
+            return
+        utilisation, phases = self._sources(linear)
         estimate.write(context.raw_data_folder)
         details = {"coverage_percent": estimate.coverage, "utilisation": utilisation, "phases": phases}
         write_quality(context.raw_data_folder / "quality.json", None, window, details)
         if linear is not None:
             self._keep(context, linear, estimate)
-        mean = estimate.mean_power()
-        if mean is None:
-            context.warn(
+        if estimate.mean_power() is None:
+            context.doubt(
                 f"nothing was estimated: samples cover {estimate.coverage:.1f} % of the measured window",
                 fix=f"Look at the samples of {' and '.join(each for each in (utilisation, phases) if each)}.",
             )
-        return mean
 
     def _keep(self, context: RobotRunnerContext, linear: LinearModel, estimate: _Estimate) -> None:
         """Keep the model that was used beside the estimates, and tell of what it was not fitted on."""
         text = json.dumps(linear.as_json(), indent=2, ensure_ascii=False) + "\n"
         (context.raw_data_folder / "model.json").write_text(text, encoding="utf-8")
         for doubt in linear.doubts(estimate.states):
-            context.warn(doubt, fix="Fit the model on runs in which the robot does what it does here.")
+            context.doubt(doubt, fix="Fit the model on runs in which the robot does what it does here.")
 
     def _read(self) -> LinearModel | None:
         """Return the linear model, or None where a function stands for it."""

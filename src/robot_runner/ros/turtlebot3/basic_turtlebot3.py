@@ -9,6 +9,7 @@ from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot
 from robot_runner.core.plugin import System
+from robot_runner.core.treatments import factors_of
 from robot_runner.ros.turtlebot3.mission import CircularMission, Performer, PhaseLog
 from robot_runner.ros.turtlebot3.odometry import Odometer, Trajectory
 from robot_runner.ros.turtlebot3.steered_robot import Robot, Task
@@ -111,7 +112,8 @@ class BasicTurtlebot3(System):
     def launch_mission(self, context: RobotRunnerContext) -> None:
         """Execute the mission.
 
-        Its phases go to `phases.csv` and, as they begin, to the other plugins; its way goes to `trajectory.csv`.
+        Its phases go to `phases.csv` and, as they begin, to the other plugins; its way goes to `trajectory.csv`. They
+        are phases of the run, too: `sleep`, `forward`, `task` and `rotate`, for which the config's `phases` may ask.
         """
         task, robot = self._task_of(context), self._reached_robot()
 
@@ -127,7 +129,7 @@ class BasicTurtlebot3(System):
                 (context.raw_data_folder / "phases.csv").open("w", encoding="ascii", newline="")
             )
             performer = Performer(self.mission, task, robot, context.clock, PhaseLog(file))
-            self._performance = performer.perform(announce)
+            self._performance = performer.perform(announce, context.phase)
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Stop the robot and leave it."""
@@ -139,7 +141,7 @@ class BasicTurtlebot3(System):
         """Publish duration, distance and pose error; no values where the mission did not take place."""
         performance = self._performance
         if performance is None:
-            context.warn("the mission did not take place", fix="Look at the run's log.")
+            context.doubt("the mission did not take place", fix="Look at the run's log.")
             for measure in self.measures:
                 context.publish(measure.name, None)
             return
@@ -171,7 +173,8 @@ class BasicTurtlebot3(System):
 
     def _check_tasks(self, circumstances: Circumstances) -> Iterator[Finding]:
         where = f"plugin {self.name}"
-        treatments = None if self.task_factor is None else circumstances.factors.get(self.task_factor)
+        is_bound = "task" in factors_of(self)
+        treatments = None if self.task_factor is None or is_bound else circumstances.factors.get(self.task_factor)
         if treatments is not None and self.task is not None:
             yield Finding.error(
                 where,
@@ -191,8 +194,8 @@ class BasicTurtlebot3(System):
         yield from _unknown_tasks(f"factor {self.task_factor!r}", treatments or ())
 
     def _task_of(self, context: RobotRunnerContext) -> Task:
-        treatments = context.combination
-        chosen = treatments.get(self.task_factor, self.task) if self.task_factor else self.task
+        factor = None if "task" in factors_of(self) else self.task_factor
+        chosen = self.task if factor is None else context.combination.get(factor, self.task)
         task = None if chosen is None else Task.named(chosen)
         if task is None:
             raise PluginError(

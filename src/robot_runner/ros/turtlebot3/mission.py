@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, TextIO
@@ -175,14 +176,20 @@ class Performer:
         self._clock = clock
         self._log = log
 
-    def perform(self, announce: Callable[[int, Phase], None]) -> Performance:
-        """Carry out the mission and tell of each phase as it begins; the robot is stopped whatever happens.
+    def perform(
+        self, announce: Callable[[int, Phase], None], mark: Callable[[str], AbstractContextManager[None]] = nullcontext
+    ) -> Performance:
+        """Carry out the mission; the robot is stopped whatever happens.
+
+        Args:
+            announce: is told of each phase as it begins.
+            mark: returns what to carry out a phase of a kind in, such as `context.phase`.
 
         Raises:
             LinkError: the odometry fell silent or the robot cannot be reached.
         """
         try:
-            performance = self._perform(announce)
+            performance = self._perform(announce, mark)
         except BaseException as fault:
             self._make_safe_after(fault)
             raise
@@ -196,7 +203,9 @@ class Performer:
         except LinkError as error:
             fault.add_note(f"The robot could not be made safe: {error}")
 
-    def _perform(self, announce: Callable[[int, Phase], None]) -> Performance:
+    def _perform(
+        self, announce: Callable[[int, Phase], None], mark: Callable[[str], AbstractContextManager[None]]
+    ) -> Performance:
         odometer = self._robot.odometer
         home, way_before = odometer.pose(), odometer.travelled
         self._aim = home  # where the robot should be, were it to move without error
@@ -204,7 +213,8 @@ class Performer:
         for number, phase in enumerate(self._mission.phases, start=1):
             announce(number, phase)
             start, due = self._clock.now(), due + phase.seconds
-            self._carry_out(phase, due)
+            with mark(phase.kind.value):
+                self._carry_out(phase, due)
             task = self._task if phase.kind is PhaseKind.TASK else None
             self._log.add(phase, task, start, self._clock.now(), odometer.pose())
         return Performance(

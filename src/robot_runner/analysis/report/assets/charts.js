@@ -171,7 +171,7 @@
       const what = lines();
       return new uPlot({
         width: width, height: height, series: what.series, bands: what.bands,
-        axes: axes("Time since the start of measurement (s)", data.label),
+        axes: axes("Time since the start of the mission (s)", data.label),
         scales: { x: { time: false, range: function (u, low, high) { return [low <= data.time[0] ? Math.min(0, low) : low, high]; } } },
         legend: { show: false },
         cursor: { drag: { x: true, y: false }, points: { show: !each }, y: each },

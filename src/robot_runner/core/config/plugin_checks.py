@@ -1,0 +1,280 @@
+"""The plugins that a config asks for: gathered, built with the treatments they are bound to, and checked with each."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from itertools import islice
+from math import prod
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.config.loader import place_in
+from robot_runner.core.design.factor import treatment_text
+from robot_runner.core.errors import Finding, RobotRunnerError, did_you_mean
+from robot_runner.core.plugin import Circumstances, Plugin
+from robot_runner.core.treatments import Treatment, bind, built_with, factors_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+
+    from robot_runner.core.config.loader import LoadedConfig
+    from robot_runner.core.design.run_table_model import RunTableModel
+
+__all__ = ["check_plugins", "check_treatments", "failed_check", "gather_plugins"]
+
+
+def gather_plugins(loaded: LoadedConfig, model: RunTableModel | None) -> tuple[tuple[Plugin, ...], list[Finding]]:
+    """Return the plugins of the config: those in `plugins`, then those that an import line activated.
+
+    Those with bound parameters are built with the treatments of the first run, after it was seen that they can be built
+    with all. One that cannot be is left out, which is a finding; so is, without one, every such plugin where there is
+    no run table.
+    """
+    findings: list[Finding] = []
+    plugins = list(_listed(loaded, findings))
+    for activated in loaded.activated:
+        if not any(isinstance(plugin, activated) for plugin in plugins):
+            plugins += _instantiated(loaded, activated, findings)
+    built = [plugin for plugin in plugins if _is_built(plugin, model, findings)]
+    return tuple(built), [*findings, *_equal_names(loaded, built)]
+
+
+def check_plugins(plugins: Sequence[Plugin], model: RunTableModel | None, robot: Any) -> list[Finding]:
+    """Return what each plugin finds missing; one with bound parameters is asked with each of their treatments."""
+    factors = {factor.name: factor.treatments for factor in model.factors} if model else {}
+    reached = robot if isinstance(robot, str) else None
+    findings: list[Finding] = []
+    for plugin in plugins:
+        if model is not None and factors_of(plugin):
+            planned = (run.combination for run in _some_of(model, factors_of(plugin)))
+            findings += _checked_with_each(plugin, plugins, planned, Circumstances(reached, factors))
+        else:
+            findings += _asked(plugin, Circumstances(reached, factors, tuple(plugins)))
+    return findings
+
+
+def check_treatments(
+    plugins: Sequence[Plugin], model: RunTableModel, robot: str | None, combinations: Iterable[Mapping[str, Any]]
+) -> list[Finding]:
+    """Return what keeps plugins from treatments of a run table that was written by hand.
+
+    Args:
+        plugins: all of the experiment.
+        model: the factors as the config has them.
+        robot: how the robot is reached.
+        combinations: of the runs that are to be executed.
+    """
+    bound = [plugin for plugin in plugins if factors_of(plugin)]
+    listed = list(combinations) if bound else []
+    factors = {factor.name: factor.treatments for factor in model.factors}
+    findings: list[Finding] = []
+    for plugin in bound:
+        unbuilt = _unbuilt_with_each(plugin, listed, [])
+        findings += unbuilt or _checked_with_each(plugin, plugins, listed, Circumstances(robot, factors))
+    return findings
+
+
+def failed_check(where: str, error: Exception) -> Finding:
+    """Return the finding that takes the place of those of a check that raised."""
+    if isinstance(error, RobotRunnerError):
+        return Finding.error(error.where or where, error.problem, error.fix)
+    problem = f"the check raised {type(error).__name__}: {error}"
+    return Finding.error(where, problem, "Tell the plugin's author; update or leave out the plugin.")
+
+
+def _asked(plugin: Plugin, circumstances: Circumstances) -> list[Finding]:
+    try:
+        return list(plugin.check(circumstances))
+    except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
+        return [failed_check(plugin.name, error)]
+
+
+def _listed(loaded: LoadedConfig, findings: list[Finding]) -> Iterable[Plugin]:
+    where = f"{loaded.where}.plugins"
+    listed = getattr(loaded.config, "plugins", ())
+    if not isinstance(listed, list | tuple):
+        findings.append(
+            Finding.error(where, f"the value is {listed!r}", "Give a list, such as [BasicTurtlebot3(), PsUtil()].")
+        )
+        return
+    for plugin in listed:
+        if isinstance(plugin, Plugin):
+            yield plugin
+        elif isinstance(plugin, type) and issubclass(plugin, Plugin):
+            name = plugin.__name__
+            findings.append(Finding.error(where, f"{name} is a class, not a plugin", f"Write {name}()."))
+        else:
+            fix = "Give instances of System or Profiler (robot_runner.plugins)."
+            findings.append(Finding.error(where, f"{plugin!r} is no plugin", fix))
+
+
+def _instantiated(loaded: LoadedConfig, activated: type[Plugin], findings: list[Finding]) -> list[Plugin]:
+    try:
+        return [activated()]
+    except (TypeError, RobotRunnerError) as error:
+        name = activated.__name__
+        place = place_in(loaded.source.path, error)
+        problem = f"{name} cannot be activated by its import alone: {error}"
+        findings.append(
+            Finding.error(place, problem, f"List it in `plugins` instead, with its parameters: {name}(...).")
+        )
+        return []
+
+
+def _equal_names(loaded: LoadedConfig, plugins: list[Plugin]) -> list[Finding]:
+    names = [plugin.name.casefold() for plugin in plugins]
+    return [
+        Finding.error(
+            f"{loaded.where}.plugins",
+            f"{names.count(folded)} plugins are named {plugin.name!r}",
+            f"Give each a name of its own: {type(plugin).__name__}(name=...).",
+        )
+        for index, (plugin, folded) in enumerate(zip(plugins, names, strict=True))
+        if names.count(folded) > 1 and names.index(folded) == index
+    ]
+
+
+# Plugins with bound parameters: built, and asked, with each of the treatments that they will have.
+
+#: More combinations of bound treatments than this are not tried; then each treatment is, in one combination at least.
+_MOST_COMBINATIONS = 256
+
+
+def _is_built(plugin: Plugin, model: RunTableModel | None, findings: list[Finding]) -> bool:
+    """Build a plugin for the first run, where it has bound parameters; returns whether it can be used."""
+    factors = factors_of(plugin)
+    if not factors:
+        findings += _misled(plugin)
+        return True
+    if model is None:
+        return False
+    unknown = list(_unknown_factors(plugin, [factor.name for factor in model.factors]))
+    planned = [run.combination for run in _some_of(model, factors)] if not unknown else []
+    built: list[Plugin] = []
+    refused = unknown or _unbuilt_with_each(plugin, planned, built)
+    findings += refused or _varying(plugin, built)
+    if not refused:
+        bind(plugin, planned[0])
+        # So that the disk has room whatever the treatment; building the plugin for a run makes it the run's again.
+        vars(plugin)["bytes_per_run"] = max(each.bytes_per_run for each in built)
+    return not refused
+
+
+def _misled(plugin: Plugin) -> Iterator[Finding]:
+    """Yield attributes that hold a treatment as if it were a value: the class makes its instances in its own way."""
+    for name, value in vars(plugin).items():
+        if isinstance(value, Treatment):
+            fix = f"Have __new__ of {type(plugin).__name__} call super().__new__(cls, ...) with all of its arguments."
+            yield Finding.error(f"{type(plugin).__name__}.{name}", f"{value!r} was taken for a value", fix)
+
+
+def _unknown_factors(plugin: Plugin, known: Sequence[str]) -> Iterator[Finding]:
+    for name, factor in factors_of(plugin).items():
+        if factor not in known:
+            where = f"{type(plugin).__name__}({name}=treatment({factor!r}))"
+            yield Finding.error(where, f"the run table has no factor {factor!r}", did_you_mean(factor, known))
+
+
+def _some_of(model: RunTableModel, factors: Mapping[str, str]) -> Iterator[Any]:
+    """Yield planned runs until all combinations of the treatments of these factors have come."""
+    names = set(factors.values())
+    left = prod(len(factor.treatments) for factor in model.factors if factor.name in names)
+    seen: set[Any] = set()
+    for run in model.plan():
+        key = _key(run.combination, names)
+        if key not in seen:
+            seen.add(key)
+            yield run
+        if len(seen) == left:
+            return
+
+
+def _key(combination: Mapping[str, Any], factors: Iterable[str]) -> tuple[tuple[type, str], ...]:
+    return tuple((type(combination[name]), treatment_text(combination[name])) for name in sorted(factors))
+
+
+def _distinct(combinations: Iterable[Mapping[str, Any]], factors: Iterable[str]) -> Iterator[Mapping[str, Any]]:
+    """Yield one combination for each of the treatments of these factors, within bounds."""
+    names = sorted(set(factors))
+    seen: set[Any] = set()
+    tried: set[Any] = set()
+    for combination in combinations:
+        key = _key(combination, names)
+        treatments = set(zip(names, key, strict=True))
+        if key not in seen and (len(seen) < _MOST_COMBINATIONS or not treatments <= tried):
+            seen.add(key)
+            tried |= treatments
+            yield combination
+
+
+def _with_each(
+    plugin: Plugin,
+    combinations: Iterable[Mapping[str, Any]],
+    look: Callable[[Mapping[str, Any]], Sequence[Finding]],
+) -> list[Finding]:
+    """Return what is found under each combination; the treatments are named where it is not found under all."""
+    factors = list(dict.fromkeys(factors_of(plugin).values()))
+    found: defaultdict[Finding, list[str]] = defaultdict(list)
+    count = 0
+    for combination in _distinct(combinations, factors):
+        count += 1
+        treatments = ", ".join(f"{name} = {treatment_text(combination[name])}" for name in factors)
+        for finding in dict.fromkeys(look(combination)):
+            found[finding].append(treatments)
+    return [finding if len(under) == count > 1 else _under(finding, under) for finding, under in found.items()]
+
+
+def _under(finding: Finding, treatments: Sequence[str]) -> Finding:
+    shown = "; ".join(islice(treatments, 3))
+    more = f" and {len(treatments) - 3} more" if len(treatments) > 3 else ""  # noqa: PLR2004 - as many as are shown
+    return Finding(finding.severity, finding.where, f"with {shown}{more}: {finding.problem}", finding.fix)
+
+
+def _unbuilt_with_each(plugin: Plugin, combinations: Iterable[Mapping[str, Any]], built: list[Plugin]) -> list[Finding]:
+    return _with_each(plugin, combinations, lambda combination: _unbuilt(plugin, combination, built))
+
+
+def _unbuilt(plugin: Plugin, combination: Mapping[str, Any], built: list[Plugin]) -> list[Finding]:
+    """Return why a plugin cannot be built under a combination; what was built is added to `built`."""
+    bound = ", ".join(f"{name}=treatment({factor!r})" for name, factor in factors_of(plugin).items())
+    where = f"{type(plugin).__name__}({bound})"
+    try:
+        built.append(built_with(plugin, combination))
+    except RobotRunnerError as error:
+        return [Finding.error(where, error.problem, error.fix)]
+    except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
+        problem = f"the plugin cannot be built: {type(error).__name__}: {error}"
+        return [Finding.error(where, problem, "Change this treatment, or what is bound to its factor.")]
+    return []
+
+
+def _varying(plugin: Plugin, built: Sequence[Plugin]) -> Iterator[Finding]:
+    """Yield what is to be the same in all runs and differs with the treatments: the name, and the measures."""
+    factors = factors_of(plugin)
+    where = f"plugin {built[0].name}, bound to {' and '.join(map(repr, dict.fromkeys(factors.values())))}"
+    names = list(dict.fromkeys(each.name for each in built))
+    if len(names) > 1:
+        fix = "Give it a name of its own: name=... ."
+        yield Finding.error(where, f"the plugin is named {names[0]!r} and {names[1]!r} under two treatments", fix)
+    measures = list(dict.fromkeys(tuple((each.name, each.unit) for each in one.measures) for one in built))
+    if len(measures) > 1:
+        shown = " and ".join(", ".join(map(" ".join, each)) or "none" for each in measures[:2])
+        fix = "Bind another parameter: the run table has the same columns in all runs. Or take a plugin for each."
+        yield Finding.error(where, f"the measures of the plugin depend on a bound parameter: {shown}", fix)
+
+
+def _checked_with_each(
+    plugin: Plugin,
+    plugins: Sequence[Plugin],
+    combinations: Iterable[Mapping[str, Any]],
+    circumstances: Circumstances,
+) -> list[Finding]:
+    def look(combination: Mapping[str, Any]) -> list[Finding]:
+        try:
+            asked: Plugin = built_with(plugin, combination)
+            # It stands last: of two that clash the later one says so, and the others are not asked with each treatment.
+            others = tuple(built_with(each, combination) for each in plugins if each is not plugin)
+        except Exception as error:  # noqa: BLE001 - a stranger's code, which could be built a moment ago
+            return [failed_check(plugin.name, error)]
+        return _asked(asked, Circumstances(circumstances.robot, circumstances.factors, (*others, asked)))
+
+    return _with_each(plugin, combinations, look)

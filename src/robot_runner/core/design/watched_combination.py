@@ -1,0 +1,86 @@
+"""Which treatments of a run somebody looked at: a factor that nobody reads was never applied."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import Finding
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+__all__ = ["WatchedCombination", "unread"]
+
+
+class WatchedCombination(Mapping[str, Any]):
+    """A run's combination that tells of each treatment when it is read for the first time. Read-only.
+
+    Args:
+        combination: what is read.
+        tell: called with the name of a factor.
+
+    Example:
+        >>> watched = WatchedCombination({"Task": "Video", "Speed": 0.2}, print)
+        >>> watched["Speed"], watched["Speed"]
+        Speed
+        (0.2, 0.2)
+    """
+
+    __slots__ = ("_combination", "_told", "_unread")
+
+    def __init__(self, combination: Mapping[str, Any], tell: Callable[[str], None]) -> None:
+        self._combination = combination
+        self._told = tell
+        self._unread = set(combination)
+
+    def __getitem__(self, factor: str) -> Any:
+        treatment = self._combination[factor]
+        self._read(factor)
+        return treatment
+
+    def __contains__(self, factor: object) -> bool:
+        found = factor in self._combination
+        if found:
+            self._read(str(factor))
+        return found
+
+    def __iter__(self) -> Iterator[str]:
+        self._read(*self._combination)
+        return iter(self._combination)
+
+    def __len__(self) -> int:
+        return len(self._combination)
+
+    def __repr__(self) -> str:
+        self._read(*self._combination)
+        return repr(self._combination)
+
+    def __str__(self) -> str:
+        self._read(*self._combination)
+        return str(self._combination)
+
+    def __reduce__(self) -> tuple[type[dict[str, Any]], tuple[dict[str, Any]]]:
+        """Have a copy, as another process gets it, be a plain mapping: nobody sees who reads that."""
+        return dict, (dict(self),)
+
+    @property
+    def unread(self) -> frozenset[str]:
+        """The factors whose treatments were not read so far."""
+        return frozenset(self._unread)
+
+    def _read(self, *factors: str) -> None:
+        for factor in factors:
+            if factor in self._unread:
+                self._unread.discard(factor)
+                self._told(factor)
+
+
+def unread(run_id: str, factor: str) -> Finding:
+    """Return the finding that nobody looked at the treatment that a factor had in a run."""
+    return Finding.warning(
+        f"{run_id}, factor {factor!r}",
+        f"no callback and no plugin looked at {factor}: its treatments may never have been applied",
+        f"Bind it to a parameter of a plugin, as in BasicTurtlebot3(speed=treatment({factor!r})), or read "
+        f"context.combination[{factor!r}] in a callback, which may also tell the person who applies it by hand.",
+    )

@@ -1,0 +1,139 @@
+"""The run table in memory while an experiment is executed: its rows, and what is known of its measures."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.execution.task import AttemptStatus, RunOutcome
+from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.table_columns import ColumnRole
+from robot_runner.core.storage.table_schema import ColumnDescription, describe_columns, write_schema
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.errors import Finding
+    from robot_runner.core.storage.run_table_rows import RunTableRows
+
+__all__ = ["ENDS", "Deviation", "RecoveredTable"]
+
+#: The status in the run table of a run whose attempt ended in this way.
+ENDS = {AttemptStatus.DONE.value: RunStatus.DONE, AttemptStatus.FAILED.value: RunStatus.FAILED}
+
+
+@dataclass(frozen=True, slots=True)
+class Deviation:
+    """A change that was made by hand to what was executed.
+
+    Attributes:
+        run: its id.
+        column: of the run table; `row` where the whole row was removed, `order` where rows changed places.
+        was: the text of the cell by the journal.
+        is_now: the text of the cell in the file.
+    """
+
+    run: str
+    column: str
+    was: str
+    is_now: str
+
+
+@dataclass(slots=True)
+class RecoveredTable:
+    """The run table of an experiment, as far as it has come.
+
+    Attributes:
+        rows: the table, kept up to date.
+        attempts: how often each run was tried.
+        failed: why each failed run failed.
+        unfinished: the run whose attempt did not come to a recorded end, or None.
+        findings: what looked odd in the file.
+        is_on_disk: whether the file holds all this, and has a schema, so that neither need be written.
+        deviations: what was changed by hand since the last execution.
+    """
+
+    experiment: Experiment
+    rows: RunTableRows
+    attempts: Counter[str] = field(default_factory=Counter)
+    failed: dict[str, str] = field(default_factory=dict)
+    unfinished: str | None = None
+    findings: tuple[Finding, ...] = ()
+    is_on_disk: bool = False
+    deviations: tuple[Deviation, ...] = ()
+    origins: defaultdict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
+    _kinds: set[tuple[str, Any]] = field(default_factory=set)
+    doubts: defaultdict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
+    reasons: defaultdict[str, dict[str, tuple[str, ...]]] = field(default_factory=lambda: defaultdict(dict))
+
+    def take_outcome(self, run_id: str, outcome: RunOutcome) -> bool:
+        """Bring the row of a run up to date with how its attempt ended; returns whether a type or origin is new."""
+        for measure in outcome.measures.values():
+            self.origins[measure.name].add(measure.origin.value)
+        for finding in outcome.findings:
+            self.doubts[finding.where.partition(", ")[2]].add(f"{run_id}: {finding.problem}")
+        self._take_reasons(run_id, {name: measure.doubts for name, measure in outcome.measures.items()})
+        values = {name: measure.value for name, measure in outcome.measures.items()}
+        self._record(run_id, outcome.status.value, outcome.stamps, values)
+        kinds: set[tuple[str, Any]] = {(name, type(value)) for name, value in values.items() if value is not None}
+        kinds |= {(measure.name, measure.origin) for measure in outcome.measures.values()}
+        has_new = not kinds <= self._kinds
+        self._kinds |= kinds
+        return has_new
+
+    def take_record(self, record: Mapping[str, Any]) -> None:
+        """Bring the row of a run up to date with how the journal says that its attempt ended."""
+        self.take_circumstances(record)
+        values = {name: measure["value"] for name, measure in record["measures"].items()}
+        self._record(record["run"], record["status"], record["stamps"], values)
+
+    def take_circumstances(self, record: Mapping[str, Any]) -> None:
+        """Remember where the measures of an attempt came from and what makes them doubtful, as the journal says."""
+        for name, measure in record["measures"].items():
+            self.origins[name].add(measure["origin"])
+        told = {name: tuple(measure.get("doubts", ())) for name, measure in record["measures"].items()}
+        self._take_reasons(record["run"], told)
+
+    def _take_reasons(self, run_id: str, doubts: Mapping[str, tuple[str, ...]]) -> None:
+        """Remember what makes the values of a run doubtful or missing; what was said of an earlier attempt is over."""
+        for by_run in self.reasons.values():
+            by_run.pop(run_id, None)
+        for name, reasons in doubts.items():
+            if reasons:
+                self.reasons[name][run_id] = reasons
+
+    def write_schema(self, path: Path) -> None:
+        """Write the run table's schema as far as it is known."""
+        write_schema(path, describe_columns(self.rows, self._known()))
+
+    def _record(self, run_id: str, status: str, stamps: Mapping[str, str], measures: Mapping[str, Any]) -> None:
+        if status == AttemptStatus.INTERRUPTED.value:
+            self.rows.clear(run_id)
+            return
+        self.rows.record(
+            run_id,
+            status=ENDS[status],
+            stamps={
+                name: stamp for event, stamp in stamps.items() if (name := f"{event}_at") in self.rows.layout.stamps
+            },
+            measures={name: value for name, value in measures.items() if name in self.rows.layout.measures},
+        )
+
+    def _known(self) -> dict[str, ColumnDescription]:
+        return {
+            column.name: ColumnDescription(
+                name=column.name,
+                role=ColumnRole.MEASURE,
+                description=column.measure.description,
+                unit=column.measure.unit,
+                owner=column.owner,
+                origin=", ".join(sorted(self.origins[column.name])) or None,
+                findings=tuple(sorted(self.doubts[column.owner])),
+                doubts=MappingProxyType(dict(self.reasons[column.name])),
+            )
+            for column in self.experiment.columns.in_table
+        }

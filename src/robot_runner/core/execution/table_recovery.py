@@ -1,0 +1,395 @@
+"""The run table of an experiment that goes on: the journal is the truth, and the file is compared with it.
+
+The journal is flushed at the end of each run; the file is written now and then, and people, spreadsheets and sync
+clients change it. A file that is as we wrote it last (by its SHA-256, which the journal has) is read, and runs that
+ended since are added. Any other file is compared with the journal, run by run.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import Finding, StorageError
+from robot_runner.core.execution.recovered_table import ENDS, Deviation, RecoveredTable
+from robot_runner.core.execution.recovery import (
+    TableChoice,
+    TableDisagreementError,
+    refuse_differences,
+    table_differences,
+)
+from robot_runner.core.storage.cells import RunStatus, measure_text
+from robot_runner.core.storage.journal import journal_lines, parsed_record
+from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.run_table_rows import RunTableRows
+from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.table_schema import read_schema
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.design.run_table_model import RunTable
+    from robot_runner.core.execution.recovery import Resumption
+    from robot_runner.core.storage.table_columns import TableLayout
+    from robot_runner.core.storage.table_schema import ColumnDescription
+
+__all__ = ["recover_table"]
+
+_CHOOSE = (
+    "Let what was executed count (--table journal), or let the file count (--table file): each change is recorded."
+)
+_REBUILD = "Restore it from a backup, or make it anew from the plan and the journal: --table journal."
+#: In a deviation: what stands for a row that is not there any more, and for rows that changed places.
+_ROW, _ORDER = "row", "order"
+
+
+def recover_table(experiment: Experiment, manifest: Mapping[str, Any], resumption: Resumption) -> RecoveredTable:
+    """Return the run table: planned anew, or as it stands in the folder with what the journal knows better.
+
+    Args:
+        experiment: what is to be executed.
+        manifest: as written when the experiment was first executed.
+        resumption: whether the file may differ from the plan, and what counts where it differs from the journal.
+
+    Raises:
+        StorageError: the table or the journal cannot be read; every problem is named.
+        ExecutionError: the file differs from the plan, or from the journal; every cell is named.
+    """
+    return _Recovery(experiment, manifest, resumption).recovered()
+
+
+# As `Journal.append` writes them: run and status are read from the line, as parsing takes twenty times as long.
+_RUN = re.compile(rb'\{"kind":"[^"]*","at":"[^"\\]*","run":"([^"\\]*)"')
+_STARTED = b'{"kind":"attempt_started"'
+_FINISHED = b'{"kind":"attempt_finished"'
+_TABLE_WRITTEN = b'{"kind":"table_written"'
+_IS_DONE = b'"status":"done"'  # quotes inside a text are escaped: these stand nowhere else
+
+
+@dataclass(slots=True)
+class _History:
+    """What the journal tells, in its order.
+
+    Attributes:
+        attempted: the run of each attempt.
+        is_open: whether the last attempt did not come to a recorded end.
+        newer: the ends of attempts since the table was written last.
+        failed: the ends of attempts that did not end well.
+        written: the digest of the table as it was written last; empty where that is not known.
+        has_ends: whether any attempt has ended.
+    """
+
+    attempted: list[str] = field(default_factory=list)
+    is_open: bool = False
+    newer: list[bytes] = field(default_factory=list)
+    failed: list[bytes] = field(default_factory=list)
+    written: str = ""
+    has_ends: bool = False
+
+    @classmethod
+    def of(cls, journal: Path) -> _History:
+        history = cls()
+        for line in journal_lines(journal, kinds={"attempt_started", "attempt_finished", "table_written"}):
+            history.take(journal, line)
+        return history
+
+    def take(self, journal: Path, line: bytes) -> None:
+        if line.startswith(_STARTED):
+            self.attempted.append(_run_of(journal, line))
+            self.is_open = True
+        elif line.startswith(_TABLE_WRITTEN):
+            # Parsed, as what comes before is left out from here on: a damaged line must not do that.
+            self.written = str(parsed_record(journal, line).get("sha256", ""))
+            self.newer.clear()
+        else:
+            self.is_open, self.has_ends = False, True
+            self.newer.append(line)
+            if _IS_DONE not in line:
+                self.failed.append(line)
+
+
+class _Recovery:
+    def __init__(self, experiment: Experiment, manifest: Mapping[str, Any], resumption: Resumption) -> None:
+        folder = experiment.folder
+        self._experiment = experiment
+        self._choice = resumption.chosen_table
+        self._accepts_changes = resumption.accept_changes
+        self._is_by_hand = manifest["design"]["source"] != "config"
+        self._path = folder.run_table
+        self._journal = folder.journal
+        self._plan: RunTable = experiment.model.plan(manifest["seed"])
+        self._schema, self._schema_findings = _schema_of(folder.schema)
+        self._layout: TableLayout = experiment.table_layout({each.name: each.type for each in self._schema} or None)
+        self._history = _History.of(folder.journal)
+        self._is_known_to_be_reordered = bool(manifest["design"].get("is_reordered"))
+
+    def recovered(self) -> RecoveredTable:
+        history, is_empty = self._history, not _has_content(self._path)
+        if is_empty and history.has_ends:
+            table = self._rebuilt(f"the run table is {'empty' if self._path.exists() else 'missing'}")
+        elif is_empty:
+            table = RecoveredTable(self._experiment, RunTableRows.of_plan(self._plan, self._layout))
+        else:
+            table = self._read()
+        for column in self._schema:
+            table.origins[column.name].update(column.origin.split(", ") if column.origin else ())
+            table.reasons[column.name].update(column.doubts)
+            table.doubts[column.owner].update(column.findings)
+        if not self._schema and history.has_ends:
+            self._take_what_the_schema_had(table)
+        table.findings = (*self._schema_findings, *table.findings)
+        self._add_newer(table)
+        self._settle(table)
+        return table
+
+    def _read(self) -> RecoveredTable:
+        try:
+            rows = read_run_table(self._path, self._layout, self._plan)
+        except StorageError as error:
+            if not self._history.has_ends or self._choice is TableChoice.FILE:
+                raise
+            if self._choice is TableChoice.JOURNAL:
+                return self._rebuilt("the run table could not be read")
+            findings = [*error.findings, Finding.error(str(self._path), "runs of the table were executed", _REBUILD)]
+            raise TableDisagreementError.of_findings(findings) from error
+        if not self._is_by_hand and not self._accepts_changes and self._choice is not TableChoice.JOURNAL:
+            refuse_differences(table_differences(self._path, self._plan, rows))
+        table = RecoveredTable(
+            self._experiment, rows, findings=rows.warnings, is_on_disk=rows.has_file and bool(self._schema)
+        )
+        if self._history.has_ends and _digest(self._path) != self._history.written:
+            self._reconcile(table)
+        return self._with_order(table)
+
+    def _reconcile(self, table: RecoveredTable) -> None:
+        """Compare each executed run with its row, and let count what was chosen.
+
+        Raises:
+            ExecutionError: they differ, and nothing was chosen.
+        """
+        ends, earlier = self._last_ends()
+        newer = {_run_of(self._journal, line) for line in self._history.newer}
+        found: list[Deviation] = []
+        for run_id, line in ends.items():
+            place = table.rows.place_of(run_id)
+            has_come = place is not None and table.rows.status(place) in {RunStatus.DONE, RunStatus.FAILED}
+            if run_id in newer and not has_come:
+                continue  # it ended after the file was written: the journal alone has it
+            found += _deviations(table.rows, parsed_record(self._journal, line), earlier)
+        table.is_on_disk = False  # from here on it is as we write it, so that it need not be compared again
+        if not found:
+            return
+        if self._choice is None:
+            refuse_differences((self._as_finding(each, is_error=True) for each in found), TableDisagreementError)
+        if self._choice is TableChoice.FILE:
+            table.deviations = tuple(found)
+            table.findings = (*table.findings, *(self._as_finding(each, is_error=False) for each in found))
+        elif any(each.column == _ROW for each in found):
+            rebuilt = self._rebuilt("the run table lacked runs that were executed")
+            table.rows, table.findings = rebuilt.rows, rebuilt.findings
+        else:
+            self._put_aside()
+            for run_id in {each.run: None for each in found}:
+                table.take_record(parsed_record(self._journal, ends[run_id]))
+            problem = f"{len(found)} cells of the run table were put back to what the journal has"
+            table.findings = (*table.findings, Finding.warning(str(self._path), problem, self._kept_fix()))
+
+    def _rebuilt(self, reason: str) -> RecoveredTable:
+        """Return the table made anew from the plan and the journal.
+
+        Raises:
+            ExecutionError: the plan is not what was executed, as the table was written or changed by hand.
+        """
+        if self._path.exists():
+            self._put_aside()
+        ends, _ = self._last_ends()
+        rows = RunTableRows.of_plan(self._plan, self._layout)
+        table = RecoveredTable(self._experiment, rows)
+        refuse_differences(self._unplanned(rows))
+        for line in ends.values():
+            table.take_record(parsed_record(self._journal, line))
+        done = rows.count(RunStatus.DONE)
+        problem = f"{reason}: made anew from the plan and the journal, with {done} runs that are done"
+        table.findings = (Finding.warning(str(self._path), problem, self._kept_fix()),)
+        return table
+
+    def _unplanned(self, rows: RunTableRows) -> Iterator[Finding]:
+        """Yield each run that was executed with other treatments than the plan has for it."""
+        fix = "Restore the run table from a backup: it was written or changed by hand, and the plan does not have that."
+        for line in journal_lines(self._journal, kinds={"attempt_started"}):
+            record = parsed_record(self._journal, line)
+            place = rows.place_of(record["run"])
+            where = f"{self._path}, run {record['run']}"
+            executed = record.get("combination")
+            if place is None:
+                yield Finding.error(where, "the run was executed, and the plan has no such run", fix)
+            elif executed is not None and executed != texts_of(rows.combination(place)):
+                problem = f"the run was executed with {executed}, the plan has {texts_of(rows.combination(place))}"
+                yield Finding.error(where, problem, fix)
+            elif executed is None and self._is_by_hand:
+                yield Finding.error(where, "the run was executed from a table that was written by hand", fix)
+
+    def _last_ends(self) -> tuple[dict[str, bytes], dict[tuple[str, str], str]]:
+        """Return the line of each run's last end, and the changes by hand since, by run and column."""
+        ends: dict[str, bytes] = {}
+        changed: dict[tuple[str, str], str] = {}
+        for line in journal_lines(self._journal, kinds={"attempt_finished", "deviation"}):
+            if line.startswith(_FINISHED):
+                run_id = _run_of(self._journal, line)
+                ends[run_id] = line
+                for key in [key for key in changed if key[0] == run_id] if changed else ():
+                    del changed[key]
+            else:
+                record = parsed_record(self._journal, line)
+                changed[record["run"], record["column"]] = record["is"]
+        return ends, changed
+
+    def _take_what_the_schema_had(self, table: RecoveredTable) -> None:
+        ends, _ = self._last_ends()
+        for line in ends.values():
+            table.take_circumstances(parsed_record(self._journal, line))
+        table.is_on_disk = False
+
+    def _add_newer(self, table: RecoveredTable) -> None:
+        last_ends = {_run_of(self._journal, line): line for line in self._history.newer}
+        for run_id, line in last_ends.items():
+            place = table.rows.place_of(run_id)
+            has_come = place is not None and table.rows.status(place) in {RunStatus.DONE, RunStatus.FAILED}
+            if place is not None and not (has_come and table.deviations):
+                table.take_record(parsed_record(self._journal, line))
+        table.is_on_disk &= not last_ends and not table.rows.count(RunStatus.RUNNING)
+
+    def _settle(self, table: RecoveredTable) -> None:
+        """Runs whose end nobody saw are to do again; failed ones are listed with their reason."""
+        history, rows = self._history, table.rows
+        table.attempts = Counter(history.attempted)
+        table.unfinished = history.attempted[-1] if history.is_open else None
+        reasons = {
+            _run_of(self._journal, line): parsed_record(self._journal, line)["failure"] or "" for line in history.failed
+        }
+        for place in range(len(rows)) if rows.count(RunStatus.RUNNING) or rows.count(RunStatus.FAILED) else ():
+            run_id = rows.run_id(place)
+            if rows.status(place) is RunStatus.RUNNING:
+                rows.clear(run_id)
+            elif rows.status(place) is RunStatus.FAILED:
+                table.failed[run_id] = reasons.get(run_id, "")
+
+    def _with_order(self, table: RecoveredTable) -> RecoveredTable:
+        """Note where the rows of a planned table were put into another order."""
+        if self._is_by_hand or self._is_known_to_be_reordered or not is_reordered(self._plan, table.rows):
+            return table
+        deviation = Deviation("", _ORDER, "as planned", "changed by hand")
+        table.deviations = (*table.deviations, deviation)
+        problem = (
+            "the rows of the run table were put into another order: runs are executed, and reported, in that order"
+        )
+        table.findings = (*table.findings, Finding.warning(str(self._path), problem))
+        return table
+
+    def _as_finding(self, each: Deviation, *, is_error: bool) -> Finding:
+        where = f"{self._path}, run {each.run}"
+        if each.column == _ROW:
+            problem = "the run was executed, and the table has no such run any more"
+        else:
+            where += f", column {each.column!r}"
+            problem = f"the table has {each.is_now or 'nothing'!r}, the journal {each.was or 'nothing'!r}"
+        return Finding.error(where, problem, _CHOOSE) if is_error else Finding.warning(where, problem)
+
+    def _put_aside(self) -> None:
+        folder = self._experiment.folder.earlier_tables
+        try:
+            folder.mkdir(exist_ok=True)
+            self._aside = folder / f"{1 + sum(1 for _ in folder.iterdir())}.csv"
+            self._aside.write_bytes(self._path.read_bytes())
+        except OSError as error:
+            raise storage_error(folder, "written", error) from error
+
+    def _kept_fix(self) -> str:
+        aside = getattr(self, "_aside", None)
+        return f"What the file held is kept as {aside.parent.name}/{aside.name}." if aside is not None else ""
+
+
+def is_reordered(plan: RunTable, rows: RunTableRows) -> bool:
+    """Return whether the runs of a plan stand in another order in a table; runs that only one of them has aside."""
+    planned = [run.run_id for run in plan]
+    there = [run.run_id for run in rows.planned]
+    if planned == there:
+        return False
+    both = set(planned) & set(there)
+    return [each for each in planned if each in both] != [each for each in there if each in both]
+
+
+def texts_of(combination: Mapping[str, Any]) -> dict[str, str]:
+    """Return the treatments of a run as the journal keeps them."""
+    return {name: str(treatment) for name, treatment in combination.items()}
+
+
+def _deviations(
+    rows: RunTableRows, record: Mapping[str, Any], changed: Mapping[tuple[str, str], str]
+) -> Iterator[Deviation]:
+    """Yield each cell of a run's row that is not what its last attempt, and changes since, have left."""
+    run_id = record["run"]
+    if record["status"] not in ENDS:  # it was interrupted, and is to do again
+        return
+    place = rows.place_of(run_id)
+    if place is None:
+        if changed.get((run_id, _ROW)) is None:
+            yield Deviation(run_id, _ROW, record["status"], "")
+        return
+    row, layout = rows.row(place), rows.layout
+    expected: dict[str, str] = {}
+    if layout.spelling.tells_apart(ENDS[record["status"]], row["status"]):
+        expected["status"] = ENDS[record["status"]].value
+    for event, stamp in record["stamps"].items():
+        if f"{event}_at" in layout.stamps:
+            expected[f"{event}_at"] = stamp
+    for name in layout.measures:
+        expected[name] = measure_text(record["measures"].get(name, {}).get("value"))
+    for name, text in expected.items():
+        was = changed.get((run_id, name), text)
+        is_now = _text(row[name])
+        if is_now != was:
+            yield Deviation(run_id, name, was, is_now)
+
+
+def _text(cell: Any) -> str:
+    return str(cell.value) if isinstance(cell, RunStatus) else measure_text(cell)
+
+
+def _run_of(journal: Path, line: bytes) -> str:
+    found = _RUN.match(line)
+    return found[1].decode() if found else str(parsed_record(journal, line)["run"])
+
+
+def _has_content(path: Path) -> bool:
+    """Return whether there is anything in a file but blanks."""
+    try:
+        with path.open("rb") as file:
+            return any(line.strip() for line in file)
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        raise storage_error(path, "read", error) from error
+
+
+def _digest(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise storage_error(path, "read", error) from error
+
+
+def _schema_of(path: Path) -> tuple[tuple[ColumnDescription, ...], tuple[Finding, ...]]:
+    """Return what the schema says; nothing where it is missing or damaged: it is made anew from the journal."""
+    if not path.exists():
+        return (), ()
+    try:
+        return read_schema(path), ()
+    except StorageError as error:
+        return (), (Finding.warning(str(path), f"{error.problem}: it is made anew from the journal"),)

@@ -1,0 +1,43 @@
+"""Counters that only rise, and wrap around or are set back."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["fall_count", "unwrapped"]
+
+
+def unwrapped(counts: Sequence[float], wraps_at: float | None = None) -> list[float]:
+    """Return a counter that goes on where the true one began at 0 again, from 0 at its first count.
+
+    Args:
+        counts: as they were read, oldest first.
+        wraps_at: the value at which the counter begins at 0 again; None where a lower count can only mean that it was
+            set to 0 meanwhile, so that what it counted since then is all that is known.
+
+    Example:
+        >>> unwrapped([90, 97, 5], wraps_at=100)
+        [0, 7, 15]
+        >>> unwrapped([90, 97, 5])
+        [0, 7, 12]
+    """
+    total: float = 0
+    totals: list[float] = [0] if counts else []
+    for sooner, later in pairwise(counts):
+        total += later - sooner if later >= sooner else later if wraps_at is None else later - sooner + wraps_at
+        totals.append(total)
+    return totals
+
+
+def fall_count(counts: Sequence[float]) -> int:
+    """Return how often a counter was lower than at the reading before.
+
+    Example:
+        >>> fall_count([90, 97, 5, 6])
+        1
+    """
+    return sum(later < sooner for sooner, later in pairwise(counts))

@@ -1,0 +1,236 @@
+"""What electrical meters have in common: power, voltage, current and energy of one or several channels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import groupby
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from robot_runner.core.events.measure import Measure, Over
+from robot_runner.core.sampling.quality import Column
+from robot_runner.core.sampling.series import Series, cut, energy, growth, mean
+from robot_runner.meters.counters import fall_count, unwrapped
+from robot_runner.meters.polled import PolledProfiler
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from robot_runner.core.sampling.periodic import Sampling
+
+__all__ = ["ElectricalProfiler", "ElectricalReading", "electrical_measures"]
+
+#: What a counter's step and its seldom renewal may hide at one edge of the window, as a share of its increase: with
+#: both edges, the energy is off by 1 % at most.
+_FINE = 0.005
+#: A stretch of equal readings is doubted where it is this long, and fills this share of the window. A converter of ten
+#: bits and more shows its own noise in one of three quantities far sooner.
+_STUCK_READINGS, _STUCK_SHARE = 30, 0.2
+
+
+class ElectricalReading(NamedTuple):
+    """What one channel of a meter says at one moment; None for what it does not tell.
+
+    Attributes:
+        power: active power, W.
+        voltage: V.
+        current: A.
+        joules: the meter's own energy counter, J.
+        time: when it was measured, s on the clock of the sampling; None for the moment at which it was read.
+
+    Example:
+        >>> ElectricalReading(power=7.5, voltage=12.0).current is None
+        True
+    """
+
+    power: float | None = None
+    voltage: float | None = None
+    current: float | None = None
+    joules: float | None = None
+    time: float | None = None
+
+
+#: One reading of each channel.
+Readings = tuple[ElectricalReading, ...]
+
+_MEASURES = (
+    Measure(
+        "Energy",
+        "J",
+        "Energy{of} over the measured window: by the meter's counter if fine enough, else power x time.",
+        over=Over.SUM,
+    ),
+    Measure("MeanPower", "W", "Mean power{of} over the measured window: Energy / its duration.", over=Over.MEAN),
+    Measure("MeanVoltage", "V", "Voltage{of}, mean over the measured window.", over=Over.MEAN),
+    Measure("MeanCurrent", "A", "Current{of}, mean over the measured window.", over=Over.MEAN),
+)
+
+
+def electrical_measures(channels: Sequence[str]) -> tuple[Measure, ...]:
+    """Return the measures of a meter's channels; of a single one they have no suffix.
+
+    Example:
+        >>> [measure.name for measure in electrical_measures(["VDD_IN", "VDD_CPU"])][::4]
+        ['Energy_VDD_IN', 'Energy_VDD_CPU']
+        >>> electrical_measures(["VDD_IN"])[0].name
+        'Energy'
+    """
+    suffixed = [(f"_{channel}", f" of {channel}") for channel in channels] if len(channels) > 1 else [("", "")]
+    return tuple(
+        replace(measure, name=measure.name + suffix, description=measure.description.format(of=of))
+        for suffix, of in suffixed
+        for measure in _MEASURES
+    )
+
+
+class ElectricalProfiler(PolledProfiler[Readings]):
+    """Reads an electrical meter; a subclass opens it, and says which channels it has.
+
+    It measures energy, mean power, mean voltage and mean current of each channel, as far as the readings tell them.
+    Energy is that of the meter's own counter where it is fine enough, else the integral of power; where power is not
+    told, but voltage and current are, the subclass multiplies them.
+
+    Args:
+        name: tells several instances apart; the class's name if left out.
+        rate_hz: readings a second, Hz.
+        channels: the names of the channels in the order of the readings; a single one yields measures without suffix.
+
+    Attributes:
+        counter_step: the smallest step of the meter's energy counters, J.
+        counter_period: how much time may go by until the meter brings its energy counters up to date, s.
+        disagreement: how far a counter and the integral of power may be apart before they are doubted, as a share.
+
+    Example:
+        >>> class Steady:
+        ...     def read(self):
+        ...         return (ElectricalReading(power=7.5, voltage=12.0),)
+        ...     def close(self):
+        ...         pass
+        >>> class Supply(ElectricalProfiler):
+        ...     def open(self, context):
+        ...         return Steady()
+        >>> [measure.name for measure in Supply().measures]
+        ['Energy', 'MeanPower', 'MeanVoltage', 'MeanCurrent']
+    """
+
+    measures: Sequence[Measure] = electrical_measures(("",))
+
+    counter_step: float = 0.0
+    counter_period: float = 0.0
+    disagreement: float = 0.05
+
+    def __init__(self, *, name: str | None = None, rate_hz: float = 10.0, channels: Sequence[str] = ("",)) -> None:
+        super().__init__(name=name, rate_hz=rate_hz)
+        self.channels = tuple(channels)
+        self.measures = electrical_measures(self.channels)
+
+    def columns(self, sampling: Sampling[Readings]) -> Sequence[Column]:
+        """Return what each channel said, and the meter's own stamps where it has some; without what it never told."""
+        picks = (
+            ("power_W", "power"),
+            ("voltage_V", "voltage"),
+            ("current_A", "current"),
+            ("energy_J", "joules"),
+            ("stamp_s", "time"),
+        )
+        columns = [
+            Column(f"{prefix}{heading}", [getattr(reading[place], quantity) for reading in sampling.readings])
+            for place, prefix in enumerate(self._prefixes)
+            for heading, quantity in picks
+        ]
+        return [column for column in columns if any(value is not None for value in column.values)]
+
+    def values(self, sampling: Sampling[Readings]) -> Mapping[str, float | None]:
+        """Return energy, mean power, voltage and current of each channel."""
+        window, reach = sampling.window, 5 / self.rate_hz
+        values: dict[str, float | None] = {}
+        for place, names in enumerate(self._names):
+            joules = self._energy(sampling, place)[0]
+            watts = joules / window.duration if joules is not None and window.duration else None
+            means = [mean(cut(_series(sampling, place, each), window, reach=reach)) for each in ("voltage", "current")]
+            values |= zip(names, (joules, watts, *means), strict=True)
+        return values
+
+    def doubts(self, sampling: Sampling[Readings]) -> Iterator[str]:
+        """Yield what is doubtful: a meter that is stuck or the wrong way round, or a counter that power contradicts."""
+        for place, channel in enumerate(self.channels):
+            of = f" of {channel}" if len(self.channels) > 1 else ""
+            yield from (doubt.format(of=of) for doubt in self._channel_doubts(sampling, place))
+
+    def details(self) -> Mapping[str, Any]:
+        """Return what the energy of each channel was taken from."""
+        if self._sampling is None:
+            return {}
+        sources = [self._energy(self._sampling, place)[1] for place in range(len(self.channels))]
+        return {"energy_from": dict(zip(self.channels, sources, strict=True))}
+
+    @property
+    def _prefixes(self) -> Sequence[str]:
+        return [f"{channel}_" for channel in self.channels] if len(self.channels) > 1 else [""]
+
+    @property
+    def _names(self) -> Sequence[Sequence[str]]:
+        names, count = [measure.name for measure in self.measures], len(_MEASURES)
+        return [names[at : at + count] for at in range(0, len(names), count)]
+
+    def _energy(self, sampling: Sampling[Readings], place: int) -> tuple[float | None, str]:
+        """Return the energy of one channel, J, and what it was taken from."""
+        counted, integral = self._counted(sampling, place), self._integral(sampling, place)
+        if counted is not None and (integral is None or self._is_trusted(sampling, place, counted)):
+            return counted, "counter"
+        return integral, "power" if integral is not None else ""
+
+    def _counted(self, sampling: Sampling[Readings], place: int) -> float | None:
+        counter = _series(sampling, place, "joules")
+        return growth(Series(counter.times, unwrapped(counter.values)), sampling.window)
+
+    def _integral(self, sampling: Sampling[Readings], place: int) -> float | None:
+        return energy(_series(sampling, place, "power"), sampling.window, reach=5 / self.rate_hz)
+
+    def _is_trusted(self, sampling: Sampling[Readings], place: int, counted: float) -> bool:
+        is_fine = self._blur(sampling, counted) <= _FINE * counted
+        return counted > 0 and is_fine and not _falls(sampling, place)
+
+    def _blur(self, sampling: Sampling[Readings], joules: float) -> float:
+        """Return how far a counter may be behind at one edge of a window in which so many joules were used, J."""
+        duration = sampling.window.duration
+        return self.counter_step + (abs(joules) / duration * self.counter_period if duration else 0.0)
+
+    def _channel_doubts(self, sampling: Sampling[Readings], place: int) -> Iterator[str]:
+        counted, integral = self._counted(sampling, place), self._integral(sampling, place)
+        if falls := _falls(sampling, place):
+            yield f"the energy counter{{of}} was set back{'' if falls == 1 else f' {falls} times'}"
+        elif counted is not None and integral is not None:
+            blur = 2 * self._blur(sampling, integral)
+            if abs(counted - integral) > max(self.disagreement * (abs(counted) + abs(integral)) / 2, blur):
+                yield f"the energy counter{{of}} rose by {counted:.4g} J, and its power amounts to {integral:.4g} J"
+        if counted is not None and integral is None and (blur := self._blur(sampling, counted)) > _FINE * counted:
+            yield f"the energy counter{{of}} rose by {counted:.4g} J, and may be behind by {blur:.3g} J at either end"
+        if integral is not None and integral < 0:
+            yield f"the energy{{of}} is {integral:.4g} J: the meter is the wrong way round, or the load feeds back"
+        yield from _stuck(sampling, place)
+
+
+def _series(sampling: Sampling[Readings], place: int, quantity: str) -> Series:
+    """Return one quantity of a channel; a reading that the meter stamped counts once, at its stamp."""
+    told: dict[float, float] = {}
+    for time, readings in zip(sampling.times, sampling.readings, strict=True):
+        reading = readings[place]
+        value = getattr(reading, quantity)
+        if value is not None:
+            told.setdefault(time if reading.time is None else reading.time, value)
+    times = sorted(told)
+    return Series(times, [told[time] for time in times])
+
+
+def _falls(sampling: Sampling[Readings], place: int) -> int:
+    return fall_count(_series(sampling.within(), place, "joules").values)
+
+
+def _stuck(sampling: Sampling[Readings], place: int) -> Iterator[str]:
+    within = sampling.within()
+    pairs = zip(within.times, (readings[place][:4] for readings in within.readings), strict=True)
+    stretches = [[time for time, _ in group] for _, group in groupby(pairs, key=lambda pair: pair[1])]
+    longest = max(stretches, key=len, default=[])
+    span = longest[-1] - longest[0] if longest else 0.0
+    if len(longest) >= _STUCK_READINGS and span >= _STUCK_SHARE * sampling.window.duration:
+        yield f"the meter said the same{{of}} {len(longest)} times, for {span:.1f} s: it may be stuck"

@@ -1,0 +1,164 @@
+"""Small requests over HTTP to devices and exporters of a lab, with a password that stands in no config."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import urllib.error
+import urllib.parse
+import urllib.request
+from contextlib import closing
+from dataclasses import dataclass
+from http.client import HTTPException
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import LinkError, PluginError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+__all__ = ["HttpDevice", "Secret", "check_url"]
+
+#: Much more than an exporter's page takes; a device that sends without end is cut off.
+_MOST_BYTES = 32 << 20
+_UNAUTHORIZED, _FORBIDDEN = 401, 403
+_NAME_PASSWORD = "Name its user, and where its password stands: password_env='NAME' or password_file='...'."  # noqa: S105
+
+
+@dataclass(frozen=True, slots=True)
+class Secret:
+    """Where a password stands, which is all that a config says of it.
+
+    Attributes:
+        env: the environment variable that holds it.
+        file: the file whose first line it is.
+    """
+
+    env: str | None = None
+    file: Path | None = None
+
+    @classmethod
+    def named(cls, env: str | None, file: str | Path | None, *, where: str) -> Secret | None:
+        """Return where the password stands; None where there is none.
+
+        Raises:
+            PluginError: both are named.
+        """
+        if env is not None and file is not None:
+            raise PluginError("password_env and password_file are named", where=where, fix="Leave one of them out.")
+        return (
+            cls(env, None if file is None else Path(file).expanduser()) if env is not None or file is not None else None
+        )
+
+    def read(self, where: str) -> str:
+        """Return the password.
+
+        Raises:
+            LinkError: it is not there.
+        """
+        if self.file is None:
+            password = os.environ.get(self.env or "")
+            if not password:
+                problem = f"the environment variable {self.env}, which is to hold the password, is empty or not set"
+                raise LinkError(
+                    problem, where=where, fix=f"Set it before you start: read -rs {self.env}; export {self.env}"
+                )
+            return password
+        try:
+            lines = self.file.read_text(encoding="utf-8").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            problem = f"the password cannot be read from {self.file}: {getattr(error, 'strerror', None) or error}"
+            raise LinkError(problem, where=where, fix="Name a file that you can read: password_file='...'.") from error
+        if not lines or not lines[0]:
+            raise LinkError(f"{self.file} is empty", where=where, fix="Write the password into its first line.")
+        return lines[0]
+
+
+def check_url(url: str, *, where: str, schemes: tuple[str, ...] = ("http", "https")) -> str:
+    """Return a URL without the `/` at its end.
+
+    Raises:
+        PluginError: it is of another kind, names no host, or holds a password.
+    """
+    try:
+        parts = urllib.parse.urlsplit(url)
+        host, _ = parts.hostname, parts.port
+    except ValueError as error:
+        raise PluginError(f"{url!r} is no address: {error}", where=where, fix=_example(schemes)) from error
+    if parts.password is not None or parts.username is not None:
+        fix = f"Leave it out of the config. {_NAME_PASSWORD}"
+        raise PluginError(f"the address of {host} holds a user or a password", where=where, fix=fix)
+    if parts.scheme not in schemes or not host or any(character.isspace() for character in url):
+        raise PluginError(f"{url!r} is no address of this kind", where=where, fix=_example(schemes))
+    return url.rstrip("/")
+
+
+def _example(schemes: tuple[str, ...]) -> str:
+    return f"Give one such as '{schemes[0]}://192.168.0.20'."
+
+
+class _Digest(urllib.request.HTTPDigestAuthHandler):
+    """Digest authentication with SHA-256 too (RFC 7616), which Shelly's plugs want and Python before 3.14 lacks."""
+
+    def get_algorithm_impls(self, algorithm: str) -> tuple[Callable[[str], str], Callable[[str, str], str]]:
+        if algorithm != "SHA-256":
+            known: tuple[Callable[[str], str], Callable[[str, str], str]] = super().get_algorithm_impls(algorithm)
+            return known
+
+        def digest(text: str) -> str:
+            return hashlib.sha256(text.encode()).hexdigest()
+
+        return digest, lambda secret, data: digest(f"{secret}:{data}")
+
+
+class HttpDevice:
+    """Something that answers GET requests.
+
+    Args:
+        url: where it is, such as `http://192.168.0.20`.
+        timeout: how long each step of a request may take, s.
+        user: for the password.
+        password: None where there is none.
+        where: for errors: whose device it is.
+    """
+
+    def __init__(self, url: str, *, timeout: float, user: str = "", password: str | None = None, where: str) -> None:
+        self.url = url
+        self._timeout = timeout
+        self._where = where
+        handlers: list[Any] = [urllib.request.ProxyHandler({})]  # it stands in the lab
+        if password is not None:
+            known = urllib.request.HTTPPasswordMgrWithDefaultRealm()
+            known.add_password(None, url, user, password)
+            handlers += [_Digest(known), urllib.request.HTTPBasicAuthHandler(known)]
+        self._opener = urllib.request.build_opener(*handlers)
+
+    def get(self, path: str = "", **headers: str) -> bytes:
+        """Return the body of the answer.
+
+        Raises:
+            LinkError: it does not answer, or refuses.
+        """
+        request = urllib.request.Request(self.url + path, headers=headers)  # noqa: S310 - the scheme was checked
+        try:
+            with closing(self._opener.open(request, timeout=self._timeout)) as answer:
+                body: bytes = answer.read(_MOST_BYTES + 1)
+        except urllib.error.HTTPError as error:
+            with error:
+                raise self._refused(error.code, error.reason) from error
+        except ValueError as error:  # urllib's word for a kind of authentication that it could not do
+            raise self._refused(_UNAUTHORIZED, "it was not let in") from error
+        except (OSError, HTTPException) as error:
+            reason = getattr(error, "reason", None) or error
+            said = "it timed out" if isinstance(reason, TimeoutError) else str(reason) or type(reason).__name__
+            fix = "Look at its address, whether it is switched on, and at the network."
+            raise LinkError(f"{self.url} does not answer: {said}", where=self._where, fix=fix) from error
+        if len(body) > _MOST_BYTES:
+            fix = "Look whether the address is right."
+            raise LinkError(f"{self.url} sends more than {_MOST_BYTES >> 20} MiB", where=self._where, fix=fix)
+        return body
+
+    def _refused(self, code: int, reason: str) -> LinkError:
+        fix = _NAME_PASSWORD if code in {_UNAUTHORIZED, _FORBIDDEN} else "Look at its address and its kind."
+        return LinkError(f"{self.url} refuses: {code} {reason}", where=self._where, fix=fix)

@@ -1,0 +1,184 @@
+"""The profiler that measures with a Joulescope on USB, through its maker's driver."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from contextlib import suppress
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import Finding, PluginError, did_you_mean
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.measured_machine import machine_clock, simulation_findings
+from robot_runner.meters.electrical import ElectricalProfiler, ElectricalReading
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from robot_runner.core.events.context import Clock, RobotRunnerContext
+    from robot_runner.core.plugin import Circumstances
+
+__all__ = ["Joulescope"]
+
+_INSTALL = "Install it: pip install 'robot-runner[joulescope]'."
+_CONNECT = "Connect it by USB; on Linux its rules for udev must be installed (joulescope.com, user's guide)."
+#: Samples a second, by which its statistics are counted. Source: the driver's own program `statistics`.
+_JS110_RATE, _LATER_RATE = 2_000_000, 1_000_000
+#: How many statistics are sent for each reading, so that the last one is never old.
+_STATISTICS_PER_READING = 2
+#: Hz; the driver's callbacks take their time from the run's process.
+_FASTEST = 100
+#: How long to wait between two looks for the first statistics, s.
+_POLL = 0.02
+#: After how many readings without a new one the instrument counts as silent.
+_SILENT_READINGS = 5
+
+
+class _Instrument:
+    """An opened Joulescope that sends statistics; the last of them is what is read."""
+
+    def __init__(self, plugin: Joulescope, clock: Clock) -> None:
+        self._plugin = plugin
+        self._clock = clock
+        self._patience = max(_SILENT_READINGS / plugin.rate_hz, 1.0)
+        self._last: ElectricalReading | None = None
+        try:
+            self._driver: Any = import_module("pyjoulescope_driver").Driver()
+        except ImportError as error:
+            raise PluginError(f"its driver cannot be imported: {error}", where=plugin.name, fix=_INSTALL) from error
+        try:
+            paths = [path for path in self._driver.device_paths() if _is_joulescope(path)]
+            self.path = self._chosen(paths)
+            self._driver.open(self.path)
+            self._begin()
+        except PluginError:
+            self.close()
+            raise
+        except Exception as error:  # the driver has errors of its own, among them RuntimeError and TimeoutError
+            self.close()
+            raise PluginError(f"the Joulescope cannot be opened: {error}", where=plugin.name, fix=_CONNECT) from error
+
+    def await_statistics(self) -> None:
+        """Wait until it has sent the first of its statistics.
+
+        Raises:
+            PluginError: it sends none.
+        """
+        deadline = self._clock.now() + self._patience
+        while self._last is None:
+            if self._clock.now() >= deadline:
+                fix = "Unplug it and connect it again, and see that no other program has it open."
+                raise PluginError(f"{self.path} sends no statistics", where=self._plugin.name, fix=fix)
+            self._clock.sleep(_POLL)
+
+    def read(self) -> tuple[ElectricalReading, ...]:
+        last = self._last
+        silent = self._clock.now() - (last.time if last and last.time else 0.0)
+        if last is None or silent > self._patience:
+            raise TimeoutError(f"the Joulescope has told nothing for {silent:.1f} s")
+        return (last,)
+
+    def close(self) -> None:
+        with suppress(Exception):  # it may be unplugged; what is left is let go of by `finalize`
+            self._driver.close(self.path)
+        self._driver.finalize()
+
+    def _chosen(self, paths: list[str]) -> str:
+        wanted, where = self._plugin.device, self._plugin.name
+        if not paths:
+            raise PluginError("no Joulescope is connected", where=where, fix=_CONNECT)
+        found = [path for path in paths if wanted is None or path == wanted or path.endswith(f"/{wanted}")]
+        if not found:
+            fix = f"{did_you_mean(wanted or '', paths)} There are: {', '.join(paths)}.".strip()
+            raise PluginError(f"there is no Joulescope {wanted!r}", where=where, fix=fix)
+        if len(found) > 1:
+            fix = f"Name one: device={found[0]!r}. There are: {', '.join(found)}."
+            raise PluginError(f"there are {len(found)} Joulescopes", where=where, fix=fix)
+        return found[0]
+
+    def _begin(self) -> None:
+        """Have statistics sent, as the maker's own programs do."""
+        is_first = "js110" in self.path
+        settings: Mapping[str, object] = (
+            {"s/i/range/select": "auto", "s/i/ctrl": "on", "s/v/ctrl": "on", "s/p/ctrl": "on"}
+            if is_first
+            else {"s/i/range/mode": "auto"}
+        )
+        rate = _JS110_RATE if is_first else _LATER_RATE
+        count = round(rate / (_STATISTICS_PER_READING * self._plugin.rate_hz))
+        for topic, value in {**settings, "s/stats/scnt": count, "s/stats/ctrl": "on" if is_first else 1}.items():
+            self._driver.publish(f"{self.path}/{topic}", value)
+        self._driver.subscribe(f"{self.path}/s/stats/value", "pub", self._receive)
+
+    def _receive(self, topic: str, value: Mapping[str, Any]) -> None:
+        """Take the statistics of a moment; called in a thread of the driver."""
+        del topic
+        signals = value["signals"]
+        power, voltage, current = (float(signals[name]["avg"]["value"]) for name in ("power", "voltage", "current"))
+        joules = float(value["accumulators"]["energy"]["value"])
+        self._last = ElectricalReading(power, voltage, current, joules, self._clock.now())
+
+
+def _is_joulescope(path: str) -> bool:
+    """Whether a path such as `u/js220/000415` is that of a Joulescope: later drivers list other instruments too."""
+    return "/js" in path
+
+
+class Joulescope(ElectricalProfiler):
+    """Measures with a Joulescope (JS220, JS320, JS110) on USB, which integrates power at a million samples a second.
+
+    Args:
+        name: tells several instances apart; the class's name if left out.
+        device: its path such as `u/js220/000415`, or its serial number; left out, the only one.
+        rate_hz: readings a second, Hz; the instrument integrates between them, whatever the load does.
+
+    Raises:
+        PluginError: the rate is not between 0 and 100 Hz.
+
+    Example:
+        >>> Joulescope(device="000415").measures[0].unit
+        'J'
+    """
+
+    needs: ClassVar[str] = "A Joulescope on USB, and robot-runner[joulescope]."
+    bytes_per_run: int = 70_000  # 10 readings a second of 70 bytes for a mission of 95 s
+    disagreement = math.inf  # its counter sees what happens between two readings of power
+
+    def __init__(self, *, name: str | None = None, device: str | None = None, rate_hz: float = 10.0) -> None:
+        super().__init__(name=name, rate_hz=rate_hz)
+        if rate_hz > _FASTEST:
+            fix = f"Give rate_hz {_FASTEST} at most: the energy between two readings is counted by the instrument."
+            raise PluginError(f"rate_hz is {rate_hz!r}", where=self.name, fix=fix)
+        self.device = device
+        self._path = ""
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no driver, no instrument, or several of which none is named."""
+        where = f"plugin {self.name}"
+        if importlib.util.find_spec("pyjoulescope_driver") is None:
+            return [Finding.error(where, "pyjoulescope_driver is not installed", _INSTALL)]
+        try:
+            _Instrument(self, SystemClock()).close()
+        except PluginError as error:
+            return [Finding.error(where, error.problem, error.fix)]
+        return simulation_findings(self.name, circumstances.robot)
+
+    def open(self, context: RobotRunnerContext) -> _Instrument:
+        """Return the instrument, which has begun to send statistics.
+
+        Raises:
+            PluginError: the driver or the instrument is not there, or sends nothing.
+        """
+        instrument = _Instrument(self, machine_clock(context))
+        try:
+            instrument.await_statistics()
+        except PluginError:
+            instrument.close()
+            raise
+        self._path = instrument.path
+        return instrument
+
+    def details(self) -> Mapping[str, Any]:
+        """Return which instrument it was."""
+        return {**super().details(), "device": self._path}

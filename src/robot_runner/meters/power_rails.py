@@ -1,0 +1,268 @@
+"""The profiler that measures the supply rails that Linux shows, here or on another computer."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import Finding, LinkError, PluginError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.window import Window
+from robot_runner.core.links.connect import connect_host
+from robot_runner.core.links.host import LOCAL, FileHost, RemoteHost, ReportingSampler, SamplingReport
+from robot_runner.core.links.local_host import LocalHost
+from robot_runner.core.links.measured_machine import machine_clock, simulation_findings
+from robot_runner.core.links.ssh_host import SshHost, ssh_findings
+from robot_runner.core.sampling.periodic import Sampling
+from robot_runner.meters.electrical import ElectricalProfiler
+from robot_runner.meters.sysfs_rails import choose_rails, find_rails
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from robot_runner.core.events.context import Clock, RobotRunnerContext
+    from robot_runner.core.links.host import FileSample, FileSampler
+    from robot_runner.core.plugin import Circumstances
+    from robot_runner.meters.electrical import Readings
+    from robot_runner.meters.polled import Sampler
+    from robot_runner.meters.sysfs_rails import Rail
+
+__all__ = ["PowerRails", "RailSampler"]
+
+#: Samples whose clock is known to less than this share of the window are doubted, as elsewhere.
+_CLOCK_SHARE = 0.01
+
+
+class _LocalRails:
+    """The files of some rails of this machine."""
+
+    def __init__(self, host: FileHost, rails: Sequence[Rail]) -> None:
+        self._host = host
+        self._rails = rails
+        self._paths = _paths(rails)
+
+    def read(self) -> Readings:
+        return _understood(self._rails, self._paths, self._host.read_files(self._paths))
+
+    def close(self) -> None:
+        """Do nothing: the files are opened anew for each reading."""
+
+
+def _paths(rails: Sequence[Rail]) -> list[str]:
+    return list(dict.fromkeys(file.path for rail in rails for file in rail.files.values()))
+
+
+def _understood(rails: Sequence[Rail], paths: Sequence[str], lines: Sequence[str | None]) -> Readings:
+    """Return what each rail says.
+
+    Raises:
+        ValueError: a file could not be read, or holds no number.
+    """
+    by_path = dict(zip(paths, lines, strict=True))
+    return tuple(rail.read(by_path) for rail in rails)
+
+
+class RailSampler:
+    """Has another computer read the files of some rails, and fetches what it read.
+
+    Args:
+        host: the computer.
+        rails: to be read.
+        rate: samples a second, Hz.
+        clock: on which the computer's samples are stamped.
+    """
+
+    def __init__(self, host: FileHost, rails: Sequence[Rail], *, rate: float, clock: Clock) -> None:
+        self._host = host
+        self._rails = rails
+        self._paths = _paths(rails)
+        self._rate = rate
+        self._clock = clock
+        self._files: FileSampler | None = None
+        self._start = 0.0
+        self._sampling: Sampling[Readings] | None = None
+
+    def start(self) -> None:
+        """Begin to sample.
+
+        Raises:
+            LinkError: the computer cannot be reached.
+        """
+        self._files = self._host.sample_files(self._rate, self._paths)
+        self._start = self._clock.now()
+
+    def take_now(self) -> None:
+        """Do nothing: the other computer reads on its own, and the edges lie between two of its readings."""
+
+    def stop(self) -> Sampling[Readings]:
+        """Fetch what was sampled; a second call returns the same."""
+        if self._sampling is None:
+            window = Window(self._start, self._clock.now())
+            samples = self._files.stop() if self._files is not None else ()
+            self._sampling = self._sampled(samples, window)
+        return self._sampling
+
+    def report(self) -> SamplingReport:
+        """Return what the computer says of its sampling; to be asked after `stop`."""
+        return self._files.report() if isinstance(self._files, ReportingSampler) else SamplingReport(rate=self._rate)
+
+    def _sampled(self, samples: Sequence[FileSample], window: Window) -> Sampling[Readings]:
+        times, readings, failed_at, first_failure = [], [], [], ""
+        for sample in samples:
+            try:
+                readings.append(_understood(self._rails, self._paths, sample.lines))
+            except ValueError as error:
+                failed_at.append(sample.time)
+                first_failure = first_failure or str(error)
+            else:
+                times.append(sample.time)
+        report = self.report()
+        return Sampling(
+            times,
+            readings,
+            window,
+            report.rate,
+            failed_at=failed_at,
+            first_failure=first_failure,
+            cpu_seconds=report.cpu_seconds or 0.0,
+            sampled_seconds=window.duration,
+        )
+
+
+class PowerRails(ElectricalProfiler):
+    """Measures supply rails through Linux' drivers: hwmon and IIO, as a Jetson, a server and most carrier boards have.
+
+    Any driver will do that shows power, energy, or voltage and current: INA219, INA226, INA228, INA237, INA238, INA260
+    and INA3221 among them, PMBus supplies, ACPI's power meter, the supplies of some workstations.
+
+    Args:
+        rails: the names of the rails, such as `["VDD_IN"]`; left out, the only one that tells power.
+        name: tells several instances apart; the class's name if left out.
+        host: the computer: `localhost` for this machine, or as ssh takes it (`pi@robot`).
+        ssh_config: a file to take the place of your ssh config.
+        rate_hz: readings a second, Hz; each is a transfer or more on the sensor's bus.
+        root: where sysfs is.
+
+    Raises:
+        PluginError: the rails are no list of names, two would yield measures of one name, or the rate is not positive.
+
+    Example:
+        >>> [measure.name for measure in PowerRails(["VDD_IN", "VDD_GPU_SOC"], host="nvidia@jetson").measures][::4]
+        ['Energy_VDD_IN', 'Energy_VDD_GPU_SOC']
+    """
+
+    needs: ClassVar[str] = "Linux with a driver that shows power or energy in hwmon or IIO, here or over ssh."
+
+    def __init__(
+        self,
+        rails: Sequence[str] | None = None,
+        *,
+        name: str | None = None,
+        host: str = LOCAL,
+        ssh_config: str | Path | None = None,
+        rate_hz: float = 20.0,
+        root: str | Path = "/sys",
+    ) -> None:
+        if isinstance(rails, str) or (rails is not None and not rails):
+            listed = [rails] if rails else ["VDD_IN"]
+            fix = f"Give a list: rails={listed!r}, or leave it out for the only one."
+            raise PluginError(f"rails is {rails!r}", where=name or type(self).__name__, fix=fix)
+        channels = [_channel(rail) for rail in rails or ("",)]
+        if len(set(channels)) < len(channels):
+            problem = f"two of the rails would yield measures of one name: {', '.join(rails or ())}"
+            fix = "Name each once; measure alike ones with two plugins of different names."
+            raise PluginError(problem, where=name or type(self).__name__, fix=fix)
+        super().__init__(name=name, rate_hz=rate_hz, channels=channels)
+        self.rails = None if rails is None else tuple(rails)
+        self.host = host
+        self.ssh_config = None if ssh_config is None else Path(ssh_config).expanduser()
+        self.root = str(root).rstrip("/")
+        # A row for a mission of 95 s takes some 20 bytes of time and 40 of each rail.
+        self.bytes_per_run = round(95 * rate_hz * (20 + 40 * len(channels)))
+        self._rails: Sequence[Rail] = ()
+        self._report = SamplingReport(rate=rate_hz)
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: the computer cannot be reached, or has no such rail."""
+        where = f"plugin {self.name}"
+        findings = [] if self.host == LOCAL else ssh_findings(where, self.host, config=self.ssh_config)
+        if not findings:
+            findings = list(self._rail_findings(where))
+        return [*findings, *(simulation_findings(self.name, circumstances.robot) if self.host == LOCAL else ())]
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Connect and find the rails, before the robot moves and the measurement begins.
+
+        Raises:
+            LinkError: the computer cannot be reached, or has no such rail.
+        """
+        super().start_run(context)
+        self._report = SamplingReport(rate=self.rate_hz)
+        host = self._connected(context)
+        if isinstance(host, RemoteHost):
+            host.connect()
+        self._rails = choose_rails(find_rails(host, self.root), self.rails, where=self.name)
+
+    def open(self, context: RobotRunnerContext) -> _LocalRails:
+        """Return the rails of this machine."""
+        return _LocalRails(self._connected(context), self._rails)
+
+    def sampler(self, context: RobotRunnerContext) -> Sampler[Readings]:
+        """Return what has the computer read the rails: this machine a reading at a time, another one on its own."""
+        if self.host == LOCAL:
+            return super().sampler(context)
+        return RailSampler(self._connected(context), self._rails, rate=self.rate_hz, clock=machine_clock(context))
+
+    def stop_measurement(self, context: RobotRunnerContext) -> None:
+        """Fetch what was sampled."""
+        is_first = self._sampling is None
+        super().stop_measurement(context)
+        if is_first and isinstance(self._sampler, RailSampler):
+            self._report = self._sampler.report()
+            if self._report.clock is not None:
+                context.note_clock(self._report.clock.facts())
+
+    def doubts(self, sampling: Sampling[Readings]) -> Iterator[str]:
+        """Yield what is doubtful about the rails, the connection and the computer's clock."""
+        yield from super().doubts(sampling)
+        if self.host != LOCAL:
+            yield from self._report.problems
+            clock = self._report.clock
+            if clock is not None and clock.uncertainty > _CLOCK_SHARE * sampling.window.duration:
+                yield f"the clock of {self.host} is known to {clock.uncertainty:.3f} s only"
+
+    def details(self) -> Mapping[str, Any]:
+        """Return which files were read, and how."""
+        files = {
+            rail.name: {"chip": rail.chip, **{quantity: file.path for quantity, file in rail.files.items()}}
+            for rail in self._rails
+        }
+        return {**super().details(), "host": self.host, "rails": files, "form": self._report.form}
+
+    def _rail_findings(self, where: str) -> Iterator[Finding]:
+        clock = SystemClock()
+        host = LocalHost(clock) if self.host == LOCAL else SshHost(self.host, clock, config=self.ssh_config)
+        try:
+            chosen = choose_rails(find_rails(host, self.root), self.rails, where=where)
+        except LinkError as error:
+            yield Finding.error(where, error.problem, error.fix)
+            return
+        finally:
+            host.close()
+        for rail in chosen:
+            if not rail.tells_power:
+                told = " and ".join(rail.files)
+                yield Finding.warning(where, f"rail {rail.name!r} tells its {told} only: no value of energy and power")
+
+    def _connected(self, context: RobotRunnerContext) -> FileHost:
+        host = connect_host(context, self.host, ssh_config=self.ssh_config)
+        if not isinstance(host, FileHost):
+            fix = f"Name another host than {self.host!r}."
+            raise LinkError("files of this computer cannot be read", where=self.name, fix=fix)
+        return host
+
+
+def _channel(rail: str) -> str:
+    """Return what stands for a rail in the name of a column."""
+    return re.sub(r"\W+", "_", rail).strip("_")

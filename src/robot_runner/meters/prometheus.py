@@ -1,0 +1,346 @@
+"""The profiler that scrapes a Prometheus exporter: whatever it counts or gauges becomes a measure."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import re
+import statistics
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
+from robot_runner.core.events.measure import Measure, Over
+from robot_runner.core.sampling.quality import Column
+from robot_runner.core.sampling.series import Series, cut, growth, mean
+from robot_runner.meters.counters import fall_count, unwrapped
+from robot_runner.meters.http_requests import HttpDevice, Secret, check_url
+from robot_runner.meters.polled import PolledProfiler
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.plugin import Circumstances
+    from robot_runner.core.sampling.periodic import Sampling
+
+__all__ = ["Prometheus", "ScrapedMetric"]
+
+_INSTALL = "Install it: pip install 'robot-runner[prometheus]'."
+_SELECTOR = re.compile(r"([a-zA-Z_:][a-zA-Z0-9_:]*)(?:\{(.*)\})?")
+_LABEL = re.compile(r"""\s*([a-zA-Z_][a-zA-Z0-9_]*)\s*=\s*("[^"]*"|'[^']*')\s*(?:,|$)""")
+#: Endings of names that only counters have, and base units by the ending of a name. Source: Prometheus' documentation,
+#: Metric and label naming.
+_COUNTER_ENDINGS = ("_total", "_sum", "_count", "_bucket")
+_UNITS = {
+    "seconds": "s",
+    "bytes": "B",
+    "joules": "J",
+    "watts": "W",
+    "volts": "V",
+    "amperes": "A",
+    "celsius": "°C",
+    "hertz": "Hz",
+    "meters": "m",
+    "grams": "g",
+    "percent": "%",
+}
+_COMBINATIONS: Mapping[str, Callable[[Sequence[float]], float]] = {
+    "sum": math.fsum,
+    "mean": statistics.fmean,
+    "max": max,
+    "min": min,
+}
+_TEXT_FORMAT = "text/plain;version=0.0.4"
+
+#: The labels of one series, sorted.
+Labels = tuple[tuple[str, str], ...]
+#: For each metric its series at one moment.
+Scrape = tuple["Mapping[Labels, float]", ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScrapedMetric:
+    """A metric of an exporter, and the measure that it yields.
+
+    Attributes:
+        selector: its name as the exporter's page shows it, and labels to choose by: `node_load1` or
+            `node_cpu_seconds_total{mode="user"}`.
+        measure: what it yields; left out, named after the selector, with the unit that the name ends with.
+        is_counter: whether its increase counts, not its mean; left out, by the name's ending (`_total`, `_sum`, ...).
+        combine: how several series make one: `sum`, `mean`, `max` or `min`; counters are summed.
+
+    Raises:
+        PluginError: the selector is malformed, or there is no such combination.
+
+    Example:
+        >>> metric = ScrapedMetric(selector='node_cpu_seconds_total{mode="user"}')
+        >>> metric.yields.name, metric.yields.unit, metric.counts
+        ('NodeCpuSeconds_user', 's', True)
+    """
+
+    selector: str
+    measure: Measure | None = None
+    is_counter: bool | None = None
+    combine: str | None = None
+
+    def __post_init__(self) -> None:
+        _ = self.labels
+        if self.combine is not None and self.combine not in _COMBINATIONS:
+            fix = did_you_mean(self.combine, _COMBINATIONS)
+            raise PluginError(f"combine is {self.combine!r}", where=self.selector, fix=fix)
+
+    @property
+    def name(self) -> str:
+        """The metric's name, without labels."""
+        return self.selector.partition("{")[0].strip()
+
+    @property
+    def labels(self) -> Mapping[str, str]:
+        """The labels that its series must have."""
+        match = _SELECTOR.fullmatch(self.selector.strip())
+        inner = (match[2] or "").strip() if match else ""
+        labels = {label[1]: label[2][1:-1] for label in _LABEL.finditer(inner)}
+        if match is None or _LABEL.sub("", inner):
+            fix = """Write it as on the exporter's page: 'node_cpu_seconds_total{mode="user"}'."""
+            raise PluginError(f"{self.selector!r} selects no metric", where="metrics", fix=fix)
+        return labels
+
+    @property
+    def counts(self) -> bool:
+        """Whether it is a counter."""
+        return self.name.endswith(_COUNTER_ENDINGS) if self.is_counter is None else self.is_counter
+
+    @property
+    def yields(self) -> Measure:
+        """The measure."""
+        if self.measure is not None:
+            return self.measure
+        stem = self.name.removesuffix("_total")
+        camel = "".join(part[:1].upper() + part[1:] for part in re.split("[_:]+", stem))
+        suffix = "".join("_" + re.sub(r"\W+", "_", value).strip("_") for value in self.labels.values())
+        unit = next((unit for ending, unit in _UNITS.items() if stem.endswith(f"_{ending}")), "1")
+        what, over = ("increase", Over.SUM) if self.counts else ("mean", Over.MEAN)
+        return Measure(camel + suffix, unit, f"{self.selector}, {what} over the measured window.", over=over)
+
+    def combined(self, values: Sequence[float]) -> float:
+        """Return the value of several series at one moment."""
+        return _COMBINATIONS[self.combine or "sum"](values)
+
+
+class _Exporter:
+    def __init__(self, plugin: Prometheus) -> None:
+        try:
+            parser: Any = import_module("prometheus_client.parser")
+        except ModuleNotFoundError as error:
+            raise PluginError("prometheus-client is not installed", where=plugin.name, fix=_INSTALL) from error
+        self._families = parser.text_string_to_metric_families
+        self._metrics = plugin.metrics
+        self._where = plugin.name
+        password = plugin.secret.read(plugin.name) if plugin.secret is not None else None
+        timeout, where = plugin.timeout_s, plugin.name
+        self._page = HttpDevice(plugin.url, timeout=timeout, user=plugin.user, password=password, where=where)
+
+    def families(self) -> list[Any]:
+        """Return what the exporter shows.
+
+        Raises:
+            LinkError: it does not answer, or shows something else.
+        """
+        text = self._page.get(Accept=_TEXT_FORMAT).decode("utf-8", errors="replace")
+        try:
+            return list(self._families(text))
+        except (ValueError, IndexError, KeyError) as error:
+            problem = f"{self._page.url} shows no metrics that can be read: {error}"
+            fix = "Name the exporter's page, which mostly ends in /metrics."
+            raise LinkError(problem, where=self._where, fix=fix) from error
+
+    def read(self) -> Scrape:
+        samples = [sample for family in self.families() for sample in family.samples]
+        scrape = tuple(_chosen(metric, samples) for metric in self._metrics)
+        for metric, series in zip(self._metrics, scrape, strict=True):
+            if not series:
+                raise LinkError(f"the exporter shows no {metric.selector}", where=self._where)
+        return scrape
+
+    def close(self) -> None:
+        """Do nothing: each scrape is a request of its own."""
+
+
+def _chosen(metric: ScrapedMetric, samples: Iterable[Any]) -> Mapping[Labels, float]:
+    wanted = metric.labels.items()
+    return {
+        tuple(sorted(sample.labels.items())): float(sample.value)
+        for sample in samples
+        if sample.name == metric.name and wanted <= sample.labels.items() and math.isfinite(sample.value)
+    }
+
+
+class Prometheus(PolledProfiler[Scrape]):
+    """Measures what a Prometheus exporter shows: counters as their increase over the mission, gauges as their mean.
+
+    Exporters there are for machines, GPUs, containers, supplies, weather and most else: node_exporter, DCGM, cAdvisor.
+
+    Args:
+        url: the exporter's page, such as `http://robot:9100/metrics`.
+        metrics: what to take from it: `node_load1`, `node_cpu_seconds_total{mode="user"}`, or `ScrapedMetric(...)`.
+        name: tells several instances apart; the class's name if left out.
+        user: whose password it is, where the page wants one.
+        password_env: the environment variable that holds the password.
+        password_file: the file whose first line it is.
+        rate_hz: scrapes a second, Hz.
+        timeout_s: how long to wait for the page, s.
+
+    Raises:
+        PluginError: no metric is named, two would yield measures of one name, or the address cannot be.
+
+    Example:
+        >>> [measure.unit for measure in Prometheus("http://robot:9100/metrics", ["node_hwmon_power_watts"]).measures]
+        ['W']
+    """
+
+    needs: ClassVar[str] = "A Prometheus exporter that can be reached over HTTP, and robot-runner[prometheus]."
+    bytes_per_run: int = 5_000  # a row a second of 50 bytes for a mission of 95 s
+
+    def __init__(
+        self,
+        url: str,
+        metrics: Sequence[str | ScrapedMetric],
+        *,
+        name: str | None = None,
+        user: str = "",
+        password_env: str | None = None,
+        password_file: str | Path | None = None,
+        rate_hz: float = 1.0,
+        timeout_s: float = 2.0,
+    ) -> None:
+        super().__init__(name=name, rate_hz=rate_hz)
+        if isinstance(metrics, str) or not metrics:
+            fix = f"Give a list: metrics={[metrics or 'node_load1']!r}."
+            raise PluginError(f"metrics is {metrics!r}", where=self.name, fix=fix)
+        if not (math.isfinite(timeout_s) and timeout_s > 0):
+            raise PluginError(f"timeout_s is {timeout_s!r}", where=self.name, fix="Give timeout_s a number above 0.")
+        self.metrics = tuple(ScrapedMetric(selector=each) if isinstance(each, str) else each for each in metrics)
+        self.measures: Sequence[Measure] = tuple(metric.yields for metric in self.metrics)
+        names = [measure.name for measure in self.measures]
+        if len(set(names)) < len(names):
+            twice = next(each for each in names if names.count(each) > 1)
+            fix = "Name one otherwise: ScrapedMetric(selector=..., measure=Measure(...))."
+            raise PluginError(f"two metrics would yield a measure {twice!r}", where=self.name, fix=fix)
+        self.url = check_url(url, where=self.name)
+        self.user = user
+        self.secret = Secret.named(password_env, password_file, where=self.name)
+        self.timeout_s = timeout_s
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no library, no exporter, or a metric that it does not show."""
+        del circumstances
+        where = f"plugin {self.name}"
+        if importlib.util.find_spec("prometheus_client") is None:
+            return [Finding.error(where, "prometheus-client is not installed", _INSTALL)]
+        try:
+            families = _Exporter(self).families()
+        except (LinkError, PluginError) as error:
+            return [Finding.error(where, error.problem, error.fix)]
+        return [finding for metric in self.metrics for finding in _metric_findings(where, metric, families)]
+
+    def open(self, context: RobotRunnerContext) -> _Exporter:
+        """Return the exporter, which has shown all metrics once.
+
+        Raises:
+            LinkError: it does not answer, or does not show one of them.
+            PluginError: the library is not installed.
+        """
+        del context
+        exporter = _Exporter(self)
+        families = exporter.families()
+        for metric in self.metrics:
+            for finding in _metric_findings(self.name, metric, families):
+                raise LinkError(finding.problem, where=self.name, fix=finding.fix)
+        return exporter
+
+    def columns(self, sampling: Sampling[Scrape]) -> Sequence[Column]:
+        """Return each series as it was scraped; where a metric has several, they are numbered as in `quality.json`."""
+        columns = []
+        for place, measure in enumerate(self.measures):
+            labels = _all_labels(sampling, place)
+            for number, each in enumerate(labels):
+                values = [scrape[place].get(each) for scrape in sampling.readings]
+                columns.append(Column(f"{measure.name}_{number}" if len(labels) > 1 else measure.name, values, "%.9g"))
+        return columns
+
+    def values(self, sampling: Sampling[Scrape]) -> Mapping[str, float | None]:
+        """Return the increase of each counter, and the mean of each gauge."""
+        value_of = {True: self._increase, False: self._mean}
+        return {
+            measure.name: value_of[metric.counts](sampling, place)
+            for place, (metric, measure) in enumerate(zip(self.metrics, self.measures, strict=True))
+        }
+
+    def doubts(self, sampling: Sampling[Scrape]) -> Iterator[str]:
+        """Yield that a counter was set back, and that a series came or went."""
+        sampling = sampling.within()
+        for place, metric in enumerate(self.metrics):
+            labels = _all_labels(sampling, place)
+            falls = [fall_count(_series(sampling, place, each).values) for each in labels]
+            if metric.counts and any(falls):
+                yield f"{metric.selector} was set back, as by a restart: what it counted shortly before that is lost"
+            partial = sum(len(_series(sampling, place, each)) < len(sampling.readings) for each in labels)
+            if partial:
+                yield f"{partial} of {len(labels)} series of {metric.selector} were there for a part of the time only"
+
+    def details(self) -> Mapping[str, Any]:
+        """Return what was scraped, and the labels of the series."""
+        sampling = self._sampling
+        series = [_all_labels(sampling, place) if sampling else [] for place in range(len(self.metrics))]
+        shown = {metric.selector: list(map(dict, labels)) for metric, labels in zip(self.metrics, series, strict=True)}
+        return {"url": self.url, "series": shown}
+
+    def _increase(self, sampling: Sampling[Scrape], place: int) -> float | None:
+        rises = []
+        for labels in _all_labels(sampling, place):
+            counter = _series(sampling, place, labels)
+            rises.append(growth(Series(counter.times, unwrapped(counter.values)), sampling.window))
+        known = [rise for rise in rises if rise is not None]
+        return self.metrics[place].combined(known) if known else None
+
+    def _mean(self, sampling: Sampling[Scrape], place: int) -> float | None:
+        metric, window = self.metrics[place], sampling.window
+        pairs = zip(sampling.times, sampling.readings, strict=True)
+        told = [(time, metric.combined(list(scrape[place].values()))) for time, scrape in pairs]
+        series = Series([time for time, _ in told], [value for _, value in told])
+        return mean(cut(series, window, reach=5 / self.rate_hz))
+
+
+def _all_labels(sampling: Sampling[Scrape], place: int) -> list[Labels]:
+    return sorted({labels for scrape in sampling.readings for labels in scrape[place]})
+
+
+def _series(sampling: Sampling[Scrape], place: int, labels: Labels) -> Series:
+    pairs = zip(sampling.times, sampling.readings, strict=True)
+    told = [(time, scrape[place][labels]) for time, scrape in pairs if labels in scrape[place]]
+    return Series([time for time, _ in told], [value for _, value in told])
+
+
+def _metric_findings(where: str, metric: ScrapedMetric, families: Sequence[Any]) -> Iterator[Finding]:
+    """Yield why a metric cannot be measured: it is not shown, has other labels, several series, or another type."""
+    samples = [sample for family in families for sample in family.samples]
+    names = sorted({sample.name for sample in samples})
+    if metric.name not in names:
+        problem = f"the exporter shows no {metric.name!r}, of {len(names)} metrics"
+        yield Finding.error(where, problem, did_you_mean(metric.name, names))
+        return
+    labels = [sample.labels for sample in samples if sample.name == metric.name]
+    chosen = list(_chosen(metric, samples))
+    listed = ", ".join("{" + ",".join(f'{key}="{value}"' for key, value in each.items()) + "}" for each in labels[:8])
+    if not chosen:
+        yield Finding.error(where, f"no series of {metric.name} fits {metric.selector}", f"There are: {listed}.")
+    elif len(chosen) > 1 and not metric.counts and metric.combine is None:
+        fix = f"Choose one by its labels, or combine them: ScrapedMetric(..., combine='sum'). There are: {listed}."
+        yield Finding.error(where, f"{metric.selector} has {len(chosen)} series", fix)
+    told = next(family.type for family in families if any(sample.name == metric.name for sample in family.samples))
+    if told in {"counter", "gauge"} and (told == "counter") != metric.counts:
+        fix = f"Say so: ScrapedMetric(selector={metric.selector!r}, is_counter={told == 'counter'})."
+        yield Finding.error(where, f"the exporter says that {metric.name} is a {told}", fix)

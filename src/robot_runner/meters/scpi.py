@@ -1,0 +1,249 @@
+"""The profiler that asks laboratory instruments: power supplies, multimeters and power analysers that speak SCPI."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import re
+from contextlib import suppress
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
+from robot_runner.core.links.measured_machine import simulation_findings
+from robot_runner.meters.electrical import ElectricalProfiler, ElectricalReading
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.plugin import Circumstances
+
+__all__ = ["Scpi", "parse_number"]
+
+_INSTALL = "Install it: pip install 'robot-runner[scpi]'."
+_ENERGY_UNITS = {"J": 1.0, "Wh": 3600.0, "kWh": 3.6e6}
+_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)")
+#: What stands for an overload and for no number. Source: SCPI-99, volume 1, section 7.2.1.4: 9.9E37 and 9.91E37.
+_NO_NUMBER = 9.9e37
+#: What stands in the way where an instrument cannot be opened, by a word of what PyVISA says.
+_REFUSED = "Undefined header"
+_REMEDIES = (
+    (_REFUSED, "Look the command up in the instrument's programming manual."),
+    (
+        "VI_ERROR_RSRC_NFOUND",
+        "Look whether it is switched on and its address is right: `pyvisa-shell` lists what is there.",
+    ),
+    ("VI_ERROR_TMO", "Look at its terminator (terminator=...), and whether its remote interface is on."),
+    (
+        "VI_ERROR_INV_RSRC_NAME",
+        "Name it as VISA does: 'TCPIP::192.168.0.5::5025::SOCKET' or 'ASRL/dev/ttyUSB0::INSTR'.",
+    ),
+    ("ermission", "Give yourself the right to open its device (group dialout, or a rule of udev)."),
+)
+_REMEDY = "Look whether it is switched on, its address, and whether its remote interface is on."
+
+
+def parse_number(answer: str) -> float:
+    """Return the number with which an instrument's answer begins; a unit or further numbers may follow.
+
+    Example:
+        >>> parse_number("+1.25000E+01,V")
+        12.5
+
+    Raises:
+        ValueError: it begins with none, or stands for an overload or for no number.
+    """
+    match = _NUMBER.match(answer)
+    if match is None:
+        raise ValueError(f"the instrument answered {answer.strip()[:40]!r}, which is no number")
+    number = float(match[1])
+    if not math.isfinite(number) or abs(number) >= _NO_NUMBER:
+        raise ValueError(f"the instrument answered {answer.strip()[:40]!r}: an overload, or no value")
+    return number
+
+
+class _Instrument:
+    """An opened instrument. After a failure it is opened anew, so that a late answer is not taken for the next one's.
+
+    Raises:
+        PluginError: the library is not installed, or the instrument does not answer as it should.
+    """
+
+    _resource: Any = None
+
+    def __init__(self, plugin: Scpi) -> None:
+        self._plugin = plugin
+        try:
+            self._open()
+            self.identity = self._resource.query("*IDN?").strip()
+            for command in plugin.setup:
+                self._resource.write(command)
+            complaint = self._complaint()
+        except Exception as error:  # each backend of PyVISA has errors of its own
+            self.close()
+            raise self._error(f"{plugin.resource} does not answer: {_said(error)}", str(error)) from error
+        if complaint:
+            self.close()
+            raise self._error(f"the instrument refuses its setup: {complaint}", _REFUSED)
+        for query in plugin.queries.values():
+            self._try(query)
+
+    def read(self) -> tuple[ElectricalReading, ...]:
+        if self._resource is None:
+            self._open()
+        try:
+            told = {quantity: self._asked(query) for quantity, query in self._plugin.queries.items()}
+        except ValueError:  # an answer, though none that helps
+            raise
+        except Exception:
+            self.close()
+            raise
+        if "power" not in told and {"voltage", "current"} <= told.keys():
+            told["power"] = told["voltage"] * told["current"]
+        if "joules" in told:
+            told["joules"] *= _ENERGY_UNITS[self._plugin.energy_unit]
+        return (ElectricalReading(**told),)
+
+    def close(self) -> None:
+        resource, self._resource = self._resource, None
+        if resource is not None:
+            with suppress(Exception):  # whatever a backend raises here, nothing can be lost any more
+                resource.close()
+
+    def _asked(self, query: str) -> float:
+        return parse_number(self._resource.query(query))
+
+    def _open(self) -> None:
+        plugin, milliseconds = self._plugin, round(self._plugin.timeout_s * 1000)
+        manager = import_module("pyvisa").ResourceManager(plugin.backend)
+        self._resource = manager.open_resource(plugin.resource, open_timeout=milliseconds)
+        self._resource.timeout = milliseconds
+        self._resource.read_termination = self._resource.write_termination = plugin.terminator
+
+    def _try(self, query: str) -> None:
+        try:
+            self._asked(query)
+        except Exception as error:
+            self.close()
+            complaint = ""
+            with suppress(Exception):  # what it says of the query is more than that it did not answer
+                self._open()
+                complaint = self._complaint()
+            self.close()
+            problem = f"the instrument does not understand {query!r}: {complaint or _said(error)}"
+            raise self._error(problem, _REFUSED if complaint else str(error)) from error
+
+    def _complaint(self) -> str:
+        """Return what stands first in the instrument's queue of errors; empty where nothing does, or it has none."""
+        said = str(self._resource.query("SYST:ERR?")).strip()
+        match = _NUMBER.match(said)
+        return said if match and float(match[1]) else ""
+
+    def _error(self, problem: str, said: str) -> PluginError:
+        fix = next((fix for sign, fix in _REMEDIES if sign in said), _REMEDY)
+        return PluginError(problem, where=self._plugin.name, fix=fix)
+
+
+def _said(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}".splitlines()[0]
+
+
+class Scpi(ElectricalProfiler):
+    """Measures with a laboratory instrument that speaks SCPI: a supply, a multimeter or a power analyser, over PyVISA.
+
+    Power is what the instrument answers to `power`, else voltage times current.
+
+    Args:
+        resource: its VISA address, such as `TCPIP::192.168.0.5::5025::SOCKET`.
+        name: tells several instances apart; the class's name if left out.
+        power: the query for power, W; None where there is none.
+        voltage: the query for voltage, V; None leaves it out.
+        current: the query for current, A; None leaves it out.
+        energy: the query for an energy counter; None where there is none.
+        energy_unit: of that counter: `J`, `Wh` or `kWh`.
+        setup: commands to be sent before the measurement, such as `["SENS:CURR:RANG 3"]`.
+        rate_hz: readings a second, Hz; a supply takes 20 to 100 ms for each query.
+        timeout_s: how long to wait for an answer, s.
+        terminator: what ends a line in both directions.
+        backend: PyVISA's: `@py` needs no library of a maker's; empty for an installed one (NI, Keysight).
+
+    Raises:
+        PluginError: no query is left, the energy's unit is another, or the rate or the timeout is not positive.
+
+    Example:
+        >>> Scpi("TCPIP::192.168.0.5::5025::SOCKET", power="MEAS:POW? (@1)").measures[0].unit
+        'J'
+    """
+
+    needs: ClassVar[str] = (
+        "An instrument that speaks SCPI over a network, USB or a serial line, and robot-runner[scpi]."
+    )
+    bytes_per_run: int = 20_000  # 5 readings a second of 40 bytes for a mission of 95 s
+
+    def __init__(  # noqa: PLR0913 - keywords of a user's config
+        self,
+        resource: str,
+        *,
+        name: str | None = None,
+        power: str | None = None,
+        voltage: str | None = "MEAS:VOLT?",
+        current: str | None = "MEAS:CURR?",
+        energy: str | None = None,
+        energy_unit: str = "Wh",
+        setup: Sequence[str] = (),
+        rate_hz: float = 5.0,
+        timeout_s: float = 2.0,
+        terminator: str = "\n",
+        backend: str = "@py",
+    ) -> None:
+        super().__init__(name=name, rate_hz=rate_hz)
+        queries = {"power": power, "voltage": voltage, "current": current, "joules": energy}
+        self.queries = {quantity: query for quantity, query in queries.items() if query is not None}
+        if not self.queries:
+            raise PluginError("there is nothing to ask", where=self.name, fix="Give a query: voltage='MEAS:VOLT?'.")
+        if energy_unit not in _ENERGY_UNITS:
+            fix = did_you_mean(energy_unit, _ENERGY_UNITS)
+            raise PluginError(f"energy_unit is {energy_unit!r}", where=self.name, fix=fix)
+        if not (math.isfinite(timeout_s) and timeout_s > 0):
+            raise PluginError(f"timeout_s is {timeout_s!r}", where=self.name, fix="Give timeout_s a number above 0.")
+        if isinstance(setup, str):
+            raise PluginError(f"setup is {setup!r}", where=self.name, fix=f"Give a list: setup=[{setup!r}].")
+        self.resource = resource
+        self.energy_unit = energy_unit
+        self.setup = tuple(setup)
+        self.timeout_s = timeout_s
+        self.terminator = terminator
+        self.backend = backend
+        self._identity = ""
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no library, no instrument, or a query that it does not understand."""
+        where = f"plugin {self.name}"
+        missing = [each for each in self._libraries if importlib.util.find_spec(each) is None]
+        if missing:
+            return [Finding.error(where, f"{' and '.join(missing)} cannot be imported", _INSTALL)]
+        try:
+            _Instrument(self).close()
+        except (PluginError, LinkError) as error:
+            return [Finding.error(where, error.problem, error.fix)]
+        return simulation_findings(self.name, circumstances.robot)
+
+    def open(self, context: RobotRunnerContext) -> _Instrument:
+        """Return the instrument.
+
+        Raises:
+            PluginError: it does not answer as it should.
+        """
+        del context
+        instrument = _Instrument(self)
+        self._identity = instrument.identity
+        return instrument
+
+    def details(self) -> Mapping[str, Any]:
+        """Return which instrument it is, and what it was asked."""
+        return {**super().details(), "identity": self._identity, "queries": self.queries}
+
+    @property
+    def _libraries(self) -> Sequence[str]:
+        return ("pyvisa", "pyvisa_py") if self.backend.endswith("@py") else ("pyvisa",)

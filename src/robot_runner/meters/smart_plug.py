@@ -1,0 +1,192 @@
+"""The profiler that asks a smart plug, over its local HTTP interface or over MQTT."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import secrets
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
+from robot_runner.core.links.connect import SIMULATED, is_simulated
+from robot_runner.meters.electrical import ElectricalProfiler
+from robot_runner.meters.http_requests import HttpDevice, Secret, check_url
+from robot_runner.meters.mqtt_requests import MQTT_INSTALL, MqttRequests
+from robot_runner.meters.plug_dialects import DIALECTS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+    from pathlib import Path
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.plugin import Circumstances
+    from robot_runner.core.sampling.periodic import Sampling
+    from robot_runner.meters.electrical import ElectricalReading, Readings
+    from robot_runner.meters.plug_dialects import PlugDialect
+
+__all__ = ["SmartPlug"]
+
+#: Power of which a whole watt is this share or more is told too coarsely, and noticed after so many readings.
+_COARSE_SHARE, _COARSE_READINGS = 0.01, 10
+
+
+class _HttpPlug:
+    def __init__(self, plugin: SmartPlug, password: str | None) -> None:
+        self._plugin = plugin
+        self._path = plugin.dialect.path(plugin.channel, plugin.user, password)
+        url, timeout, where = plugin.url or "", plugin.timeout_s, plugin.name
+        self._device = HttpDevice(url, timeout=timeout, user=plugin.user, password=password, where=where)
+
+    def read(self) -> tuple[ElectricalReading, ...]:
+        return (self._plugin.dialect.read({"": self._device.get(self._path)}, self._plugin.channel),)
+
+    def close(self) -> None:
+        """Do nothing: each reading is a request of its own."""
+
+
+class _MqttPlug:
+    def __init__(self, plugin: SmartPlug, password: str | None) -> None:
+        self._plugin = plugin
+        reply_to = f"robot_runner_{secrets.token_hex(4)}"
+        exchange = plugin.dialect.exchange(plugin.topic or "", plugin.channel, reply_to)
+        user = plugin.user if password is not None else ""
+        broker, timeout, where = plugin.broker or "", plugin.timeout_s, plugin.name
+        self._requests = MqttRequests(broker, exchange, timeout=timeout, user=user, password=password, where=where)
+
+    def read(self) -> tuple[ElectricalReading, ...]:
+        return (self._plugin.dialect.read(self._requests.ask(), self._plugin.channel),)
+
+    def close(self) -> None:
+        self._requests.close()
+
+
+class SmartPlug(ElectricalProfiler):
+    """Measures with a smart plug: the charger of a robot, a base station, a workstation, as cheaply as can be.
+
+    Energy is the integral of its power: the counters of plugs are too coarse for a mission, and only checked against.
+
+    Args:
+        kind: `tasmota`, `shelly1` (first generation), `shelly2` (later ones) or `shelly2-pm` (those without a switch).
+        name: tells several plugs apart; the class's name if left out.
+        url: of its local HTTP interface, such as `http://192.168.0.20`.
+        broker: the MQTT broker instead, such as `mqtt://192.168.0.2`, or `mqtts://...` for TLS.
+        topic: the plug's topic at the broker, such as `tasmota_1A2B3C` or `shellyplusplugs-a8032abe54dc`.
+        channel: which outlet, counted from 0.
+        user: whose password it is; left out, the one that the plug itself has.
+        password_env: the environment variable that holds the password of the plug or of the broker.
+        password_file: the file whose first line it is.
+        rate_hz: readings a second, Hz; plugs renew what they say about once a second.
+        timeout_s: how long to wait for an answer, s.
+
+    Raises:
+        PluginError: there is no such kind, an address is malformed or holds a password, or both ways or none are named.
+
+    Example:
+        >>> SmartPlug("shelly2", url="http://192.168.0.20").measures[0].unit
+        'J'
+    """
+
+    needs: ClassVar[str] = "A Tasmota or Shelly plug in the local network; over MQTT a broker and robot-runner[mqtt]."
+    bytes_per_run: int = 5_000  # a row a second of 50 bytes for a mission of 95 s
+    # Shelly tells of energy by the minute ("by_minute"), and none of the makers says how often a counter is renewed.
+    counter_period = 60.0
+
+    def __init__(  # noqa: PLR0913 - two ways to one plug
+        self,
+        kind: str,
+        *,
+        name: str | None = None,
+        url: str | None = None,
+        broker: str | None = None,
+        topic: str | None = None,
+        channel: int = 0,
+        user: str | None = None,
+        password_env: str | None = None,
+        password_file: str | Path | None = None,
+        rate_hz: float = 1.0,
+        timeout_s: float = 2.0,
+    ) -> None:
+        super().__init__(name=name, rate_hz=rate_hz)
+        if kind not in DIALECTS:
+            raise PluginError(f"kind is {kind!r}", where=self.name, fix=did_you_mean(kind, DIALECTS))
+        if (url is None) == (broker is None):
+            problem = "neither url nor broker is named" if url is None else "both url and broker are named"
+            raise PluginError(problem, where=self.name, fix="Name one: url='http://192.168.0.20'.")
+        if (broker is None) != (topic is None):
+            problem = "topic is named without a broker" if broker is None else "the broker is named without a topic"
+            raise PluginError(problem, where=self.name, fix="Name both: broker='mqtt://...', topic='tasmota_1A2B3C'.")
+        if topic is not None and (not topic or any(sign in topic for sign in "+#\0 ")):
+            fix = "Give the topic as the plug's own settings show it."
+            raise PluginError(f"topic is {topic!r}", where=self.name, fix=fix)
+        if isinstance(channel, bool) or not isinstance(channel, int) or channel < 0:
+            raise PluginError(f"channel is {channel!r}", where=self.name, fix="Count the outlets from 0.")
+        if not (math.isfinite(timeout_s) and timeout_s > 0):
+            raise PluginError(f"timeout_s is {timeout_s!r}", where=self.name, fix="Give timeout_s a number above 0.")
+        self.kind = kind
+        self.url = None if url is None else check_url(url, where=self.name)
+        self.broker = None if broker is None else check_url(broker, where=self.name, schemes=("mqtt", "mqtts"))
+        self.topic = None if topic is None else topic.strip("/")
+        self.channel = channel
+        self.user = user if user is not None else self.dialect.user
+        self.timeout_s = timeout_s
+        self.counter_step = self.dialect.counter_step
+        self._secret = Secret.named(password_env, password_file, where=self.name)
+        if user is not None and self._secret is None:
+            fix = "Name where the password stands: password_env='NAME' or password_file='...'."
+            raise PluginError("user is named without a password", where=self.name, fix=fix)
+
+    @property
+    def dialect(self) -> PlugDialect:
+        """How plugs of this kind are asked."""
+        return DIALECTS[self.kind]
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no library, a simulated robot, or a plug that does not tell its power."""
+        where = f"plugin {self.name}"
+        if is_simulated(circumstances.robot):
+            problem = f"robot is {SIMULATED!r}, and draws nothing from a plug"
+            return [Finding.warning(where, problem, "Do not take its values for the robot's.")]
+        if self.broker is not None and importlib.util.find_spec("paho") is None:
+            return [Finding.error(where, "paho-mqtt is not installed", MQTT_INSTALL)]
+        try:
+            self._opened().close()
+        except (LinkError, PluginError) as error:
+            return [Finding.error(where, error.problem, error.fix)]
+        return []
+
+    def open(self, context: RobotRunnerContext) -> _HttpPlug | _MqttPlug:
+        """Return the plug, which has told its power once.
+
+        Raises:
+            LinkError: it does not answer, or does not tell its power.
+        """
+        del context
+        return self._opened()
+
+    def doubts(self, sampling: Sampling[Readings]) -> Iterator[str]:
+        """Yield what is doubtful, power in whole watts among it."""
+        yield from super().doubts(sampling)
+        watts = [power for (reading,) in sampling.readings if (power := reading.power)]
+        is_whole = len(watts) >= _COARSE_READINGS and all(power == round(power) for power in watts)
+        if is_whole and sum(watts) / len(watts) < 1 / _COARSE_SHARE:
+            remedy = " (Tasmota's command `WattRes 2` mends that)" if self.kind == "tasmota" else ""
+            yield f"the plug tells its power in whole watts, at {sum(watts) / len(watts):.0f} W{remedy}"
+
+    def details(self) -> Mapping[str, Any]:
+        """Return which plug was asked."""
+        way = {"url": self.url} if self.url is not None else {"broker": self.broker, "topic": self.topic}
+        return {**super().details(), "kind": self.kind, **way, "channel": self.channel}
+
+    def _opened(self) -> _HttpPlug | _MqttPlug:
+        password = None if self._secret is None else self._secret.read(self.name)
+        plug = _HttpPlug(self, password) if self.url is not None else _MqttPlug(self, password)
+        try:
+            plug.read()
+        except ValueError as error:
+            plug.close()
+            fix = f"Look whether it is a plug of the kind {self.kind!r} that measures power, and at its channel."
+            raise LinkError(str(error), where=self.name, fix=fix) from error
+        except LinkError:
+            plug.close()
+            raise
+        return plug

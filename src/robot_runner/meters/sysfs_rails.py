@@ -1,0 +1,247 @@
+"""The supply rails that Linux' hwmon and IIO drivers show in /sys, found by name on any computer."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.meters.electrical import ElectricalReading
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from robot_runner.core.links.host import FileHost
+
+__all__ = ["Rail", "RailFile", "choose_rails", "find_rails"]
+
+#: The quantities of a rail, by the word that each of the two interfaces has for them, and what one step of a file is
+#: in SI units. Sources: Linux, Documentation/hwmon/sysfs-interface.rst and Documentation/ABI/testing/sysfs-bus-iio.
+_HWMON = {"power": ("power", 1e-6), "energy": ("joules", 1e-6), "curr": ("current", 1e-3), "in": ("voltage", 1e-3)}
+_IIO = {"power": ("power", 1e-3), "energy": ("joules", 1.0), "current": ("current", 1e-3), "voltage": ("voltage", 1e-3)}
+_HWMON_FILE = re.compile(r"(power|energy|curr|in)(\d+)_(input|average|label)")
+_IIO_FILE = re.compile(r"in_(power|energy|current|voltage)(\d*)_(input|raw|scale|offset|label)|rail_name_(\d+)")
+
+#: The channels of the INA2xx's IIO driver are its registers, not rails: shunt and bus voltage, power, current.
+#: Source: Linux, drivers/iio/adc/ina2xx-adc.c.
+_INA2XX_IIO = {("voltage", 1), ("power", 2), ("current", 3)}
+#: Of an INA3221, in4 to in6 are the voltages of its shunts, and in7 their sum; of its siblings, in0 is. Source: Linux,
+#: Documentation/hwmon/ina3221.rst and ina2xx.rst.
+_INA3221_CHANNELS = (1, 2, 3)
+#: PMBus drivers call what belongs to one rail vin, iin, pin, or vout1, iout1, pout1.
+_PMBUS = re.compile(r"[vip](in|out\d*)")
+
+
+@dataclass(frozen=True, slots=True)
+class RailFile:
+    """A file of a driver, and how its number becomes one in SI units: `(number + offset) * scale`."""
+
+    path: str
+    scale: float
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Rail:
+    """A supply of which a driver shows power, energy, current or voltage.
+
+    Attributes:
+        name: the driver's label such as `VDD_IN`, else the chip's name; unique on its computer.
+        chip: the driver's name for the chip, such as `ina3221`.
+        files: a file for each quantity that is shown: `power`, `voltage`, `current`, `joules`.
+
+    Example:
+        >>> rail = Rail("VDD_IN", "ina3221", {"voltage": RailFile("in1", 1e-3), "current": RailFile("curr1", 1e-3)})
+        >>> rail.read({"in1": "5000", "curr1": "1500"}).power
+        7.5
+    """
+
+    name: str
+    chip: str
+    files: Mapping[str, RailFile]
+
+    @property
+    def tells_power(self) -> bool:
+        """Whether its energy can be told."""
+        return bool({"power", "joules"} & self.files.keys() or {"voltage", "current"} <= self.files.keys())
+
+    def read(self, lines: Mapping[str, str | None]) -> ElectricalReading:
+        """Return what the lines of the files say, by path; power is voltage times current where no file tells it.
+
+        Raises:
+            ValueError: a file could not be read, or holds no number.
+        """
+        told = {quantity: _number(file, lines.get(file.path)) for quantity, file in self.files.items()}
+        if "power" not in told and {"voltage", "current"} <= told.keys():
+            told["power"] = told["voltage"] * told["current"]
+        return ElectricalReading(**told)
+
+
+def _number(file: RailFile, line: str | None) -> float:
+    if line is None:
+        raise ValueError(f"{file.path} could not be read")
+    try:
+        return (float(line) + file.offset) * file.scale
+    except ValueError:
+        raise ValueError(f"{file.path} says {line!r}, which is no number") from None
+
+
+def find_rails(host: FileHost, root: str = "/sys") -> list[Rail]:
+    """Return the rails that a computer shows, those of hwmon first.
+
+    Args:
+        host: the computer.
+        root: where its sysfs is.
+
+    Raises:
+        LinkError: the computer cannot be reached, or the scale of a channel is no number.
+    """
+    hwmon = _files_of(host, f"{root}/class/hwmon/hwmon*", ("name", "*_input", "*_average", "*_label"))
+    iio = _files_of(host, f"{root}/bus/iio/devices/iio:device*", ("name", "in_*", "rail_name_*"))
+    addresses = _addresses(host, root)
+    found: list[tuple[Sequence[str], str, Mapping[str, RailFile]]] = []
+    for devices, rails_of in ((hwmon, _hwmon_rails), (iio, _iio_rails)):
+        for folder, lines in devices.items():
+            device = folder.rpartition("/")[2]
+            chip = lines.get("name") or device
+            rails = rails_of(folder, chip, lines)
+            for fallback, label, files in rails:
+                name = label or (chip if len(rails) == 1 else f"{chip}:{fallback}")
+                placed = f"{name}@{addresses.get(device, device)}"
+                found.append(((name, placed, f"{placed}:{fallback}"), chip, files))
+    taken = [name for names, *_ in found for name in names]
+    return [Rail(_first_unique(names, taken), chip, files) for names, chip, files in found]
+
+
+def _first_unique(names: Sequence[str], taken: Sequence[str]) -> str:
+    """Return the shortest of a rail's names that no other rail has."""
+    return next((name for name in names if taken.count(name) == 1), names[-1])
+
+
+def choose_rails(rails: Sequence[Rail], names: Sequence[str] | None, *, where: str) -> list[Rail]:
+    """Return the rails of these names, or the only one that tells power.
+
+    Raises:
+        LinkError: there is no such rail, or none is named and there are several; all that are there are listed.
+    """
+    there = [rail.name for rail in rails]
+    if names is None:
+        powered = [rail for rail in rails if rail.tells_power]
+        if len(powered) == 1:
+            return powered
+        if powered:
+            listed = ", ".join(repr(rail.name) for rail in powered)
+            raise LinkError(f"there are {len(powered)} rails", where=where, fix=f"Name those to measure, of: {listed}.")
+        other = f", only voltages or currents: {', '.join(there)}" if rails else ""
+        fix = "Load the driver of its power sensor (modprobe, or a device-tree overlay); `sensors` lists what there is."
+        raise LinkError(f"no driver in /sys shows a rail with its power{other}", where=where, fix=fix)
+    unknown = [name for name in names if name not in there]
+    if unknown:
+        missing = ", ".join(map(repr, unknown))
+        near = " ".join(dict.fromkeys(did_you_mean(name, there) for name in unknown)) if there else ""
+        listed = f"There are: {', '.join(map(repr, there))}." if there else "No driver in /sys shows any."
+        raise LinkError(f"there is no rail {missing}", where=where, fix=f"{near} {listed}".strip())
+    return [rails[there.index(name)] for name in names]
+
+
+def _files_of(host: FileHost, folders: str, patterns: Iterable[str]) -> dict[str, dict[str, str]]:
+    """Return the first lines of the files of each device, by the device's folder and the file's name."""
+    paths = [path for pattern in patterns for path in host.list_files(f"{folders}/{pattern}")]
+    devices: dict[str, dict[str, str]] = defaultdict(dict)
+    for path, line in zip(paths, host.read_files(paths) if paths else (), strict=True):
+        folder, _, name = path.rpartition("/")
+        if line is not None:
+            devices[folder][name] = line.strip()
+    return dict(sorted(devices.items(), key=lambda item: _natural(item[0])))
+
+
+def _natural(text: str) -> list[tuple[int, str]]:
+    """Return a key that sorts `hwmon10` behind `hwmon9`."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", text)]
+
+
+def _addresses(host: FileHost, root: str) -> dict[str, str]:
+    """Return the address of each device on an I2C bus, such as `1-0040`: it stays where numbers of devices change."""
+    bus = f"{root}/bus/i2c/devices"
+    paths = [*host.list_files(f"{bus}/*/hwmon/hwmon*/name"), *host.list_files(f"{bus}/*/iio:device*/name")]
+    return {path.split("/")[-2]: path.removeprefix(f"{bus}/").partition("/")[0] for path in paths}
+
+
+#: A rail before it has a name that is its own: what to call it where it has no label, its label, and its files.
+_Found = tuple[str, str, dict[str, RailFile]]
+
+
+def _hwmon_rails(folder: str, chip: str, lines: Mapping[str, str]) -> list[_Found]:
+    files: dict[tuple[str, int], RailFile] = {}
+    labels: dict[tuple[str, int], str] = {}
+    for name in lines:
+        match = _HWMON_FILE.fullmatch(name)
+        if match is None or _is_shunt(chip, match[1], int(match[2])):
+            continue
+        place = match[1], int(match[2])
+        if match[3] == "label":
+            labels[place] = lines[name]
+        elif match[3] == "input" or place not in files:  # an average stands for what has no reading of the moment
+            files[place] = RailFile(f"{folder}/{name}", _HWMON[match[1]][1])
+    rails: dict[str, _Found] = {}
+    for kind in _HWMON:
+        for place in sorted(place for place in files if place[0] == kind):
+            label = labels.get(place, "")
+            key = _rail_key(chip, label, place[1])
+            if key in rails and _HWMON[kind][0] in rails[key][2]:  # another rail of the same label
+                key = f"{key}#{place[1]}"
+            fallback, known, quantities = rails.setdefault(key, (f"{kind}{place[1]}", label, {}))
+            quantities[_HWMON[kind][0]] = files[place]
+            rails[key] = fallback, known or label, quantities
+    return list(rails.values())
+
+
+def _is_shunt(chip: str, kind: str, number: int) -> bool:
+    if kind != "in" or not chip.startswith("ina"):
+        return False
+    return number not in _INA3221_CHANNELS if chip.startswith("ina3221") else number == 0
+
+
+def _rail_key(chip: str, label: str, number: int) -> str:
+    """Return what is the same for all quantities of one rail."""
+    if not label or chip.startswith("ina"):
+        return f"#{number}"
+    match = _PMBUS.fullmatch(label)
+    return match[1] if match else label
+
+
+def _iio_rails(folder: str, chip: str, lines: Mapping[str, str]) -> list[_Found]:
+    is_ina2xx = chip.startswith("ina") and "in_shunt_resistor" in lines
+    rails: dict[str, _Found] = {}
+    for name in sorted(lines, key=_natural):
+        match = _IIO_FILE.fullmatch(name)
+        if match is None or match[3] not in {"input", "raw"}:
+            continue
+        kind, number = match[1], int(match[2] or 0)
+        if is_ina2xx and (kind, number) not in _INA2XX_IIO:
+            continue
+        key = "" if is_ina2xx else match[2]
+        label = lines.get(f"rail_name_{match[2]}") or lines.get(f"in_{kind}{match[2]}_label") or ""
+        fallback, known, quantities = rails.setdefault(key, (f"{kind}{match[2]}", label, {}))
+        quantity, unit = _IIO[kind]
+        quantities[quantity] = _iio_file(f"{folder}/{name}", kind, match, unit, lines)
+        rails[key] = fallback, known or label, quantities
+    return list(rails.values())
+
+
+def _iio_file(path: str, kind: str, match: re.Match[str], unit: float, lines: Mapping[str, str]) -> RailFile:
+    """Return a channel's file: what is processed is in the interface's unit; what is raw has a scale and an offset."""
+    if match[3] == "input":
+        return RailFile(path, unit)
+
+    def setting(what: str, otherwise: float) -> float:
+        name = next((name for name in (f"in_{kind}{match[2]}_{what}", f"in_{kind}_{what}") if lines.get(name)), None)
+        try:
+            return float(lines[name]) if name else otherwise
+        except ValueError as error:
+            fix = "Look at the sensor's files there."
+            raise LinkError(f"{name} says {lines[name or '']!r}, which is no number", where=path, fix=fix) from error
+
+    return RailFile(path, setting("scale", 1.0) * unit, setting("offset", 0.0))

@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.errors import MeasureError
+from robot_runner.core.events.measure import Measure
+from robot_runner.core.execution.notices import SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.execution.recovery import Resumption
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+Execute = Callable[..., Any]
+
+DOUBTING = """
+def populate_run_data(self, context):
+    if context.combination["Task"] == "Video":
+        context.doubt("the sensor was hot: 81 degC", measures=["Energy"])
+    return {"Energy": None if context.repetition == 2 else 7.5}
+"""
+
+LIMITED = """\
+    def create_run_table(self):
+        return RunTableModel(
+            [Factor("Task", ["Video", "Network"])],
+            data_columns=[Measure("Energy", "J", "Energy.", low=0.0, high=10.0)],
+        )
+"""
+HEAD = """\
+from pathlib import Path
+from robot_runner import *
+from robot_runner.plugins import Measure
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = Path("results")
+"""
+ABOVE = "the value, 11 J, is above 10 J, the largest that is plausible"
+#: Out of its limits at the first attempt of the first run, missing at the second.
+UNSTEADY = """
+def populate_run_data(self, context):
+    if context.combination["Task"] == "Network":
+        return {"Energy": 7.5}
+    return {"Energy": {1: 11.0, 2: None}.get(context.attempt, 8.0)}
+"""
+
+
+def doubts_of(folder: Path, column: str = "Energy") -> dict[str, list[str]]:
+    fields = json.loads((folder / "run_table.schema.json").read_text(encoding="utf-8"))["fields"]
+    found: dict[str, list[str]] = next(field for field in fields if field["name"] == column).get(
+        "robot_runner:doubts", {}
+    )
+    return found
+
+
+def test_a_doubt_stands_beside_the_value_in_journal_and_schema(execute: Execute) -> None:
+    executed = execute(DOUBTING)
+    hot = ["the sensor was hot: 81 degC"]
+    ends = {end["run"]: end["measures"]["Energy"] for end in executed.journal("attempt_finished")}
+    assert ends["r_1"]["doubts"] == hot
+    assert "doubts" not in ends["r_2"]
+    assert doubts_of(executed.folder) == {"r_1": hot, "r_3": hot}
+
+
+def test_the_run_table_tells_the_quality_on_request(execute: Execute) -> None:
+    table = execute(DOUBTING, quality_columns=True).table
+    assert [row["Energy.quality"] for row in table] == [
+        "doubtful: the sensor was hot: 81 degC",
+        "good",
+        "missing: the sensor was hot: 81 degC",
+        "missing",
+    ]
+
+
+def test_doubts_outlast_a_resumption_and_go_with_the_attempt_that_they_were_about(execute: Execute) -> None:
+    executed = execute(DOUBTING)
+    experiment = prepare_or_refuse(executed.config)
+    execute_experiment(experiment, SilentObserver(), resumption=Resumption(only=("r_1",)))
+    assert set(doubts_of(executed.folder)) == {"r_1", "r_3"}
+    executed.config.write_text(executed.config.read_text(encoding="utf-8").replace("81", "25"), encoding="utf-8")
+    experiment = prepare_or_refuse(executed.config)
+    again = Resumption(redo=("r_1",), accept_changes=True)
+    execute_experiment(experiment, SilentObserver(), resumption=again)
+    assert doubts_of(executed.folder) == {
+        "r_1": ["the sensor was hot: 25 degC"],
+        "r_3": ["the sensor was hot: 81 degC"],
+    }
+
+
+def test_a_value_beyond_its_limits_is_kept_and_doubtful(execute: Execute) -> None:
+    executed = execute(UNSTEADY, table=LIMITED, head=HEAD)
+    assert [row["Energy"] for row in executed.table] == ["11.0", "7.5"]
+    assert doubts_of(executed.folder) == {"r_1": [ABOVE]}
+    schema = json.loads((executed.folder / "run_table.schema.json").read_text(encoding="utf-8"))
+    [unit] = [field["unit"] for field in schema["fields"] if field["name"] == "Energy"]
+    assert unit == "J"
+
+
+def test_a_bad_value_is_tried_again_while_attempts_are_left(execute: Execute) -> None:
+    executed = execute(UNSTEADY, table=LIMITED, head=HEAD, on_bad_value="try_again", attempts=3)
+    assert [row["Energy"] for row in executed.table] == ["8.0", "7.5"]
+    ends = [(end["run"], end["status"], end["failure"]) for end in executed.journal("attempt_finished")]
+    assert ends == [
+        ("r_1", "failed", f"populate_run_data of config: Energy: {ABOVE}"),
+        ("r_1", "failed", "populate_run_data of config: Energy has no value"),
+        ("r_1", "done", None),
+        ("r_2", "done", None),
+    ]
+
+
+def test_the_last_attempt_s_bad_value_is_kept(execute: Execute) -> None:
+    executed = execute(UNSTEADY, table=LIMITED, head=HEAD, on_bad_value="try_again")
+    assert [row["status"] for row in executed.table] == ["Done", "Done"]
+    assert list(doubts_of(executed.folder)) == ["r_1"]
+
+
+def test_a_bad_value_fails_the_run_where_the_config_says_so(execute: Execute) -> None:
+    executed = execute(UNSTEADY, table=LIMITED, head=HEAD, on_bad_value="fail", attempts=2)
+    assert [row["status"] for row in executed.table] == ["Failed", "Done"]
+
+
+def test_limits_that_leave_nothing_are_refused() -> None:
+    with pytest.raises(MeasureError, match="no value can be plausible"):
+        Measure("Energy", "J", low=2.0, high=1.0)
+
+
+def test_a_measure_of_a_plugin_is_not_declared_again(execute: Execute) -> None:
+    table = LIMITED.replace('Measure("Energy"', 'Measure("CPU"')
+    body = "robot = 'simulated'\nplugins = [PsUtil()]"
+    head = HEAD.replace("\n\n\nclass", "\nfrom robot_runner.plugins.profilers import PsUtil\n\n\nclass")
+    with pytest.raises(Exception, match="is declared here, and by plugin PsUtil"):
+        execute(body, table=table, head=head)

@@ -1,0 +1,217 @@
+"""The journal is the truth: what becomes of a table, a schema or a manifest that was deleted, damaged or edited."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.errors import ExecutionError
+from robot_runner.core.execution.experiment_status import read_status
+from robot_runner.core.execution.notices import ExperimentFinished, SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.execution.recovery import Resumption, TableChoice, TableDisagreementError
+from robot_runner.core.storage.journal import read_journal
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+Execute = Callable[..., Any]
+
+#: Executed once only: an attempt more gives another value.
+COUNTING = """
+def populate_run_data(self, context):
+    return {"Energy": 10 * context.run_number + context.attempt}
+"""
+SHUFFLED = """\
+    def create_run_table(self):
+        return RunTableModel(
+            [Factor("Task", ["Video", "Network", "Computation"])], repetitions=2, data_columns=["Energy"], shuffle=True
+        )
+"""
+
+
+def resume(executed: Any, **asked: Any) -> ExperimentFinished:
+    experiment = prepare_or_refuse(executed.config)
+    return execute_experiment(experiment, SilentObserver(), resumption=Resumption(**asked))
+
+
+def attempts(executed: Any) -> int:
+    return len(executed.journal("attempt_started"))
+
+
+def text_of(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
+def edited(executed: Any, old: str, new: str) -> None:
+    path = executed.folder / "run_table.csv"
+    text = text_of(path)
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+
+
+@pytest.mark.parametrize("content", [None, "", "\n"], ids=["deleted", "emptied", "blank"])
+@pytest.mark.parametrize("table", [None, SHUFFLED], ids=["in order", "shuffled"])
+def test_a_lost_run_table_is_made_whole_and_nothing_is_executed_again(
+    execute: Execute, content: str | None, table: str | None
+) -> None:
+    executed = execute(COUNTING, **({"table": table} if table else {}))
+    path = executed.folder / "run_table.csv"
+    before = text_of(path)
+    path.unlink() if content is None else path.write_text(content, encoding="utf-8")
+    finished = resume(executed)
+    assert text_of(path) == before
+    assert attempts(executed) == len(executed.table)
+    assert any("made anew from the plan and the journal" in finding.problem for finding in finished.findings)
+
+
+@pytest.mark.parametrize("name", ["run_table.schema.json", "manifest.json"])
+@pytest.mark.parametrize("content", [None, "", '{"fields": 3'], ids=["deleted", "emptied", "torn"])
+def test_a_lost_schema_or_manifest_is_made_whole(execute: Execute, name: str, content: str | None) -> None:
+    executed = execute(COUNTING, table=SHUFFLED)
+    table, path = text_of(executed.folder / "run_table.csv"), executed.folder / name
+    before = json.loads(text_of(path))
+    path.unlink() if content is None else path.write_text(content, encoding="utf-8")
+    resume(executed)
+    after = json.loads(text_of(path))
+    assert attempts(executed) == 6
+    assert text_of(executed.folder / "run_table.csv") == table
+    if name == "manifest.json":
+        assert (after["seed"], after["design"]) == (before["seed"], before["design"])
+    else:
+        assert after == before
+
+
+def test_everything_but_the_journal_may_be_lost_at_once(execute: Execute) -> None:
+    executed = execute(COUNTING, table=SHUFFLED)
+    before = text_of(executed.folder / "run_table.csv")
+    for name in ("run_table.csv", "run_table.schema.json", "manifest.json"):
+        (executed.folder / name).unlink()
+    resume(executed)
+    assert text_of(executed.folder / "run_table.csv") == before
+
+
+def test_an_edit_of_a_finished_run_is_refused_cell_by_cell(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    edited(executed, "Video,1,11", "Video,1,12")
+    with pytest.raises(TableDisagreementError) as refused:
+        resume(executed)
+    (finding,) = refused.value.findings
+    assert finding.where.endswith("run r_1, column 'Energy'")
+    assert finding.problem == "the table has '12', the journal '11'"
+    assert "--table journal" in finding.fix
+    assert "--table file" in finding.fix
+
+
+def test_the_journal_may_count_and_the_file_is_kept(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    before = text_of(executed.folder / "run_table.csv")
+    edited(executed, "Video,1,11", "Video,1,12")
+    finished = resume(executed, table=TableChoice.JOURNAL)
+    assert text_of(executed.folder / "run_table.csv") == before
+    assert "Video,1,12" in text_of(executed.folder / "earlier_tables" / "1.csv")
+    assert any("earlier_tables/1.csv" in finding.fix for finding in finished.findings)
+
+
+def test_the_file_may_count_and_each_change_is_recorded_once(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    edited(executed, "Video,1,11", "Video,1,12")
+    resume(executed, table=TableChoice.FILE)
+    changed = {"run": "r_1", "column": "Energy", "was": "11", "is": "12"}
+    (record,) = executed.journal("deviation")
+    assert {name: record[name] for name in changed} == changed
+    (told,) = json.loads(text_of(executed.folder / "manifest.json"))["table_deviations"]
+    assert {name: told[name] for name in changed} == changed
+    problems = [finding.problem for finding in read_status(executed.folder).findings]
+    assert "Energy was changed by hand from '11' to '12'" in problems
+    resume(executed)
+    edited(executed, "Network,1,21", "Network,1,22")
+    with pytest.raises(TableDisagreementError) as refused:
+        resume(executed)
+    assert [finding.where.rpartition(", run ")[2] for finding in refused.value.findings] == ["r_2, column 'Energy'"]
+    assert executed.table[0]["Energy"] == "12"
+
+
+def test_a_table_restored_from_yesterday_executes_nothing_again_unasked(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    edited(executed, "r_3,Done", "r_3,-")
+    with pytest.raises(TableDisagreementError, match="the table has '-', the journal 'Done'"):
+        resume(executed)
+    resume(executed, table=TableChoice.JOURNAL)
+    assert attempts(executed) == 4
+
+
+def test_a_measure_column_that_was_removed_comes_back_with_its_values(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    path = executed.folder / "run_table.csv"
+    before = text_of(path)
+    path.write_text("\n".join(line.rpartition(",")[0] for line in before.splitlines()) + "\n", encoding="utf-8")
+    with pytest.raises(TableDisagreementError, match="the table has 'nothing', the journal '11'"):
+        resume(executed)
+    resume(executed, table=TableChoice.JOURNAL)
+    assert text_of(path) == before
+
+
+def test_a_truncated_table_is_made_anew_where_the_journal_counts(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    path = executed.folder / "run_table.csv"
+    before = text_of(path)
+    path.write_text(before[: len(before) // 2], encoding="utf-8")
+    with pytest.raises(ExecutionError) as refused:
+        resume(executed)
+    assert any("--table journal" in finding.fix for finding in refused.value.findings)
+    resume(executed, table=TableChoice.JOURNAL)
+    assert text_of(path) == before
+    assert attempts(executed) == 4
+
+
+def test_what_a_spreadsheet_writes_in_another_way_is_no_change(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    path = executed.folder / "run_table.csv"
+    before = text_of(path)
+    path.write_text(before.replace("\n", "\r\n").replace(",11\r", ",11.0\r"), encoding="utf-8-sig")
+    with pytest.raises(TableDisagreementError, match=r"'11\.0'"):
+        resume(executed)
+    path.write_text(before.replace("\n", "\r\n"), encoding="utf-8-sig")
+    resume(executed)
+    assert text_of(path) == before
+
+
+def test_rows_that_a_user_sorts_are_executed_in_that_order_and_told(execute: Execute) -> None:
+    executed = execute("def populate_run_data(self): return {'Energy': 1}", table=SHUFFLED)
+    path = executed.folder / "run_table.csv"
+    heading, *rows = text_of(path).splitlines()
+    path.write_text("\n".join([heading, *reversed(rows)]) + "\n", encoding="utf-8")
+    finished = resume(executed)
+    assert any("put into another order" in finding.problem for finding in finished.findings)
+    manifest = json.loads(text_of(executed.folder / "manifest.json"))
+    assert manifest["design"]["is_reordered"] is True
+    resume(executed)
+    assert len(executed.journal("deviation")) == 1
+
+
+def test_a_lost_table_that_was_written_by_hand_is_not_planned_anew(execute: Execute, write_config: Any) -> None:
+    config = write_config(COUNTING)
+    path = config.parent / "results" / "trial" / "run_table.csv"
+    path.parent.mkdir(parents=True)
+    path.write_text("Task,Repetition\nNetwork,1\nNetwork,2\n", encoding="utf-8")
+    executed = execute(COUNTING)
+    path.unlink()
+    with pytest.raises(ExecutionError, match="the run was executed with"):
+        resume(executed)
+    assert attempts(executed) == 2
+
+
+def test_runs_that_ended_after_the_table_was_written_are_no_disagreement(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    journal = executed.folder / "journal.jsonl"
+    lines = text_of(journal).splitlines(keepends=True)
+    journal.write_text("".join(line for line in lines if '"table_written"' not in line), encoding="utf-8")
+    edited(executed, "r_4,Done", "r_4,-")
+    resume(executed)
+    assert attempts(executed) == 4
+    assert [record["kind"] for record in read_journal(journal, kinds={"deviation"})] == []

@@ -1,0 +1,208 @@
+"""A real exporter in another process, scraped over HTTP."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.plugins import Circumstances, Measure
+from robot_runner.plugins.profilers import Prometheus, ScrapedMetric
+from robot_runner.testing import FakeClock, ProfilerContract, make_context, rehearse
+
+pytest.importorskip("prometheus_client", reason="prometheus-client is not installed")
+
+
+class Exporter:
+    """The exporter of exporter_program.py."""
+
+    def __init__(self) -> None:
+        program = Path(__file__).with_name("exporter_program.py")
+        self._process = subprocess.Popen(
+            [sys.executable, program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        self.port = int(self._process.stdout.readline())
+        self.url = f"http://127.0.0.1:{self.port}/metrics"
+
+    def tell(self, line: str) -> None:
+        self._process.stdin.write(line + "\n")
+        self._process.stdin.flush()
+        assert self._process.stdout.readline() == "done\n"
+
+    def stop(self) -> None:
+        self._process.kill()
+        self._process.communicate(timeout=30)
+
+
+@pytest.fixture
+def exporter():
+    started = Exporter()
+    yield started
+    started.stop()
+
+
+def measured(tmp_path, plugin, clock, seconds=10.0):
+    context = make_context(tmp_path, plugin, robot=None, clock=clock)
+    rehearse(context, plugin, mission=lambda: clock.sleep(seconds))
+    return context
+
+
+def problems(context):
+    return [finding.problem for finding in context.broker.findings]
+
+
+def findings(url, *metrics, **settings):
+    return list(Prometheus(url, list(metrics), **settings).check(Circumstances()))
+
+
+def test_counters_are_measured_by_their_increase_and_gauges_by_their_mean(tmp_path, exporter):
+    clock = FakeClock(100.0)
+    for second in range(1, 10):
+        clock.at(100.0 + second, lambda: exporter.tell("inc joules 8.5"))
+    clock.at(105.0, lambda: exporter.tell("set watts 12"))
+    plugin = Prometheus(exporter.url, ["supply_energy_joules_total", "supply_power_watts"], rate_hz=2.0)
+    context = measured(tmp_path, plugin, clock)
+    assert context.measures["SupplyEnergyJoules"] == pytest.approx(9 * 8.5, rel=0.01)
+    assert context.measures["SupplyPowerWatts"] == pytest.approx(10.0, rel=0.03)
+    assert [measure.unit for measure in plugin.measures] == ["J", "W"]
+    assert problems(context) == []
+    with (context.raw_data_folder / "samples.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["time_s", "SupplyEnergyJoules", "SupplyPowerWatts"]
+    assert float(rows[-1]["SupplyEnergyJoules"]) == pytest.approx(1076.5)
+
+
+def test_the_series_of_a_counter_are_summed_and_can_be_chosen(tmp_path, exporter):
+    clock = FakeClock()
+    clock.at(5.0, lambda: exporter.tell("inc eth0 30"))
+    clock.at(6.0, lambda: exporter.tell("inc wlan0 4"))
+    context = measured(tmp_path, Prometheus(exporter.url, ["packets_total", 'packets_total{interface="wlan0"}']), clock)
+    assert context.measures["Packets"] == pytest.approx(34.0)
+    assert context.measures["Packets_wlan0"] == pytest.approx(4.0)
+    facts = json.loads((context.raw_data_folder / "quality.json").read_text())
+    assert facts["series"]["packets_total"] == [{"interface": "eth0"}, {"interface": "wlan0"}]
+
+
+def test_the_series_of_a_gauge_are_combined_as_said(tmp_path, exporter):
+    metrics = [
+        ScrapedMetric(selector="core_load_percent", measure=Measure("Load", "%", "Mean of the cores."), combine="mean"),
+        ScrapedMetric(selector="core_load_percent", measure=Measure("Peak", "%", "Busiest core."), combine="max"),
+    ]
+    context = measured(tmp_path, Prometheus(exporter.url, metrics), FakeClock())
+    assert context.measures["Load"] == pytest.approx(40.0)
+    assert context.measures["Peak"] == pytest.approx(60.0)
+
+
+def test_a_histogram_tells_how_often_and_how_long(tmp_path, exporter):
+    clock = FakeClock()
+    for second in (2.0, 3.0, 4.0):
+        clock.at(second, lambda: exporter.tell("observe latency 0.25"))
+    context = measured(tmp_path, Prometheus(exporter.url, ["latency_seconds_count", "latency_seconds_sum"]), clock)
+    assert context.measures["LatencySecondsCount"] == pytest.approx(3.0)
+    assert context.measures["LatencySecondsSum"] == pytest.approx(0.75)
+
+
+def test_a_counter_that_was_set_back_counts_on_and_is_doubted(tmp_path, exporter):
+    clock = FakeClock()
+    clock.at(2.5, lambda: exporter.tell("inc joules 10"))
+    clock.at(5.5, lambda: exporter.tell("reset joules 0"))
+    clock.at(7.5, lambda: exporter.tell("inc joules 4"))
+    context = measured(tmp_path, Prometheus(exporter.url, ["supply_energy_joules_total"]), clock)
+    assert context.measures["SupplyEnergyJoules"] == pytest.approx(14.0)
+    assert any("was set back" in problem for problem in problems(context))
+
+
+def test_an_exporter_that_dies_blocks_no_mission(tmp_path, exporter):
+    clock, plugin = SystemClock(), Prometheus(exporter.url, ["supply_power_watts"], rate_hz=10.0, timeout_s=0.5)
+    context = make_context(tmp_path, plugin, robot=None, clock=clock)
+
+    def mission() -> None:
+        clock.sleep(0.3)
+        exporter.stop()
+        clock.sleep(1.0)
+
+    begun = time.monotonic()
+    rehearse(context, plugin, mission=mission)
+    assert time.monotonic() - begun < 6.0
+    assert set(context.measures.values()) == {None}
+    assert any("does not answer" in problem for problem in problems(context))
+
+
+def test_a_good_exporter_has_no_findings(exporter):
+    assert findings(exporter.url, "supply_power_watts", "packets_total") == []
+
+
+def test_a_metric_that_it_does_not_show_is_answered_with_the_nearest(exporter):
+    (finding,) = findings(exporter.url, "suply_power_watts")
+    assert "shows no 'suply_power_watts'" in finding.problem
+    assert "'supply_power_watts'" in finding.fix
+
+
+def test_all_that_is_wrong_is_told_at_once(exporter):
+    found = findings(exporter.url, 'packets_total{interface="can0"}', "core_load_percent", "legacy_total")
+    assert len(found) == 3
+    assert 'There are: {interface="eth0"}, {interface="wlan0"}' in found[0].fix
+    assert "has 2 series" in found[1].problem
+    assert "legacy_total is a gauge" in found[2].problem
+
+
+def test_a_page_that_is_no_exporter_is_told(exporter, monkeypatch):
+    monkeypatch.setattr(
+        "robot_runner.meters.http_requests.HttpDevice.get", lambda *_, **__: b"<html>{hello world}</html>"
+    )
+    assert findings(exporter.url, "supply_power_watts")
+
+
+def test_nothing_at_the_address_is_told_and_fails_the_run_before_its_mission(tmp_path, exporter):
+    exporter.stop()
+    (finding,) = findings(exporter.url, "supply_power_watts")
+    assert "does not answer" in finding.problem
+    with pytest.raises(LinkError, match="does not answer"):
+        measured(tmp_path, Prometheus(exporter.url, ["supply_power_watts"]), FakeClock())
+
+
+def test_a_machine_without_the_library_is_told_which_extra_brings_it(monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    (finding,) = findings("http://127.0.0.1:9/metrics", "up")
+    assert "robot-runner[prometheus]" in finding.fix
+
+
+@pytest.mark.parametrize(
+    ("url", "metrics"),
+    [
+        ("http://robot:9100/metrics", []),
+        ("http://robot:9100/metrics", "node_load1"),
+        ("http://robot:9100/metrics", ["node_load1", "node_load1"]),
+        ("http://robot:9100/metrics", ["node load"]),
+        ("http://robot:9100/metrics", ["node_load1{cpu=0}"]),
+        ("robot:9100", ["node_load1"]),
+    ],
+)
+def test_what_cannot_be_is_refused(url, metrics):
+    with pytest.raises(PluginError):
+        Prometheus(url, metrics)
+
+
+def test_a_combination_that_there_is_not_is_answered_with_the_nearest():
+    with pytest.raises(PluginError) as caught:
+        ScrapedMetric(selector="node_load1", combine="summ")
+    assert "'sum'" in caught.value.fix
+
+
+class TestPrometheus(ProfilerContract):
+    robot = None
+    measuring_seconds = 5.0
+
+    @pytest.fixture(autouse=True)
+    def _exporter(self, exporter):
+        self.url = exporter.url
+
+    def make_plugin(self) -> Prometheus:
+        return Prometheus(self.url, ["supply_energy_joules_total", "supply_power_watts"])

@@ -1,0 +1,219 @@
+"""Instruments that speak SCPI: a server over TCP through pyvisa-py, and an instrument of pyvisa-sim."""
+
+from __future__ import annotations
+
+import csv
+import json
+import socket
+import time
+
+import pytest
+from tests.meters.scpi_server import ScpiServer
+
+from robot_runner.core.errors import PluginError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.meters.scpi import parse_number
+from robot_runner.plugins import Circumstances
+from robot_runner.plugins.profilers import Scpi
+from robot_runner.testing import FakeClock, ProfilerContract, make_context, rehearse
+
+pytest.importorskip("pyvisa", reason="pyvisa is not installed")
+pytest.importorskip("pyvisa_py", reason="pyvisa-py is not installed")
+
+
+@pytest.fixture
+def server():
+    started = ScpiServer()
+    yield started
+    started.stop()
+
+
+def measured(tmp_path, plugin, clock, seconds):
+    context = make_context(tmp_path, plugin, robot=None, clock=clock)
+    rehearse(context, plugin, mission=lambda: clock.sleep(seconds))
+    return context
+
+
+def problems(context):
+    return [finding.problem for finding in context.broker.findings]
+
+
+def test_power_is_voltage_times_current_over_tcp(tmp_path, server):
+    clock = FakeClock(10.0)
+    clock.at(15.0, lambda: server.numbers.update(current=1.0))
+    context = measured(tmp_path, Scpi(server.resource), clock, 10.0)
+    assert context.measures["Energy"] == pytest.approx(12.0 * 0.5 * 5 + 12.0 * 1.0 * 5, rel=0.02)
+    assert context.measures["MeanVoltage"] == pytest.approx(12.0)
+    facts = json.loads((context.raw_data_folder / "quality.json").read_text())
+    assert facts["identity"] == "Robot Runner,Fake Supply,1,1.0"
+    with (context.raw_data_folder / "samples.csv").open(newline="") as file:
+        assert list(next(csv.DictReader(file))) == ["time_s", "power_W", "voltage_V", "current_A"]
+
+
+def test_an_analyser_is_asked_for_power_and_its_energy_counter(tmp_path, server):
+    clock = FakeClock(0.0)
+    server.answers |= {
+        "NUM:VAL? 3": "8.5 W",
+        "INT:WH?": lambda: f"{clock.now() * 8.5 / 3600:.9f}",
+    }
+    plugin = Scpi(server.resource, power="NUM:VAL? 3", voltage=None, current=None, energy="INT:WH?")
+    context = measured(tmp_path, plugin, clock, 20.0)
+    assert context.measures["Energy"] == pytest.approx(170.0, rel=1e-3)
+    assert context.measures["MeanVoltage"] is None
+    facts = json.loads((context.raw_data_folder / "quality.json").read_text())
+    assert facts["energy_from"] == {"": "counter"}
+
+
+def test_setup_is_sent_before_the_measurement(tmp_path, server):
+    measured(tmp_path, Scpi(server.resource, setup=["SYST:REM"]), FakeClock(), 1.0)
+    assert server.received[:2] == ["*IDN?", "SYST:REM"]
+
+
+def test_an_answer_that_comes_too_late_is_not_taken_for_the_next(tmp_path, server):
+    # The voltage comes 0.3 s after its question was given up: taken for the current it would be 144 W.
+    plugin, clock = Scpi(server.resource, timeout_s=0.15, rate_hz=20.0), SystemClock()
+    context = make_context(tmp_path, plugin, robot=None, clock=clock)
+
+    def mission() -> None:
+        clock.sleep(0.5)
+        server.delay = 0.4
+        clock.sleep(1.5)
+
+    rehearse(context, plugin, mission=mission)
+    with (context.raw_data_folder / "samples.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["power_W"] for row in rows} == {"6.000000"}
+    assert any("failed, the first with: VisaIOError" in problem for problem in problems(context))
+
+
+def test_an_instrument_that_falls_silent_blocks_no_mission(tmp_path, server):
+    plugin, clock = Scpi(server.resource, timeout_s=0.3, rate_hz=10.0), SystemClock()
+    context = make_context(tmp_path, plugin, robot=None, clock=clock)
+
+    def mission() -> None:
+        clock.sleep(0.3)
+        server.is_mute = True
+        clock.sleep(0.7)
+
+    begun = time.monotonic()
+    rehearse(context, plugin, mission=mission)
+    assert time.monotonic() - begun < 5.0
+    assert set(context.measures.values()) == {None}
+
+
+def test_an_overload_is_no_value(tmp_path, server):
+    clock = FakeClock()
+    clock.at(1.0, lambda: server.answers.update({"MEAS:CURR?": "9.90000E+37"}))
+    clock.at(1.5, lambda: server.answers.update({"MEAS:CURR?": "0.5"}))
+    context = measured(tmp_path, Scpi(server.resource), clock, 10.0)
+    assert context.measures["Energy"] == pytest.approx(60.0)
+    assert any("an overload, or no value" in problem for problem in problems(context))
+
+
+def only_finding(plugin):
+    (finding,) = plugin.check(Circumstances())
+    assert finding.is_error
+    return finding
+
+
+def test_a_good_instrument_has_no_findings(server):
+    assert list(Scpi(server.resource).check(Circumstances())) == []
+
+
+def test_a_query_that_it_does_not_know_is_told_with_its_own_words(server):
+    finding = only_finding(Scpi(server.resource, power="MEAS:PWR?", timeout_s=0.2))
+    assert "MEAS:PWR?" in finding.problem
+    assert "Undefined header" in finding.problem
+
+
+def test_a_setup_that_it_refuses_is_told_with_its_own_words(server):
+    finding = only_finding(Scpi(server.resource, setup=["SENS:CURRR 3"]))
+    assert 'refuses its setup: -113,"Undefined header"' in finding.problem
+
+
+def test_nothing_at_the_address_is_told():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    finding = only_finding(Scpi(f"TCPIP::127.0.0.1::{port}::SOCKET", timeout_s=0.5))
+    assert "does not answer" in finding.problem
+    assert finding.fix
+
+
+def test_a_mute_instrument_is_told(server):
+    server.is_mute = True
+    finding = only_finding(Scpi(server.resource, timeout_s=0.2))
+    assert "does not answer" in finding.problem
+    assert "terminator" in finding.fix
+
+
+def test_an_address_that_is_none_is_told():
+    assert "TCPIP::192.168.0.5" in only_finding(Scpi("192.168.0.5")).fix
+
+
+def test_a_machine_without_the_library_is_told_which_extra_brings_it(monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert "robot-runner[scpi]" in only_finding(Scpi("TCPIP::127.0.0.1::1::SOCKET")).fix
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"voltage": None, "current": None}, {"energy_unit": "kwh"}, {"timeout_s": 0}, {"rate_hz": 0}, {"setup": "*RST"}],
+)
+def test_what_cannot_be_is_refused(settings):
+    with pytest.raises(PluginError):
+        Scpi("TCPIP::127.0.0.1::1::SOCKET", **settings)
+
+
+@pytest.mark.parametrize("answer", ["", "ERR", "9.9E37", "-9.9E37", "9.91E+37"])
+def test_answers_that_are_no_number_are_refused(answer):
+    with pytest.raises(ValueError, match="the instrument answered"):
+        parse_number(answer)
+
+
+SIMULATED = """\
+spec: "1.1"
+devices:
+  supply:
+    eom:
+      TCPIP SOCKET:
+        q: "\\n"
+        r: "\\n"
+    error: ERROR
+    dialogues:
+      - {q: "*IDN?", r: "pyvisa-sim,supply,1,1.0"}
+      - {q: "SYST:ERR?", r: '0,"No error"'}
+      - {q: "MEAS:VOLT?", r: "+1.10000E+01"}
+      - {q: "MEAS:CURR?", r: "+7.00000E-01"}
+resources:
+  TCPIP::localhost::5025::SOCKET:
+    device: supply
+"""
+
+
+@pytest.fixture(scope="module")
+def backend(tmp_path_factory):
+    pytest.importorskip("pyvisa_sim", reason="pyvisa-sim is not installed")
+    path = tmp_path_factory.mktemp("sim") / "supply.yaml"
+    path.write_text(SIMULATED)
+    return f"{path}@sim"
+
+
+class TestScpiOnPyvisaSim(ProfilerContract):
+    robot = None
+
+    @pytest.fixture(autouse=True)
+    def _backend(self, backend):
+        self.backend = backend
+
+    def make_plugin(self) -> Scpi:
+        return Scpi("TCPIP::localhost::5025::SOCKET", backend=self.backend)
+
+    def test_its_power_is_that_of_the_simulated_instrument(self, tmp_path):
+        context = measured(tmp_path, self.make_plugin(), FakeClock(), 10.0)
+        assert context.measures["MeanPower"] == pytest.approx(7.7)
+        assert context.measures["Energy"] == pytest.approx(77.0)
+
+    def test_a_query_that_is_answered_with_words_is_told(self):
+        finding = only_finding(Scpi("TCPIP::localhost::5025::SOCKET", power="MEAS:POW?", backend=self.backend))
+        assert "'ERROR', which is no number" in finding.problem

@@ -1,0 +1,376 @@
+"""Smart plugs over HTTP, from a server of the tests' own, and over MQTT, through a real mosquitto."""
+
+from __future__ import annotations
+
+import csv
+import gc
+import json
+import logging
+import time
+
+import pytest
+from tests.meters.fake_plugs import FakePlug, PlugOnHttp, PlugOnMqtt
+from tests.meters.mqtt_broker import Broker
+
+from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.plugins import Circumstances
+from robot_runner.plugins.profilers import SmartPlug
+from robot_runner.testing import FakeClock, ProfilerContract, make_context, rehearse
+
+KINDS = ["tasmota", "shelly1", "shelly2"]
+PASSWORD = "s3cret & more%"  # noqa: S105 - of the tests' own servers
+VARIABLE = "PLUG_PASSWORD"
+
+
+@pytest.fixture
+def plug():
+    return FakePlug()
+
+
+@pytest.fixture
+def on_http(plug):
+    started = PlugOnHttp(plug)
+    yield started
+    started.stop()
+
+
+@pytest.fixture(scope="module")
+def broker(tmp_path_factory):
+    pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
+    started = Broker(tmp_path_factory.mktemp("mosquitto"))
+    yield started
+    started.stop()
+
+
+@pytest.fixture
+def on_mqtt(plug, broker, request):
+    started = PlugOnMqtt(plug, getattr(request, "param", "tasmota"), f"plug-{time.monotonic_ns()}", broker.port)
+    yield started
+    started.stop()
+
+
+def measured(tmp_path, plugin, clock, seconds=60.0):
+    context = make_context(tmp_path, plugin, robot=None, clock=clock)
+    rehearse(context, plugin, mission=lambda: clock.sleep(seconds))
+    return context
+
+
+def problems(context):
+    return [finding.problem for finding in context.broker.findings]
+
+
+def only_finding(plugin):
+    (finding,) = plugin.check(Circumstances())
+    assert finding.is_error
+    return finding
+
+
+def watch(plug, clock):
+    """Have the load rise by 0.5 W a second, and the plug count it."""
+
+    def load() -> None:
+        plug.watts += 0.05
+        plug.watt_hours += plug.watts * 0.1 / 3600
+
+    clock.every(0.1, load)
+
+
+# Over HTTP.
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "shelly2-pm"])
+def test_each_kind_is_read_over_http(tmp_path, plug, on_http, kind):
+    clock = FakeClock(5.0)
+    watch(plug, clock)
+    context = measured(tmp_path, SmartPlug(kind, url=on_http.url), clock)
+    assert context.measures["Energy"] == pytest.approx(42.5 * 60 + 0.5 * 0.5 * 60**2, rel=0.01)
+    assert context.measures["MeanPower"] == pytest.approx(57.5, rel=0.01)
+    assert context.measures["MeanVoltage"] == (None if kind == "shelly1" else pytest.approx(230.0))
+    assert problems(context) == []
+    facts = json.loads((context.raw_data_folder / "quality.json").read_text())
+    assert (facts["kind"], facts["url"], facts["energy_from"]) == (kind, on_http.url, {"": "power"})
+    with (context.raw_data_folder / "samples.csv").open(newline="") as file:
+        assert {"time_s", "power_W", "energy_J"} <= set(next(csv.DictReader(file)))
+
+
+def test_a_counter_that_contradicts_the_power_of_a_long_mission_is_doubted(tmp_path, plug, on_http):
+    clock = FakeClock()
+    clock.every(1.0, lambda: setattr(plug, "watt_hours", plug.watt_hours + 20.0 / 3600))
+    clock.every(1.0, lambda: setattr(plug, "watts", 42.0 if plug.watts == 42.5 else 42.5))
+    context = measured(tmp_path, SmartPlug("shelly2", url=on_http.url), clock, seconds=900.0)
+    assert context.measures["MeanPower"] == pytest.approx(42.25, rel=0.01)
+    assert any("energy counter rose by 1.8e+04 J, and its power" in problem for problem in problems(context))
+
+
+def test_power_in_whole_watts_is_doubted_and_tasmota_told_how_to_mend_it(tmp_path, plug, on_http):
+    plug.watts = 7
+    context = measured(tmp_path, SmartPlug("tasmota", url=on_http.url), FakeClock())
+    assert any("whole watts, at 7 W (Tasmota's command `WattRes 2`" in problem for problem in problems(context))
+
+
+def test_a_plug_that_falls_silent_blocks_no_mission(tmp_path, on_http):
+    clock, plugin = SystemClock(), SmartPlug("tasmota", url=on_http.url, rate_hz=10.0, timeout_s=0.3)
+    context = make_context(tmp_path, plugin, robot=None, clock=clock)
+
+    def mission() -> None:
+        clock.sleep(0.2)
+        on_http.is_hanging = True
+        clock.sleep(0.8)
+
+    begun = time.monotonic()
+    rehearse(context, plugin, mission=mission)
+    assert time.monotonic() - begun < 5.0
+    assert set(context.measures.values()) == {None}
+    assert any("it timed out" in problem for problem in problems(context))
+
+
+@pytest.fixture
+def guarded(plug):
+    started = PlugOnHttp(plug, password=PASSWORD)
+    yield started
+    started.stop()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_password_comes_from_the_environment_and_is_written_nowhere(tmp_path, monkeypatch, caplog, guarded, kind):
+    caplog.set_level(logging.DEBUG)
+    monkeypatch.setenv(VARIABLE, PASSWORD)
+    plugin = SmartPlug(kind, url=guarded.url, password_env=VARIABLE)
+    context = measured(tmp_path, plugin, FakeClock(), seconds=10.0)
+    assert context.measures["MeanPower"] == pytest.approx(42.5)
+    written = [path.read_text() for path in tmp_path.rglob("*") if path.is_file()]
+    told = [str(vars(plugin)), repr(context.broker.records), caplog.text, *written]
+    assert not [text for text in told if "s3cret" in text]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_wrong_password_is_refused_and_not_repeated_in_the_finding(tmp_path, guarded, kind):
+    (tmp_path / "password").write_text("not the s3cret\n")
+    finding = only_finding(SmartPlug(kind, url=guarded.url, password_file=tmp_path / "password"))
+    assert "refuses" in finding.problem
+    assert "s3cret" not in str(finding)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_plug_that_wants_a_password_is_told(guarded, kind):
+    finding = only_finding(SmartPlug(kind, url=guarded.url))
+    assert "refuses" in finding.problem
+
+
+def test_a_password_that_is_not_there_is_told(on_http, tmp_path, monkeypatch):
+    monkeypatch.delenv(VARIABLE, raising=False)
+    finding = only_finding(SmartPlug("tasmota", url=on_http.url, password_env=VARIABLE))
+    assert "PLUG_PASSWORD" in finding.problem
+    finding = only_finding(SmartPlug("tasmota", url=on_http.url, password_file=tmp_path / "nothing"))
+    assert "cannot be read" in finding.problem
+
+
+def test_a_plug_without_a_power_sensor_is_told(plug, on_http):
+    plug.measures = False
+    for kind in KINDS:
+        assert "told no power" in only_finding(SmartPlug(kind, url=on_http.url)).problem
+
+
+def test_a_plug_of_another_kind_is_told(on_http, monkeypatch):
+    monkeypatch.setattr(on_http, "answer", lambda path, _: (404, "no such page", {}))
+    finding = only_finding(SmartPlug("shelly2", url=on_http.url))
+    assert "404" in finding.problem
+    assert "kind" in finding.fix
+
+
+@pytest.mark.parametrize("said", ["hello", [1, 2], {"apower": "much"}, {"apower": True}, {"result": []}, float("nan")])
+def test_answers_that_make_no_sense_are_findings_and_no_tracebacks(on_http, monkeypatch, said):
+    monkeypatch.setattr(on_http, "answer", lambda path, _: (200, said, {}))
+    for kind in KINDS:
+        assert only_finding(SmartPlug(kind, url=on_http.url)).problem
+
+
+def test_nothing_at_the_address_is_told(on_http):
+    on_http.stop()
+    finding = only_finding(SmartPlug("tasmota", url=on_http.url))
+    assert "does not answer" in finding.problem
+
+
+# Over MQTT.
+
+
+@pytest.mark.parametrize("on_mqtt", KINDS, indirect=True)
+def test_each_kind_is_read_through_a_broker(tmp_path, plug, broker, on_mqtt):
+    clock = FakeClock(5.0)
+    watch(plug, clock)
+    plugin = SmartPlug(on_mqtt.kind, broker=broker.url, topic=on_mqtt.topic)
+    assert list(plugin.check(Circumstances())) == []
+    context = measured(tmp_path, plugin, clock, seconds=30.0)
+    assert context.measures["Energy"] == pytest.approx(42.5 * 30 + 0.5 * 0.5 * 30**2, rel=0.01)
+    assert problems(context) == []
+    facts = json.loads((context.raw_data_folder / "quality.json").read_text())
+    assert facts["topic"] == on_mqtt.topic
+
+
+@pytest.mark.parametrize("on_mqtt", ["shelly1"], indirect=True)
+def test_what_the_broker_has_kept_is_no_reading(broker, on_mqtt):
+    on_mqtt.retain(f"shellies/{on_mqtt.topic}/relay/0/power", "999.0")
+    on_mqtt.retain(f"shellies/{on_mqtt.topic}/relay/0/energy", "1")
+    on_mqtt.is_mute = True
+    finding = only_finding(SmartPlug("shelly1", broker=broker.url, topic=on_mqtt.topic, timeout_s=0.5))
+    assert "no answer came on" in finding.problem
+
+
+def test_a_topic_that_nobody_answers_is_told(broker):
+    finding = only_finding(SmartPlug("tasmota", broker=broker.url, topic="nobody", timeout_s=0.5))
+    assert "no answer came on stat/nobody/STATUS10 within 0.5 s" in finding.problem
+    assert "mosquitto_sub" in finding.fix
+
+
+def test_a_broker_that_restarts_costs_samples_and_not_the_run(tmp_path, plug):
+    pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
+    broker = Broker(tmp_path)
+    device = PlugOnMqtt(plug, "tasmota", "charger", broker.port)
+    clock = SystemClock()
+    plugin = SmartPlug("tasmota", broker=broker.url, topic="charger", rate_hz=5.0, timeout_s=1.0)
+    context = make_context(tmp_path, plugin, robot=None, clock=clock)
+
+    def mission() -> None:
+        clock.sleep(0.5)
+        broker.stop()
+        clock.sleep(0.5)
+        broker.start()
+        clock.sleep(4.0)
+
+    try:
+        rehearse(context, plugin, mission=mission)
+    finally:
+        device.stop()
+        broker.stop()
+    with (context.raw_data_folder / "samples.csv").open(newline="") as file:
+        times = [float(row["time_s"]) for row in csv.DictReader(file)]
+    assert times[-1] - times[0] > 3.0
+    assert any("failed, the first with: LinkError" in problem for problem in problems(context))
+
+
+@pytest.fixture(scope="module")
+def closed_broker(tmp_path_factory):
+    pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
+    started = Broker(tmp_path_factory.mktemp("mosquitto"), password=PASSWORD)
+    yield started
+    started.stop()
+
+
+def test_a_broker_takes_the_password_from_a_file(tmp_path, plug, closed_broker):
+    device = PlugOnMqtt(plug, "shelly2", "plus", closed_broker.port, password=PASSWORD)
+    (tmp_path / "password").write_text(f"{PASSWORD}\n")
+    settings = {"broker": closed_broker.url, "topic": "plus", "user": "robot", "password_file": tmp_path / "password"}
+    try:
+        context = measured(tmp_path, SmartPlug("shelly2", **settings), FakeClock(), seconds=5.0)
+    finally:
+        device.stop()
+    assert context.measures["MeanPower"] == pytest.approx(42.5)
+
+
+# paho leaves the socket of a handshake that failed to the collector of garbage.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_broker_over_tls_is_trusted_by_its_certificate_alone(tmp_path, plug, monkeypatch):
+    pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
+    broker = Broker(tmp_path, is_tls=True)
+    device = PlugOnMqtt(plug, "tasmota", "charger", broker.port, certificate=broker.certificate)
+    plugin = SmartPlug("tasmota", broker=broker.url, topic="charger")
+    try:
+        assert "certificate verify failed" in only_finding(plugin).problem
+        gc.collect()
+        monkeypatch.setenv("SSL_CERT_FILE", str(broker.certificate))
+        assert list(plugin.check(Circumstances())) == []
+    finally:
+        device.stop()
+        broker.stop()
+
+
+@pytest.mark.parametrize("password", [None, "wrong"])
+def test_a_broker_that_lets_nobody_in_is_told(tmp_path, closed_broker, password):
+    login = {}
+    if password is not None:
+        (tmp_path / "password").write_text(password)
+        login = {"user": "robot", "password_file": tmp_path / "password"}
+    finding = only_finding(SmartPlug("tasmota", broker=closed_broker.url, topic="charger", **login))
+    assert "refuses: Not authorized" in finding.problem
+    assert "password_env" in finding.fix
+
+
+def test_no_broker_at_the_address_fails_the_run_before_its_mission(tmp_path):
+    pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
+    plugin = SmartPlug("tasmota", broker="mqtt://127.0.0.1:9", topic="charger")
+    with pytest.raises(LinkError, match="does not answer"):
+        measured(tmp_path, plugin, FakeClock())
+
+
+def test_a_machine_without_the_library_is_told_which_extra_brings_it(monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert "robot-runner[mqtt]" in only_finding(SmartPlug("tasmota", broker="mqtt://127.0.0.1", topic="charger")).fix
+
+
+URL = {"url": "http://127.0.0.1"}
+BROKER = {"broker": "mqtt://127.0.0.1", "topic": "charger"}
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {**URL, **BROKER},
+        {"broker": "mqtt://127.0.0.1"},
+        {**URL, "topic": "charger"},
+        {**BROKER, "topic": "charger/#"},
+        {"url": "ftp://127.0.0.1"},
+        {"url": "127.0.0.1"},
+        {"url": "http://127.0.0.1:port"},
+        {**URL, "channel": -1},
+        {**URL, "timeout_s": 0},
+        {**URL, "user": "admin"},
+        {**URL, "password_env": "A", "password_file": "b"},
+    ],
+)
+def test_what_cannot_be_is_refused(settings):
+    with pytest.raises(PluginError):
+        SmartPlug("tasmota", **settings)
+
+
+def test_an_address_with_a_password_is_refused_without_repeating_it():
+    with pytest.raises(PluginError) as caught:
+        SmartPlug("shelly1", url="http://admin:s3cret@192.168.0.20")
+    assert "s3cret" not in str(caught.value)
+    assert "password_env" in caught.value.fix
+
+
+def test_an_unknown_kind_is_answered_with_the_nearest():
+    with pytest.raises(PluginError) as caught:
+        SmartPlug("shely2", url="http://127.0.0.1")
+    assert "'shelly2'" in caught.value.fix
+
+
+class TestSmartPlugOverHttp(ProfilerContract):
+    robot = None
+    measuring_seconds = 5.0
+
+    @pytest.fixture(autouse=True)
+    def _plug(self):
+        self.server = PlugOnHttp(FakePlug())
+        yield
+        self.server.stop()
+
+    def make_plugin(self) -> SmartPlug:
+        return SmartPlug("shelly2", url=self.server.url)
+
+
+class TestSmartPlugOverMqtt(ProfilerContract):
+    robot = None
+    measuring_seconds = 5.0
+
+    @pytest.fixture(autouse=True)
+    def _plug(self, broker):
+        self.url = broker.url
+        self.device = PlugOnMqtt(FakePlug(), "tasmota", "contract", broker.port)
+        yield
+        self.device.stop()
+
+    def make_plugin(self) -> SmartPlug:
+        return SmartPlug("tasmota", broker=self.url, topic="contract")
