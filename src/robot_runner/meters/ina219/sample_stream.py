@@ -173,7 +173,8 @@ class SampleStream:
             self.drift = max(self.drift, clock.drift, key=abs)
             offset, rate = clock.offset - self.lag, clock.rate
             earliest = times[-1] if times else float("-inf")
-            times.extend(max(offset + rate * stamp, earliest) for stamp in stamps)
+            # Whole nanoseconds, so that a sample's time does not depend on when the line was opened.
+            times.extend(max(round(offset + rate * stamp, 9), earliest) for stamp in stamps)
         return times
 
     def _add(self, frames: Iterable[Frame], received_at: float) -> None:
