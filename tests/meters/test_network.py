@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import shutil
 import socket
 import subprocess
@@ -16,6 +17,7 @@ from tests.meters.fake_sysfs import write
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.meters import network
 from robot_runner.meters.network import counted
 from robot_runner.plugins import Circumstances
 from robot_runner.plugins.profilers import Network
@@ -182,6 +184,68 @@ def test_real_datagrams_are_counted_by_the_kernel(tmp_path):
     assert context.measures["Received"] == context.measures["Sent"]
 
 
+#: Stands for tshark: needs so many seconds until it listens, and then counts what it was asked for. Its file is begun
+#: once it listens, as tshark's is.
+FAKE_TSHARK = """\
+#!/bin/sh
+while [ "$1" != -w ]; do shift; done
+sleep {seconds}
+{before}
+printf 'captured since %s' "$(date +%s.%N)" >"$2"
+trap 'exit 0' INT
+while :; do sleep 0.1; done
+"""
+
+
+@pytest.fixture
+def fake_tshark(tmp_path, monkeypatch):
+    def install(*, seconds=0.0, before=":"):
+        program = tmp_path / "bin" / "tshark"
+        program.parent.mkdir()
+        program.write_text(FAKE_TSHARK.format(seconds=seconds, before=before))
+        program.chmod(0o755)
+        monkeypatch.setenv("PATH", f"{program.parent}{os.pathsep}{os.environ['PATH']}")
+
+    return install
+
+
+@pytest.fixture
+def capturing(tmp_path):
+    FakeInterface(tmp_path / "net", "wlan0")
+    plugin = Network(root=tmp_path / "net", capture=True)
+    return plugin, make_context(tmp_path, plugin, robot=None, clock=SystemClock())
+
+
+def test_the_mission_waits_for_a_tshark_that_is_slow_to_listen(capturing, fake_tshark, monkeypatch):
+    monkeypatch.setattr(network, "_STARTUP", 20.0)
+    fake_tshark(seconds=1.5)
+    plugin, context = capturing
+    launched = []
+    rehearse(context, plugin, mission=lambda: launched.append(time.time()))
+    text = (context.raw_data_folder / "capture.pcapng").read_text()
+    assert float(text.removeprefix("captured since ")) < launched[0]
+    assert not [finding for finding in context.broker.findings if "tshark" in finding.problem]
+
+
+def test_a_tshark_that_never_listens_fails_the_run_before_the_mission(capturing, fake_tshark, monkeypatch):
+    monkeypatch.setattr(network, "_STARTUP", 0.5)
+    fake_tshark(seconds=60)
+    plugin, context = capturing
+    launched = []
+    with pytest.raises(PluginError, match=r"tshark did not begin to capture within 0\.5 s") as raised:
+        rehearse(context, plugin, mission=lambda: launched.append(1))
+    assert launched == []
+    assert "capture" in raised.value.fix
+    assert plugin._capturing is None
+
+
+def test_a_tshark_that_may_not_capture_fails_the_run_with_its_own_words(capturing, fake_tshark):
+    fake_tshark(before='echo "You do not have permission to capture" >&2; exit 2')
+    plugin, context = capturing
+    with pytest.raises(PluginError, match=r"exit code 2.*You do not have permission"):
+        rehearse(context, plugin)
+
+
 def _may_capture() -> bool:
     if sys.platform != "linux" or shutil.which("tshark") is None:
         return False
@@ -197,11 +261,11 @@ def test_real_packets_are_captured_with_tshark(tmp_path):
     context = make_context(tmp_path, plugin, robot=None, clock=SystemClock())
 
     def mission():
-        _send(20, 500)
+        _send(500, 500)
         SystemClock().sleep(0.5)  # tshark writes what it has seen a few times a second
 
     rehearse(context, plugin, mission=mission)
     assert not [finding for finding in context.broker.findings if "tshark" in finding.problem]
     capture = str(context.raw_data_folder / "capture.pcapng")
     listing = subprocess.run(["tshark", "-r", capture], capture_output=True, text=True, timeout=30, check=True)
-    assert listing.stdout.count("UDP") >= 20
+    assert listing.stdout.count("UDP") >= 500

@@ -66,3 +66,17 @@ def test_a_robot_that_is_on_for_five_minutes_has_lost_a_thirtieth_of_its_charge(
     assert state["charge"] == pytest.approx(1.8 * state["percentage"])
     assert state["voltage"] == pytest.approx(12.4, abs=0.1)
     assert state["current"] == pytest.approx(-7.6 / state["voltage"], rel=0.15)
+
+
+def test_in_the_cold_it_resists_more_and_holds_less():
+    cold = Battery(Turtlebot3Parameters(battery_temperature=0.0))
+    # By hand: exp(25000 / 8.314 * (1 / 273.15 - 1 / 298.15)) = 2.516.
+    assert cold.resistance == pytest.approx(0.12 * 2.516, rel=1e-3)
+    assert BATTERY.resistance == pytest.approx(0.12)
+    assert float(cold.charge(0.8 * CAPACITY / 2)) == pytest.approx(0.5)  # 25 K below 25 degrees: 0.8 of the capacity
+
+
+def test_in_the_heat_it_resists_less_and_holds_as_much():
+    hot = Battery(Turtlebot3Parameters(battery_temperature=40.0))
+    assert hot.resistance < BATTERY.resistance
+    assert float(hot.charge(CAPACITY / 2)) == pytest.approx(0.5)

@@ -97,7 +97,7 @@ def cruising_torque(model_text):
 
 
 def test_the_caster_does_not_drag():
-    as_built = burger_model(PARAMETERS, RADII)
+    as_built = burger_model(Turtlebot3Parameters(rolling_resistance=0.0), RADII)
     dragging = as_built.replace('condim="1" priority="1"', "")
     assert dragging != as_built
     assert cruising_torque(as_built) < 0.001

@@ -29,11 +29,26 @@ def test_value_and_source_of_every_parameter_are_documented():
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("mass", 0), ("asleep_power", -1), ("meter_rate", 0), ("video_power", math.nan)]
+    ("name", "value"),
+    [
+        *[("mass", 0), ("asleep_power", -1), ("meter_rate", 0), ("video_power", math.nan)],
+        *[
+            ("rolling_resistance", -0.1),
+            ("floor_slope", 101),
+            ("floor_slope", math.nan),
+            ("battery_temperature", -40),
+            ("battery_temperature", 90),
+        ],
+    ],
 )
 def test_figures_that_cannot_be_are_refused(name, value):
     with pytest.raises(LinkError, match=name):
         Turtlebot3Parameters(**{name: value})
+
+
+def test_a_floor_may_fall_and_a_battery_be_colder_than_ice():
+    parameters = Turtlebot3Parameters(floor_slope=-5.0, battery_temperature=-10.0)
+    assert (parameters.floor_slope, parameters.battery_temperature) == (-5.0, -10.0)
 
 
 @pytest.mark.parametrize("name", ["initial_charge", "sample_power_deviation", "cpu_idle", "memory_video"])

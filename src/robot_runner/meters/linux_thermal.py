@@ -43,6 +43,7 @@ class ThermalReading:
     Attributes:
         temperature: of the hottest zone, degC.
         frequency: mean over the cores, Hz.
+        core_frequencies: of each core, Hz, in the order of their numbers; None for one that does not tell.
         throttle_count: how often it was throttled since the machine started.
         is_held_back: whether the kernel or the firmware holds it back now.
         is_under_voltage: whether the supply voltage is too low now.
@@ -53,6 +54,7 @@ class ThermalReading:
     throttle_count: int | None
     is_held_back: bool | None
     is_under_voltage: bool = False
+    core_frequencies: tuple[float | None, ...] = ()
 
 
 class _Machine:
@@ -63,7 +65,7 @@ class _Machine:
         self.zone_types = {path: _text(path / "type") for path in sorted(thermal.glob("thermal_zone*"))}
         chosen = [path for path, kind in self.zone_types.items() if zones is None or kind in zones]
         self.temperatures = [path / "temp" for path in chosen if _number(path / "temp") is not None]
-        self.frequencies = sorted(cpus.glob("cpu[0-9]*/cpufreq/scaling_cur_freq"))
+        self.frequencies = sorted(cpus.glob("cpu[0-9]*/cpufreq/scaling_cur_freq"), key=_core_number)
         self.counters = sorted(cpus.glob("cpu[0-9]*/thermal_throttle/*_throttle_count"))
         coolers = [path for path in sorted(thermal.glob("cooling_device*")) if _cools_processor(path)]
         self.coolers = [path / "cur_state" for path in coolers]
@@ -75,7 +77,8 @@ class _Machine:
 
     def read(self) -> ThermalReading:
         hottest = max(_numbers(self.temperatures), default=None)
-        frequencies = _numbers(self.frequencies)
+        clocks = [_number(path) for path in self.frequencies]
+        frequencies = [clock for clock in clocks if clock is not None]
         counts = _numbers(self.counters)
         states = _numbers(self.coolers)
         flags = [int(_text(path) or "0", 16) for path in self.firmware]
@@ -86,10 +89,15 @@ class _Machine:
             throttle_count=int(sum(counts)) if counts else None,
             is_held_back=any(states) or any(flag & _HELD_BACK_BITS for flag in flags) if told else None,
             is_under_voltage=any(flag & _UNDER_VOLTAGE_BIT for flag in flags),
+            core_frequencies=tuple(None if clock is None else clock * _KILO for clock in clocks),
         )
 
     def close(self) -> None:
         """Do nothing: the files are opened anew for each reading."""
+
+
+def _core_number(path: Path) -> int:
+    return int(path.parents[1].name.removeprefix("cpu"))
 
 
 def _cools_processor(path: Path) -> bool:
@@ -216,6 +224,10 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
             Column("throttle_count", [each.throttle_count for each in readings], "%d"),
             Column("is_held_back", [_digit(each.is_held_back) for each in readings], "%d"),
             Column("is_under_voltage", [_digit(each.is_under_voltage) for each in readings], "%d"),
+            *(
+                Column(f"frequency_cpu{core}_Hz", [each.core_frequencies[core] for each in readings], "%.0f")
+                for core in range(max((len(each.core_frequencies) for each in readings), default=0))
+            ),
         ]
 
     def values(self, sampling: Sampling[ThermalReading]) -> Mapping[str, float | None]:

@@ -32,7 +32,8 @@ _WORD = 1 << 32
 #: What `capture` keeps of each packet: headers, and no more of what is said than it must.
 _SNAP_LENGTH = 128
 _GRACE = 5.0
-_STARTUP = 5.0
+#: How long tshark may take until it listens, s: a busy Raspberry Pi needs ten.
+_STARTUP = 30.0
 
 #: The counters of each interface, one after the other.
 Counters = tuple[int, ...]
@@ -138,21 +139,36 @@ class Network(PolledProfiler[Counters]):
         """Return the counters of the interfaces; begin to keep packets, if that was asked for.
 
         Raises:
-            PluginError: there is no such interface, or tshark cannot be started.
+            PluginError: there is no such interface, or tshark does not begin to capture.
         """
         for fault in self._faults():
             raise fault
         self._names = self._chosen()
         interfaces = _Interfaces(self.root, self._names)
         if self.capture:
-            folder = context.raw_data_folder
-            capture = folder / "capture.pcapng"
-            self._capturing = MeterProcess(
-                self._tshark(capture), output=None, folder=folder, clock=machine_clock(context)
-            )
-            # tshark begins its file once it listens to the interfaces.
-            self._capturing.wait(lambda: capture.exists() and capture.stat().st_size > 0, seconds=_STARTUP)
+            self._capturing = self._captured(context)
         return interfaces
+
+    def _captured(self, context: RobotRunnerContext) -> MeterProcess:
+        """Return tshark once it captures.
+
+        Raises:
+            PluginError: it does not, or cannot be started.
+        """
+        folder = context.raw_data_folder
+        capture = folder / "capture.pcapng"
+        tshark = MeterProcess(self._tshark(capture), output=None, folder=folder, clock=machine_clock(context))
+        # tshark begins its file once it listens to the interfaces.
+        if tshark.wait(lambda: capture.exists() and capture.stat().st_size > 0, seconds=_STARTUP):
+            return tshark
+        ending = tshark.stop(signal.SIGINT, grace=_GRACE)
+        problem = (
+            f"tshark did not begin to capture within {_STARTUP:g} s"
+            if ending.was_asked
+            else f"tshark ended with exit code {ending.exit_code}: {ending.complaint}"
+        )
+        fix = "Try it by hand: tshark -w test.pcapng, with the interfaces as -i. Or leave capture out."
+        raise PluginError(problem, where=self.name, fix=fix)
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """End the capture, and write the raw samples."""

@@ -110,7 +110,7 @@ class BagProgram:
             raise PluginError(
                 f"{PROGRAMS[encoding]} ended at once: {ending.complaint}",
                 where=f"RosBag on {host}",
-                fix=remedy(host, ending.complaint) if host != LOCAL else "Source the setup file of ROS (`setup`).",
+                fix=remedy(host, self._process.said) if host != LOCAL else "Source the setup file of ROS (`setup`).",
             )
 
     def close(self) -> str | None:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.kinds import FoundRobot
-from robot_runner.core.links.ssh_host import complaint, execute, ssh_command
+from robot_runner.core.links.ssh_host import execute, failure, gist, remedy, ssh_command
 from robot_runner.ros.ros1_master import Master
 
 if TYPE_CHECKING:
@@ -111,17 +111,17 @@ def ros_of_host(host: str, *, config: Path | None = None) -> list[RosEnvironment
         done = execute(command, timeout=_HOST_SECONDS)
     except (subprocess.TimeoutExpired, OSError) as error:
         raise _unreached(host, f"the host does not answer within {_HOST_SECONDS:g} s") from error
-    problem = complaint(done)
-    if problem is not None:
-        raise _unreached(host, problem)
+    answer = failure(done)
+    if answer is not None:
+        raise _unreached(host, gist(answer), fix=remedy(host, answer))
     names = (line.split("/")[3] for line in done.stdout.decode(errors="replace").split() if line.count("/") > 3)  # noqa: PLR2004 - /opt/ros/name/
     return [
         RosEnvironment(1 if name in _ROS1_NAMES else 2, name, f"/opt/ros of {host}") for name in names if name != "*"
     ]
 
 
-def _unreached(host: str, why: str) -> LinkError:
-    fix = f"See that this works without a password: ssh {host} true."
+def _unreached(host: str, why: str, *, fix: str = "") -> LinkError:
+    fix = f"{fix} See that this works without a password: ssh {host} true.".lstrip()
     return LinkError(f"which ROS is on {host} cannot be found out: {why}", where="required_ros_distro", fix=fix)
 
 

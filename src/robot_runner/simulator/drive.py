@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from robot_runner.simulator.model import burger_model
+from robot_runner.simulator.model import burger_model, holding_torque, rolling_torque, slope_angle
 from robot_runner.simulator.simulated_clock import STEP_NS, STEPS_PER_SECOND, tick_time
 
 if TYPE_CHECKING:
@@ -26,6 +26,10 @@ __all__ = ["MOVING_WHEEL_SPEED", "DifferentialDrive", "OdometryState", "Pose", "
 MOVING_WHEEL_SPEED = 0.05
 
 _SETTLING_STEPS = 200
+#: How many steps are between two corrections of the motors' set points (100 ms).
+_CORRECTION_STEPS = 20
+#: A motor whose set point is nearer than this (rad/s) to where it goes has gathered its speed.
+_SETTLED = 0.05
 _INITIAL_ROWS = 4096
 
 
@@ -50,6 +54,13 @@ class DifferentialDrive:
         self._model = mujoco.MjModel.from_xml_string(burger_model(parameters, wheel_radii))
         self._data = mujoco.MjData(self._model)
         self._trace = np.empty((_INITIAL_ROWS, 6))
+        self._target = np.zeros(2)
+        # What the set points are ahead of the speeds by, so that the motors bear their load at the commanded speed;
+        # on a slope they hold the robot from the beginning on.
+        self._lead = np.full(2, holding_torque(parameters) / parameters.servo_gain)
+        self._rolling_lead = rolling_torque(parameters) / parameters.servo_gain
+        self._correction = _CORRECTION_STEPS / STEPS_PER_SECOND / parameters.servo_settling_time
+        self._data.act[:] = self._data.ctrl[:] = self._lead
         self.steps = 0
         mujoco.mj_step(self._model, self._data, nstep=_SETTLING_STEPS)
         self._wheel_angles: Floats = self._data.qpos[7:9]
@@ -79,8 +90,11 @@ class DifferentialDrive:
 
     @property
     def orientation(self) -> tuple[float, float, float, float]:
-        """The true orientation as a quaternion: x, y, z, w (ROS' order)."""
-        w, x, y, z = map(float, self._data.qpos[3:7])
+        """The true orientation as a quaternion: x, y, z, w (ROS' order), with z upwards and not across the slope."""
+        half = -slope_angle(self._parameters) / 2
+        turned = np.empty(4)
+        mujoco.mju_mulQuat(turned, np.array([math.cos(half), 0.0, math.sin(half), 0.0]), self._data.qpos[3:7])
+        w, x, y, z = turned.tolist()
         return x, y, z, w
 
     @property
@@ -104,7 +118,10 @@ class DifferentialDrive:
         forward = _limited(linear, limits.max_linear_velocity)
         turning = _limited(angular, limits.max_angular_velocity) * limits.wheel_separation / 2
         speeds = ((forward - turning) / limits.wheel_radius, (forward + turning) / limits.wheel_radius)
-        self._data.ctrl[:] = [_limited(speed, limits.max_wheel_speed) for speed in speeds]
+        target = np.array([_limited(speed, limits.max_wheel_speed) for speed in speeds])
+        self._lead += (np.sign(target) - np.sign(self._target)) * self._rolling_lead
+        self._target = target
+        self._data.ctrl[:] = self._target + self._lead
 
     def advance(self, steps: int) -> None:
         """Go on until this many steps were made since the beginning; those already made are not repeated."""
@@ -115,7 +132,19 @@ class DifferentialDrive:
             trace[row, 0:2] = self._wheel_angles
             trace[row, 2:4] = self._wheel_speeds
             trace[row, 4:6] = data.actuator_force
+            if not row % _CORRECTION_STEPS:
+                self._correct()
         self.steps = max(self.steps, steps)
+
+    def _correct(self) -> None:
+        """Follow the load with the set points: the integral part of the servo's speed control.
+
+        While the robot gathers speed or loses it, its inertia is the greater part of the load, and is not followed.
+        """
+        if np.abs(self._data.ctrl - self._data.act).max() > _SETTLED:
+            return
+        self._lead += self._correction * (self._data.act - self._wheel_speeds - self._lead)
+        self._data.ctrl[:] = self._target + self._lead
 
     def _record(self, row: int) -> None:
         self._trace[row] = [*self._wheel_angles, *self._wheel_speeds, *self._data.actuator_force]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,16 @@ if TYPE_CHECKING:
 
     from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
-__all__ = ["ARENA", "WALL_HEIGHT", "Wall", "burger_model", "ray_distances"]
+__all__ = [
+    "ARENA",
+    "WALL_HEIGHT",
+    "Wall",
+    "burger_model",
+    "holding_torque",
+    "ray_distances",
+    "rolling_torque",
+    "slope_angle",
+]
 
 
 WALL_HEIGHT = 0.5
@@ -78,6 +88,27 @@ _BODY_MASS_HEIGHT = 0.03  # above the axle; the battery and both boards are low
 _BODY_INERTIA = "0.0022124 0.0021194 0.0020064"  # ROBOTIS' URDF: base_link, principal axes
 _IMU_HEIGHT = 0.045  # above the axle (ROBOTIS' URDF: imu_joint)
 _GROUND_CLEARANCE = 0.01
+_GRAVITY = 9.81
+
+
+def slope_angle(parameters: Turtlebot3Parameters) -> float:
+    """Return by how many radians the floor rises along x."""
+    return math.atan(parameters.floor_slope / 100)
+
+
+def rolling_torque(parameters: Turtlebot3Parameters) -> float:
+    """Return the torque in N m with which the floor holds each of the two wheels back while it turns.
+
+    The wheels bear the caster's share too. Rolling resistance is a share of the force onto the floor (Gillespie,
+    Fundamentals of Vehicle Dynamics, chapter 4).
+    """
+    weight = parameters.mass * _GRAVITY * math.cos(slope_angle(parameters))
+    return parameters.rolling_resistance * weight * parameters.wheel_radius / 2
+
+
+def holding_torque(parameters: Turtlebot3Parameters) -> float:
+    """Return the torque in N m with which each of the two motors holds a robot that looks up the slope."""
+    return parameters.mass * _GRAVITY * math.sin(slope_angle(parameters)) * parameters.wheel_radius / 2
 
 
 def burger_model(parameters: Turtlebot3Parameters, wheel_radii: tuple[float, float]) -> str:
@@ -88,9 +119,12 @@ def burger_model(parameters: Turtlebot3Parameters, wheel_radii: tuple[float, flo
         wheel_radii: the true radii of the left and the right wheel in metres.
     """
     left, right = wheel_radii
+    angle = slope_angle(parameters)  # the world's axes are those of the floor: it is gravity that is tilted
+    # Friction ten times as stiff as contacts (impratio), so that a robot does not creep down a slope.
+    gravity = f"{-_GRAVITY * math.sin(angle)} 0 {-_GRAVITY * math.cos(angle)}"
     return f"""
 <mujoco model="turtlebot3_burger">
-  <option timestep="{1 / STEPS_PER_SECOND}" integrator="implicitfast"/>
+  <option timestep="{1 / STEPS_PER_SECOND}" integrator="implicitfast" impratio="10" gravity="{gravity}"/>
   <worldbody>
     <geom name="floor" type="plane" size="0 0 1" friction="{parameters.floor_friction} 0.005 0.0001"/>
     {"".join(_wall(wall) for wall in ARENA)}
@@ -136,7 +170,7 @@ def _wheel(side: str, radius: float, y: float, parameters: Turtlebot3Parameters)
     # scrubs when the robot turns in place.
     return f"""
       <body name="{side} wheel" pos="0 {y} 0">
-        <joint name="{side}" axis="0 1 0" armature="0.0002"/>
+        <joint name="{side}" axis="0 1 0" armature="0.0002" frictionloss="{rolling_torque(parameters)}"/>
         <geom type="ellipsoid" euler="90 0 0" size="{radius} {radius} {_TYRE_HALF_WIDTH}" {_STIFF}
           mass="{parameters.wheel_mass}" friction="{parameters.floor_friction} 0.005 0.0001"/>
       </body>"""

@@ -14,6 +14,7 @@ from robot_runner.simulator.supply import CELLS
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from robot_runner.simulator.cut_off import ProtectedDrive
     from robot_runner.simulator.drive import DifferentialDrive, OdometryState, WheelOdometry
     from robot_runner.simulator.simulated_clock import SimulatedClock, Ticker
     from robot_runner.simulator.supply import PowerSupply
@@ -43,6 +44,7 @@ _UNKNOWN_COVARIANCE = [0.0] * 36
 # Constants of sensor_msgs/BatteryState.
 _DISCHARGING = 2
 _HEALTH_GOOD = 1
+_HEALTH_DEAD = 3
 _TECHNOLOGY_LIPO = 3
 
 
@@ -101,7 +103,7 @@ def laser_scan(now_ns: int, *, ranges: list[float], rate: int, nearest: float, f
 
 
 def battery_state(
-    now_ns: int, *, voltage: float, current: float, charge: float, capacity: float, cells: int
+    now_ns: int, *, voltage: float, current: float, charge: float, capacity: float, cells: int, is_dead: bool = False
 ) -> Message:
     """Return a sensor_msgs/BatteryState; as ROS has it, discharging is negative and the unmeasured is NaN.
 
@@ -112,6 +114,7 @@ def battery_state(
         charge: state of charge, 0..1.
         capacity: in ampere hours.
         cells: how many cells there are in series.
+        is_dead: whether it fell below its cut-off voltage.
     """
     return {
         "header": _header(now_ns, ""),
@@ -123,7 +126,7 @@ def battery_state(
         "design_capacity": capacity,
         "percentage": charge,
         "power_supply_status": _DISCHARGING,
-        "power_supply_health": _HEALTH_GOOD,
+        "power_supply_health": _HEALTH_DEAD if is_dead else _HEALTH_GOOD,
         "power_supply_technology": _TECHNOLOGY_LIPO,
         "present": True,
         "cell_voltage": [math.nan] * cells,
@@ -224,6 +227,7 @@ class SensorBoard:
     parameters: Turtlebot3Parameters
     clock: SimulatedClock
     drive: DifferentialDrive
+    powered: ProtectedDrive
     wheels: WheelOdometry
     supply: PowerSupply
     imu_noise: NumberedNoise
@@ -231,12 +235,12 @@ class SensorBoard:
 
     def odom(self) -> dict[str, Any]:
         """Return what the wheels' encoders say."""
-        self.drive.advance(self.clock.step)
+        self.powered.reach(self.clock.step)
         return odometry(self.clock.now_ns, self.wheels.latest())
 
     def imu(self) -> dict[str, Any]:
         """Return angular velocity and acceleration with the noise of the sensor."""
-        self.drive.advance(self.clock.step)
+        self.powered.reach(self.clock.step)
         noise = self.imu_noise.at(self.clock.step).reshape(2, 3)
         angular = self.drive.angular_velocity + self.parameters.gyroscope_deviation * noise[0]
         linear = self.drive.acceleration + self.parameters.accelerometer_deviation * noise[1]
@@ -251,7 +255,7 @@ class SensorBoard:
 
     def scan(self) -> dict[str, Any]:
         """Return the distances to the walls all around; infinite where nothing is in range (REP 117)."""
-        self.drive.advance(self.clock.step)
+        self.powered.reach(self.clock.step)
         pose, parameters = self.drive.pose, self.parameters
         x = pose.x + _SCANNER_X * math.cos(pose.yaw)
         y = pose.y + _SCANNER_X * math.sin(pose.yaw)
@@ -270,8 +274,7 @@ class SensorBoard:
     def battery_state(self) -> dict[str, Any]:
         """Return voltage, current and charge of the battery."""
         step = self.clock.step
-        self.drive.advance(step)
-        self.supply.extend(step)
+        self.powered.extend(step)
         return battery_state(
             self.clock.now_ns,
             voltage=float(self.supply.terminal_voltage(np.array([step]))[0]),
@@ -279,12 +282,13 @@ class SensorBoard:
             charge=self.supply.charge(step),
             capacity=self.parameters.battery_capacity,
             cells=CELLS,
+            is_dead=self.powered.cut_off is not None,
         )
 
     def joint_states(self) -> dict[str, Any]:
         """Return angles and speeds of the wheels."""
         step = self.clock.step
-        self.drive.advance(step)
+        self.powered.reach(step)
         return joint_state(
             self.clock.now_ns,
             positions=self.drive.wheel_angles[step].tolist(),

@@ -105,13 +105,15 @@ class SimulatedTransport:
         self._simulation = simulation
         self._robot: SimulatedTurtlebot3 = simulation.turtlebot3(namespace)
         self._has_started_task = False
+        self._commands: _CommandPublisher | None = None
 
     def advertise(self, topic: str, message_type: str, qos: Qos) -> _CommandPublisher:
         """Return what drives the robot; it receives velocity commands and nothing else."""
         del qos
         name = self._own_name(topic, COMMAND_TOPICS, kind="topic that the robot subscribes")
         check_type(topic, message_type, [COMMAND_TOPICS[name]])
-        return _CommandPublisher(self._robot)
+        self._commands = self._commands or _CommandPublisher(self._robot)
+        return self._commands
 
     def subscribe(
         self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
@@ -174,9 +176,15 @@ class SimulatedTransport:
             clock.sleep(min(_STEP, deadline - clock.now()))
 
     def close(self) -> None:
-        """Stop the robot's task, if one was started here."""
+        """Stop the robot's task, if one was started here.
+
+        Raises:
+            LinkError: the motors were switched off while the robot was driven from here, and nothing said so yet.
+        """
         if self._has_started_task:
             self._robot.call("task/stop")
+        if self._commands is not None:
+            self._commands.check_motors()
 
     def _own_name(self, given: str, known: Iterable[str], *, kind: str) -> str:
         """Return a name within the robot's namespace."""
@@ -190,19 +198,43 @@ class SimulatedTransport:
 
 
 class _CommandPublisher:
-    """Drives the robot, which keeps to a command until the next."""
+    """Drives the robot, which keeps to a command until the next, or until its battery is too low."""
 
     def __init__(self, robot: SimulatedTurtlebot3) -> None:
         self._robot = robot
+        self._is_driving = False
 
     def publish(self, message: Message) -> None:
-        self._robot.drive(message["linear"]["x"], message["angular"]["z"])
+        linear, angular = message["linear"]["x"], message["angular"]["z"]
+        if linear or angular:
+            self._is_driving = True
+            self.check_motors()
+        elif self._robot.cut_off is None:
+            self._is_driving = False
+        self._robot.drive(linear, angular)
 
     def flush(self, seconds: float) -> None:
         """Do nothing: a command is carried out at once."""
 
     def close(self) -> None:
         """Do nothing: there is nothing to leave."""
+
+    def check_motors(self) -> None:
+        """See, once, that the motors of a robot that is driven from here are on.
+
+        Raises:
+            LinkError: they were switched off.
+        """
+        cut_off, was_driving = self._robot.cut_off, self._is_driving
+        if cut_off is None or not was_driving:
+            return
+        self._is_driving = False
+        raise LinkError(
+            f"the simulated robot's battery fell to {cut_off.voltage:.3f} V at {cut_off.time:.0f} s, below its "
+            f"cut-off of {self._robot.parameters.cut_off_voltage:g} V: its motors are switched off",
+            where=f"the simulated robot {self._robot.namespace}".rstrip(),
+            fix="Give it more initial_charge, or a shorter mission.",
+        )
 
 
 class _Subscription:

@@ -6,6 +6,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
+from robot_runner.simulator.cut_off import CutOff, ProtectedDrive
 from robot_runner.simulator.drive import DifferentialDrive, Pose, WheelOdometry
 from robot_runner.simulator.onboard import OnboardComputer, Task, TaskRunner, Utilisation
 from robot_runner.simulator.power_meter import Ina219Meter
@@ -60,7 +61,9 @@ class SimulatedTurtlebot3:
         self._tasks = TaskRunner(streams.named("tasks"), deviation=parameters.task_power_deviation)
         self._drive = DifferentialDrive(parameters, _wheel_radii(parameters, streams))
         model = PowerModel(parameters, self._drive, self._tasks, streams)
-        self._supply = PowerSupply(model, Battery(parameters), shunt=parameters.meter_shunt)
+        battery = Battery(parameters)
+        self._supply = PowerSupply(model, battery, shunt=parameters.meter_shunt)
+        self._powered = ProtectedDrive(parameters, self._drive, model, battery, self._supply)
         self._computer = OnboardComputer(parameters, self._drive, self._tasks, streams)
         self._meter_noise = streams.numbered("ina219", width=2)
         left, right = streams.named("encoders").random(2).tolist()
@@ -68,6 +71,7 @@ class SimulatedTurtlebot3:
             parameters,
             clock,
             self._drive,
+            self._powered,
             WheelOdometry(parameters, self._drive, (left, right)),
             self._supply,
             streams.numbered("imu", width=6),
@@ -78,13 +82,13 @@ class SimulatedTurtlebot3:
     @property
     def pose(self) -> Pose:
         """The true pose."""
-        self._reach(self._clock.step)
+        self._powered.reach(self._clock.step)
         return self._drive.pose
 
     @property
     def is_moving(self) -> bool:
         """Whether a wheel truly turns."""
-        self._reach(self._clock.step)
+        self._powered.reach(self._clock.step)
         return self._drive.is_moving
 
     @property
@@ -93,15 +97,21 @@ class SimulatedTurtlebot3:
         return self._tasks.running
 
     @property
+    def cut_off(self) -> CutOff | None:
+        """When its motors were switched off because the battery's voltage was too low; None if they are on."""
+        self._powered.reach(self._clock.step)
+        return self._powered.cut_off
+
+    @property
     def energy(self) -> float:
         """The energy in joules that the robot has truly drawn since the simulation began."""
-        self._extend(self._clock.step)
+        self._powered.extend(self._clock.step)
         return float(self._supply.energy[-1])
 
     def drive(self, linear: float, angular: float) -> None:
         """Drive at these velocities (m/s, rad/s), limited to what the robot can do, until told otherwise."""
-        self._reach(self._clock.step)
-        self._drive.command(linear, angular)
+        self._powered.reach(self._clock.step)
+        self._powered.command(linear, angular)
 
     def call(self, service: str) -> dict[str, bool | str]:
         """Call one of `SERVICES` and return its response: `success` and `message`."""
@@ -112,7 +122,8 @@ class SimulatedTurtlebot3:
 
     def open_power_meter(self) -> Ina219Meter:
         """Switch the power meter on and return it."""
-        return Ina219Meter(self.parameters, self._clock, self._supply, reach=self._extend, noise=self._meter_noise)
+        extend = self._powered.extend
+        return Ina219Meter(self.parameters, self._clock, self._supply, reach=extend, noise=self._meter_noise)
 
     def utilisation(
         self, *, start_ns: int, stop_ns: int, rate: float, also_ns: Sequence[int] = ()
@@ -121,7 +132,7 @@ class SimulatedTurtlebot3:
 
         It did so at the other moments, too.
         """
-        self._reach(self._clock.step)
+        self._powered.reach(self._clock.step)
         return self._computer.samples(start_ns=start_ns, stop_ns=stop_ns, rate=rate, also_ns=also_ns)
 
     @property
@@ -139,13 +150,6 @@ class SimulatedTurtlebot3:
         if self._tasks.running is not task:
             return {"success": False, "message": f"{task.value} is not running"}
         return _response(stopped=self._tasks.stop(step=self._next_step))
-
-    def _reach(self, step: int) -> None:
-        self._drive.advance(step)
-
-    def _extend(self, step: int) -> None:
-        self._drive.advance(step)
-        self._supply.extend(step)
 
 
 def _response(*, stopped: Task | None) -> dict[str, bool | str]:

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robot_runner.simulator.drive import MOVING_WHEEL_SPEED
+from robot_runner.simulator.model import rolling_torque
 from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
+from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
     from robot_runner.simulator.drive import DifferentialDrive
     from robot_runner.simulator.onboard import TaskRunner
-    from robot_runner.simulator.turtlebot3_parameters import NoiseStreams, Turtlebot3Parameters
+    from robot_runner.simulator.turtlebot3_parameters import NoiseStreams
 
     Floats = npt.NDArray[np.float64]
 
-__all__ = ["CELLS", "Battery", "PowerModel", "PowerSupply"]
+__all__ = ["CELLS", "Battery", "PowerModel", "PowerSupply", "motor_power"]
 
 
 CELLS = 3
@@ -27,19 +30,27 @@ CELLS = 3
 _CHARGES = (0.0, 0.05, 0.10, 0.20, 0.35, 0.50, 0.65, 0.80, 0.90, 1.0)
 _CELL_VOLTAGES = (3.00, 3.40, 3.55, 3.65, 3.71, 3.77, 3.86, 3.98, 4.08, 4.20)
 _NOMINAL_CELL_VOLTAGE = 3.7
+_ZERO_CELSIUS = 273.15
+#: The temperature, degrees Celsius, at which a battery's figures are published.
+_REFERENCE_TEMPERATURE = 25.0
+_GAS_CONSTANT = 8.314  # J/(mol K)
 
 
 class Battery:
     """A battery of three cells in series, with an inner resistance, behind a power meter's shunt.
 
-    Its state of charge counts energy against the published 11.1 V x 1.8 Ah. An empty battery stays at its
-    lowest voltage.
+    Its state of charge counts energy against the published 11.1 V x 1.8 Ah, less what the cold holds back. An empty
+    battery stays at its lowest voltage.
+
+    Attributes:
+        resistance: the inner one, in ohms, at the battery's temperature (Arrhenius' law).
     """
 
     def __init__(self, parameters: Turtlebot3Parameters) -> None:
-        self._energy = parameters.battery_energy
+        below = max(0.0, _REFERENCE_TEMPERATURE - parameters.battery_temperature)
+        self._energy = parameters.battery_energy * max(0.01, 1 - below * parameters.battery_cold_loss / 100)
         self._initial = parameters.initial_charge / 100
-        self._inner = parameters.battery_resistance
+        self.resistance = parameters.battery_resistance * _arrhenius(parameters)
         self._outer = parameters.meter_shunt
         scale = parameters.battery_voltage / _NOMINAL_CELL_VOLTAGE
         self._voltages = [scale * voltage for voltage in _CELL_VOLTAGES]
@@ -58,13 +69,45 @@ class Battery:
         The load takes power = current * (U - R * current); of the two solutions the smaller current is the stable one.
         """
         voltage = self.open_circuit_voltage(self.charge(energy))
-        resistance = self._inner + self._outer
+        resistance = self.resistance + self._outer
         root = np.sqrt(np.maximum(voltage**2 - 4 * resistance * power, 0.0))
         return 2 * power / (voltage + root)
 
     def terminal_voltage(self, current: Floats, energy: Floats) -> Floats:
         """Return the voltage in volts at the battery's terminals under this current."""
-        return self.open_circuit_voltage(self.charge(energy)) - self._inner * current
+        return self.open_circuit_voltage(self.charge(energy)) - self.resistance * current
+
+
+def _arrhenius(parameters: Turtlebot3Parameters) -> float:
+    """Return by what factor the inner resistance differs from that at 25 degrees Celsius."""
+    inverse = 1 / (_ZERO_CELSIUS + parameters.battery_temperature) - 1 / (_ZERO_CELSIUS + _REFERENCE_TEMPERATURE)
+    return math.exp(parameters.battery_activation_energy / _GAS_CONSTANT * inverse)
+
+
+def motor_power(torques: Floats, speeds: Floats, parameters: Turtlebot3Parameters) -> Floats:
+    """Return the electrical power in watts that the load of both motors takes, without what turning itself costs.
+
+    A motor's current is in proportion to its torque; it is lost in the winding as I²R, and works against the voltage
+    that the rotor induces. The winding's R is that of the data sheet's stall, and of what the rotor gives, the gears
+    lose a share. A motor that is pushed gives nothing back to the battery.
+
+    Args:
+        torques: of the left and the right wheel, N m, shape (steps, 2).
+        speeds: of the left and the right wheel, rad/s, shape (steps, 2).
+        parameters: the robot's figures.
+    """
+    current = torques * (parameters.motor_stall_current / parameters.motor_stall_torque)
+    resistance = parameters.battery_voltage / parameters.motor_stall_current
+    work = torques * speeds / (parameters.motor_efficiency / 100)
+    drawn: Floats = np.maximum(current**2 * resistance + work, 0.0).sum(axis=1)
+    return drawn
+
+
+def _published_load() -> float:
+    """Return the part of the published moving power that the load makes up: top speed, level floor, usual mass."""
+    usual = Turtlebot3Parameters()
+    torques = np.full((1, 2), rolling_torque(usual))
+    return float(motor_power(torques, np.full((1, 2), usual.max_linear_velocity / usual.wheel_radius), usual)[0])
 
 
 # From this speed of a wheel on, its motor draws all of what turning costs it whatever the speed (rad/s).
@@ -93,8 +136,14 @@ class PowerModel:
         gains = streams.named("run power").standard_normal(2)
         base, motors = (1.0 + parameters.run_power_deviation / 100 * gains).tolist()
         self._base_gain: float = base
-        self._motor_gain: float = motors
         self._awake_from: int | None = None
+        self._off_from: int | None = None
+        self._turning_cost = (parameters.moving_power - parameters.awake_power) * motors
+        self._published_load = _published_load()
+
+    def switch_motors_off(self, step: int) -> None:
+        """Have the motors draw nothing from this step on."""
+        self._off_from = step
 
     def between(self, first: int, last: int) -> Floats:
         """Return the power in watts at each of the steps `first` to `last`; to be asked in order, without gaps."""
@@ -125,10 +174,13 @@ class PowerModel:
         share = parameters.turning_motor_share / 100
         turning = np.minimum(np.abs(speeds) / _TURNING_WHEEL_SPEED, 1.0)
         running = np.abs(speeds) * (parameters.wheel_radius / parameters.max_linear_velocity)
-        cost = (parameters.moving_power - parameters.awake_power) * self._motor_gain
-        work = np.maximum(speeds * self._drive.motor_torques[first : last + 1], 0.0).sum(axis=1)
         rotation = (share * turning + (1 - share) * running).mean(axis=1)
-        drawn: Floats = cost * rotation + work / (parameters.motor_efficiency / 100)
+        # The published power is that of a robot with a load: what is not the usual load comes on top.
+        load = motor_power(self._drive.motor_torques[first : last + 1], speeds, parameters)
+        usual_load = self._published_load * running.mean(axis=1)
+        drawn: Floats = np.maximum(self._turning_cost * rotation + load - usual_load, 0.0)
+        if self._off_from is not None:
+            drawn[max(0, self._off_from - first) :] = 0.0
         return drawn
 
     def _task(self, first: int, last: int) -> Floats:

@@ -19,7 +19,13 @@ if TYPE_CHECKING:
 __all__ = ["NoiseStreams", "Turtlebot3Parameters"]
 
 
-_MAY_BE_ZERO = ("_deviation", "cpu_", "memory_", "initial_charge")
+_MAY_BE_ZERO = (
+    *("_deviation", "cpu_", "memory_", "initial_charge", "rolling_resistance"),
+    *("activation_energy", "cold_loss", "cut_off_voltage"),
+)
+#: What may be negative, with its least and its largest value: a slope that rises by as much as it is long, and the
+#: temperatures at which lithium-polymer batteries can be discharged at all.
+_BOUNDS = {"floor_slope": (-100.0, 100.0), "battery_temperature": (-30.0, 60.0)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,11 +36,17 @@ class Turtlebot3Parameters:
     task adds to the idle computer; a `…_power` is what the whole robot draws in that state (paper, Fig. 4).
 
     Attributes:
+        moving_power: at top speed on a level floor, of a robot with the mass and the rolling resistance given here.
+        floor_slope: by how much the floor rises along x, in percent of the way; negative: it falls.
+        rolling_resistance: the force that holds a rolling robot back, as a share of its weight.
+        battery_temperature: in degrees Celsius.
+        battery_cold_loss: percent of the capacity that are lost with each kelvin below 25 degrees Celsius.
+        cut_off_voltage: the voltage at the battery's terminals below which the motors are switched off; 0 for never.
         task_power_factor: multiplies the power that the robot draws while a task runs, so that two versions
             of a software can be compared: with 1.1 every task draws 10 % more.
 
     Raises:
-        LinkError: a figure is not finite, is negative, or is zero where only noise and load may be.
+        LinkError: a figure is not finite, or is negative, zero or out of its range where that cannot be.
 
     Example:
         >>> Turtlebot3Parameters(task_power_factor=1.1).wheel_radius
@@ -53,9 +65,13 @@ class Turtlebot3Parameters:
     max_linear_velocity: float = 0.22
     max_angular_velocity: float = 2.84
     motor_stall_torque: float = 1.4
+    motor_stall_current: float = 1.3
     servo_time_constant: float = 0.1
     servo_gain: float = 0.1
+    servo_settling_time: float = 0.5
     floor_friction: float = 1.0
+    floor_slope: float = 0.0
+    rolling_resistance: float = 0.015
     encoder_ticks: int = 4096
 
     # Power
@@ -67,7 +83,7 @@ class Turtlebot3Parameters:
     network_power: float = 8.25
     task_power_factor: float = 1.0
     turning_motor_share: float = 70.0
-    motor_efficiency: float = 50.0
+    motor_efficiency: float = 57.9
     run_power_deviation: float = 0.6
     task_power_deviation: float = 1.0
     sample_power_deviation: float = 0.15
@@ -77,7 +93,11 @@ class Turtlebot3Parameters:
     battery_voltage: float = 11.1
     battery_capacity: float = 1.8
     battery_resistance: float = 0.12
+    battery_temperature: float = 25.0
+    battery_activation_energy: float = 25000.0
+    battery_cold_loss: float = 0.8
     initial_charge: float = 100.0
+    cut_off_voltage: float = 9.0
 
     # Power meter
     meter_rate: int = 200
@@ -112,14 +132,10 @@ class Turtlebot3Parameters:
 
     def __post_init__(self) -> None:
         for parameter in fields(self):
-            value = getattr(self, parameter.name)
-            may_be_zero = any(part in parameter.name for part in _MAY_BE_ZERO)
-            if not math.isfinite(value) or value < 0 or (value == 0 and not may_be_zero):
-                raise LinkError(
-                    f"the simulated robot's {parameter.name} is {value!r}",
-                    where="Turtlebot3Parameters",
-                    fix=f"Give a finite number {'of at least' if may_be_zero else 'above'} 0.",
-                )
+            fix = _refused(parameter.name, value := getattr(self, parameter.name))
+            if fix:
+                problem = f"the simulated robot's {parameter.name} is {value!r}"
+                raise LinkError(problem, where="Turtlebot3Parameters", fix=fix)
 
     @property
     def battery_energy(self) -> float:
@@ -131,6 +147,17 @@ class Turtlebot3Parameters:
         """The highest speed of a wheel in rad/s, as the highest turning rate of the robot implies it."""
         ground_speed = max(self.max_linear_velocity, self.max_angular_velocity * self.wheel_separation / 2)
         return ground_speed / self.wheel_radius
+
+
+def _refused(name: str, value: float) -> str:
+    """Return what to give instead of a value that a parameter cannot have; empty where it can."""
+    if name in _BOUNDS:
+        low, high = _BOUNDS[name]
+        return "" if low <= value <= high else f"Give a number from {low:g} to {high:g}."
+    may_be_zero = any(part in name for part in _MAY_BE_ZERO)
+    if math.isfinite(value) and value >= 0 and (value > 0 or may_be_zero):
+        return ""
+    return f"Give a finite number {'of at least' if may_be_zero else 'above'} 0."
 
 
 _SEED_BITS = 64

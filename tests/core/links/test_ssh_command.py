@@ -35,6 +35,7 @@ def test_a_host_that_would_pass_for_something_else_is_refused(host):
     [
         ("pi@robot: Permission denied (publickey,password).", "ssh-copy-id pi@robot"),
         ("Host key verification failed.", "say yes to its key: ssh pi@robot"),
+        ("WARNING: REMOTE HOST IDENTIFICATION HAS CHANGED!\nHost key verification failed.", "may be an attack"),
         ("ssh: Could not resolve hostname robot: Name or service not known", "Look at the name"),
         ("ssh: connect to host robot port 22: Connection refused", "Start the SSH server"),
         ("ssh: connect to host robot port 22: Connection timed out", "switched on"),

@@ -244,9 +244,27 @@ class TestFitting:
         assert model["fit"]["r_squared"] < 0.97
         assert all(error > 0 for error in model["fit"]["standard_errors"].values())
 
-    def test_one_run_is_held_out_from_nothing(self, experiment):
-        model = PowerModel.fit(experiment(count=1), ["r_1"])
-        assert (model["fit"]["energy_errors"], model["fit"]["standard_errors"]) == ({}, {})
+    def test_one_run_is_held_out_from_nothing_and_still_has_errors(self, experiment):
+        model = PowerModel.fit(experiment(count=1, noise=0.3), ["r_1"])
+        assert model["fit"]["energy_errors"] == {}
+        assert set(model["fit"]["standard_errors"]) == set(model["fit"]["intervals"]) == set(TRUE)
+        assert all(error > 0 for error in model["fit"]["standard_errors"].values())
+
+    def test_a_report_survives_its_file(self, experiment):
+        document = PowerModel.fit(experiment(noise=0.3), ["r_1", "r_2"])
+        assert LinearModel.of_json(json.loads(json.dumps(document))).as_json() == json.loads(json.dumps(document))
+
+    def test_a_file_of_an_earlier_version_can_be_read(self, experiment):
+        document = PowerModel.fit(experiment(), ["r_1", "r_2"])
+        for name in ("intervals", "correlation_lag", "linearity"):
+            del document["fit"][name]
+        assert LinearModel.of_json(document).report.linearity is None
+
+    def test_a_model_that_is_not_linear_is_doubted_wherever_it_is_used(self, experiment):
+        document = PowerModel.fit(experiment(noise=0.3), ["r_1", "r_2"])
+        document["fit"]["linearity"] = {"p_value": 0.0001, "curvature_W": 0.7, "explained_W": 1.2}
+        (doubt, *_) = LinearModel.of_json(document).doubts([])
+        assert "bending the model changes it by 0.70 W" in doubt
 
     def test_terms_can_be_chosen(self, experiment):
         model = PowerModel.fit(experiment(), ["r_1"], terms=["constant", "motion:forward"])

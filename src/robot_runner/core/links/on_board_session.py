@@ -74,7 +74,8 @@ class OnBoardSession:
         where: the computer, for messages.
         clock: the run's.
         form: one of `FORMS`; left out, the best that the computer can do.
-        explain: says from the stderr of the command what mends it.
+        gist: says in one line what the stderr of the command says.
+        explain: says from the whole stderr of the command what mends it.
 
     Raises:
         LinkError: the command cannot be started, there is no answer, or the computer cannot be sampled.
@@ -87,13 +88,14 @@ class OnBoardSession:
         where: str,
         clock: Clock,
         form: str | None = None,
+        gist: Callable[[str], str] = lambda answer: answer.rpartition("\n")[2],
         explain: Callable[[str], str] = lambda _: "",
     ) -> None:
         self.where = where
         self.samples: list[list[str]] = []
         self.last_heard = time.monotonic()
         self._clock = clock
-        self._explain = explain
+        self._gist, self._explain = gist, explain
         self._answers: queue.SimpleQueue[tuple[list[str], float]] = queue.SimpleQueue()
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the session
         self._process = self._start(command)
@@ -167,10 +169,11 @@ class OnBoardSession:
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(_LAST_WORDS)
         code = self._process.poll()
-        said = self._complaint()
+        answer = self._answer()
+        said = self._gist(answer)
         ended = "the loop fell silent" if code is None else f"the loop ended with code {code}"
         return LinkError(
-            f"the connection is lost: {ended}{f': {said}' if said else ''}", where=self.where, fix=self._explain(said)
+            f"the connection is lost: {ended}{f': {said}' if said else ''}", where=self.where, fix=self._explain(answer)
         )
 
     def close(self) -> None:
@@ -277,11 +280,11 @@ class OnBoardSession:
             while pipe is not None and (line := pipe.readline()):
                 yield line
 
-    def _complaint(self) -> str:
+    def _answer(self) -> str:
+        """Return the whole of what the command wrote to its stderr."""
         with suppress(OSError, ValueError):
             self._stderr.seek(0)
-            said = self._stderr.read(1 << 20).decode(errors="replace").strip().splitlines()
-            return said[-1] if said else ""
+            return self._stderr.read(1 << 20).decode(errors="replace").strip()
         return ""
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from robot_runner.core.links.host import FileSample, UtilisationSample
     from robot_runner.core.links.on_board_sampler import Quantity
 
-__all__ = ["SshHost", "checked_destination", "complaint", "execute", "remedy", "ssh_command", "ssh_findings"]
+__all__ = ["SshHost", "checked_destination", "execute", "failure", "gist", "remedy", "ssh_command", "ssh_findings"]
 
 
 #: Never ask a person; notice within 15 s that the other end is gone; leave out what the user's config may forward.
@@ -38,13 +38,16 @@ _OPTIONS = (
 _CHECK_SECONDS = 15.0
 
 _INSTALL = "Install the OpenSSH client (Debian, Ubuntu: sudo apt install openssh-client)."
+#: What ssh says, above its last line, of a host whose key is another one than before.
+_CHANGED_KEY = "remote host identification has changed"
+_MAYBE_AN_ATTACK = (
+    "This may be an attack: somebody may stand between you and {host}. Find out why its key changed; only if that has "
+    "a good reason, such as a system that was installed anew, have ssh forget the old one: {forget}."
+)
 _REMEDIES = (
     ("permission denied", "Give it this machine's key: ssh-copy-id {host}."),
+    (_CHANGED_KEY, _MAYBE_AN_ATTACK),
     ("host key verification failed", "Connect once by hand, and say yes to its key: ssh {host}."),
-    (
-        "remote host identification has changed",
-        "Find out why its key changed, then: ssh-keygen -R followed by its name.",
-    ),
     ("could not resolve hostname", "Look at the name, and at the network."),
     ("connection refused", "Start the SSH server there (Debian, Ubuntu: sudo apt install openssh-server)."),
     ("timed out", "Look whether it is switched on, and at the network."),
@@ -86,16 +89,33 @@ def ssh_command(host: str, remote: str, *, config: Path | None = None) -> list[s
     return ["ssh", *own, *_OPTIONS, "--", checked_destination(host), remote]
 
 
-def remedy(host: str, complaint: str) -> str:
+def remedy(host: str, answer: str) -> str:
     """Return what mends what ssh complains of.
+
+    Args:
+        host: as ssh takes it.
+        answer: the whole of what ssh wrote to its stderr: what matters may stand above the last line.
 
     Example:
         >>> remedy("pi@robot", "pi@robot: Permission denied (publickey).")
         "Give it this machine's key: ssh-copy-id pi@robot."
     """
-    text = complaint.lower()
+    text = answer.lower()
     known = (fix for sign, fix in _REMEDIES if sign in text)
-    return next(known, _REMEDY).format(host=host)
+    told = (line.strip() for line in answer.splitlines() if line.strip().startswith("ssh-keygen "))
+    return next(known, _REMEDY).format(host=host, forget=next(told, "ssh-keygen -R followed by its name"))
+
+
+def gist(answer: str) -> str:
+    """Return in one line what ssh answered: its last line, and whether the host's key has changed.
+
+    Example:
+        >>> gist("ssh: connect to host robot port 22: Connection refused")
+        'ssh: connect to host robot port 22: Connection refused'
+    """
+    said = answer.strip().splitlines()
+    last = said[-1] if said else ""
+    return f"{last} (the key of the host is not the one that is known)" if _CHANGED_KEY in answer.lower() else last
 
 
 def ssh_findings(where: str, host: str, *, config: Path | None = None) -> list[Finding]:
@@ -114,16 +134,16 @@ def ssh_findings(where: str, host: str, *, config: Path | None = None) -> list[F
         return [Finding.error(where, f"{host} is reached by ssh, which is not installed", _INSTALL)]
     if config is not None and not config.is_file():
         return [Finding.error(where, f"there is no ssh config {config}", "Name a file that is there.")]
-    problem = _tried(command)
-    return (
-        [] if problem is None else [Finding.error(where, f"{host} cannot be reached: {problem}", remedy(host, problem))]
-    )
+    answer = _tried(command)
+    if answer is None:
+        return []
+    return [Finding.error(where, f"{host} cannot be reached: {gist(answer)}", remedy(host, answer))]
 
 
 def _tried(command: list[str]) -> str | None:
-    """Execute a command and return why it failed, or None if it did not."""
+    """Execute a command and return what ssh answered if it failed, or None if it did not."""
     try:
-        return complaint(execute(command, timeout=_CHECK_SECONDS))
+        return failure(execute(command, timeout=_CHECK_SECONDS))
     except subprocess.TimeoutExpired:
         return f"ssh timed out after {_CHECK_SECONDS:g} s"
 
@@ -145,12 +165,11 @@ def execute(command: list[str], *, timeout: float) -> subprocess.CompletedProces
     )
 
 
-def complaint(done: subprocess.CompletedProcess[bytes]) -> str | None:
-    """Return why a command failed, or None if it did not."""
+def failure(done: subprocess.CompletedProcess[bytes]) -> str | None:
+    """Return the whole of what was answered to a command that failed, for `gist` and `remedy`; None if it did not."""
     if done.returncode == 0:
         return None
-    said = done.stderr.decode(errors="replace").strip().splitlines()
-    return said[-1] if said else f"ssh ended with code {done.returncode}"
+    return done.stderr.decode(errors="replace").strip() or f"ssh ended with code {done.returncode}"
 
 
 S = TypeVar("S")
@@ -285,5 +304,11 @@ class SshHost:
         return session
 
     def _connected(self) -> OnBoardSession:
-        explain = partial(remedy, self._host)
-        return OnBoardSession(self._command, where=self._host, clock=self._clock, form=self._form, explain=explain)
+        return OnBoardSession(
+            self._command,
+            where=self._host,
+            clock=self._clock,
+            form=self._form,
+            gist=gist,
+            explain=partial(remedy, self._host),
+        )

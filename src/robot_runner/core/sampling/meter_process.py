@@ -70,6 +70,9 @@ class ChildProgram:
         errors: takes what it writes to stderr, and can be read; closed when the program has ended.
         has_own_group: whether it gets a process group of its own.
 
+    Attributes:
+        said: all that it wrote to stderr, once it was stopped.
+
     Raises:
         PluginError: it cannot be started.
     """
@@ -78,6 +81,7 @@ class ChildProgram:
         self, command: Sequence[str], *, output: IO[bytes], errors: IO[bytes], has_own_group: bool = True
     ) -> None:
         self._errors = errors
+        self.said = ""
         self._ending: Ending | None = None
         try:
             self.process = subprocess.Popen(  # noqa: S603 - the user's own command
@@ -130,7 +134,9 @@ class ChildProgram:
             if self.process.stdin is not None:
                 self.process.stdin.close()
             self._is_gone_within(_DEATH)
-            self._ending = Ending(self.process.poll(), was_asked, was_killed, self._complaint())
+            self.said = self._read_errors()
+            complaint = next((line.strip() for line in reversed(self.said.split("\n")) if line.strip()), "")
+            self._ending = Ending(self.process.poll(), was_asked, was_killed, complaint)
         return self._ending
 
     def _stop_following(self) -> None:
@@ -167,11 +173,10 @@ class ChildProgram:
                     command, stdin=subprocess.DEVNULL, capture_output=True, timeout=_DEATH, check=False
                 )
 
-    def _complaint(self) -> str:
+    def _read_errors(self) -> str:
         with self._errors:
             self._errors.seek(0)
-            lines = self._errors.read().decode(errors="replace").split("\n")
-        return next((line.strip() for line in reversed(lines) if line.strip()), "")
+            return self._errors.read().decode(errors="replace")
 
 
 class MeterProcess(ChildProgram):

@@ -35,12 +35,19 @@ if TYPE_CHECKING:
 __all__ = ["add_arguments", "execute"]
 
 _NONE = "none"
+#: What further plugins may have sampled, by the option that names the plugin.
+_COMPONENTS = {
+    "frequency": "the frequency of each core, such as LinuxThermal",
+    "network": "what went over the network, such as Network",
+    "gpu": "the GPUs, such as Nvml",
+}
+_UNITS = {"cpu": "W per %", "memory": "W per %", "gpu": "W per %", "network": "W per MB/s", "cycles": "W per GHz"}
 
 
 class _Fitting(Protocol):
     """The part of the profiler PowerModel that is called here; it comes in through an entry point, as any plugin."""
 
-    def fit(
+    def fit(  # noqa: PLR0913 - as the profiler has it
         self,
         experiment: Path,
         run_ids: Sequence[str],
@@ -48,6 +55,9 @@ class _Fitting(Protocol):
         power: str,
         utilisation: str | None,
         phases: str | None,
+        frequency: str | None,
+        network: str | None,
+        gpu: str | None,
         terms: Sequence[str] | None,
     ) -> dict[str, Any]: ...
 
@@ -74,6 +84,13 @@ def add_arguments(parser: Parser) -> None:
         default="BasicTurtlebot3",
         help="the plugin that recorded the phases of the mission, or none (%(default)s)",
     )
+    for name, sampled in _COMPONENTS.items():
+        parser.add_argument(
+            f"--{name}",
+            metavar="PLUGIN",
+            default=_NONE,
+            help=f"the plugin that sampled {sampled}, or none (%(default)s)",
+        )
     parser.add_argument(
         "--terms",
         metavar="TERMS",
@@ -96,6 +113,9 @@ def execute(arguments: Namespace) -> int:
         power=arguments.power,
         utilisation=_optional(arguments.utilisation),
         phases=_optional(arguments.phases),
+        frequency=_optional(arguments.frequency),
+        network=_optional(arguments.network),
+        gpu=_optional(arguments.gpu),
         terms=_split(arguments.terms) or None,
     )
     if arguments.out:
@@ -133,10 +153,10 @@ def _chosen(done: Sequence[str], wanted: str | None) -> Sequence[str]:
 def _print(console: UserConsole, model: dict[str, Any], path: str | None) -> None:
     fit = model["fit"]
     for term, watts in model["coefficients_W"].items():
-        error = fit["standard_errors"].get(term)
-        unit = "W per %" if term in {"cpu", "memory"} else "W"
-        plus_minus = "" if error is None else f"  ± {error:.4f}"
-        console.print(Text("  ").append(f"{term:24}", style="bold").append(f"{watts:9.4f}{plus_minus}  {unit}"))
+        low, high = fit["intervals"][term]
+        unit = _UNITS.get(term, "W per core" if term.startswith("frequency:") else "W")
+        shown = f"{watts:9.4f}  ± {(high - low) / 2:.4f}  {unit}"
+        console.print(Text("  ").append(f"{term:24}", style="bold").append(shown))
     console.print()
     kept = "not kept; --out FILE keeps it, for PowerModel(model=FILE)"
     print_facts(
@@ -149,6 +169,8 @@ def _print(console: UserConsole, model: dict[str, Any], path: str | None) -> Non
             ("Origin", "power was simulated, not measured" if fit["is_simulated"] else ""),
             ("Explained", f"{100 * fit['r_squared']:.1f} % of the variance of power (R² {fit['r_squared']:.3f})"),
             ("Residual", f"{fit['residual_W']:.3f} W (root mean square)"),
+            ("Errors", f"± covers the true value in 95 of 100 experiments ({_correlation(fit)})"),
+            ("Linearity", _linearity(fit["linearity"])),
             ("Held out", _held_out(fit["energy_errors"], len(fit["runs"]))),
             (
                 "Range",
@@ -158,6 +180,21 @@ def _print(console: UserConsole, model: dict[str, Any], path: str | None) -> Non
             ("Model", shown_path(Path(path).expanduser().resolve()) if path else kept),
         ],
     )
+
+
+def _correlation(fit: dict[str, Any]) -> str:
+    return f"correlation allowed for over {counted(fit['correlation_lag'], 'piece')} of time"
+
+
+def _linearity(linearity: dict[str, Any] | None) -> str:
+    """Return whether power bends where the model is straight."""
+    if linearity is None:
+        return "nothing to be told: every term is on or off"
+    if linearity["doubt"]:
+        return f"doubtful: {linearity['doubt']}"
+    p_value = linearity["p_value"]
+    shown = "p < 0.001" if p_value < 0.001 else f"p = {p_value:.3f}"  # noqa: PLR2004 - as p is written
+    return f"bending the model changes it by {linearity['curvature_W']:.3f} W only (Ramsey's RESET, {shown})"
 
 
 def _held_out(errors: dict[str, float], run_count: int) -> str:

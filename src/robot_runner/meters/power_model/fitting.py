@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,8 +14,11 @@ from robot_runner.core.events.window import Window
 from robot_runner.core.sampling.quality import MINIMUM_COVERAGE
 from robot_runner.core.sampling.series import Series, energy
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.meters.power_model.components import ComponentSources
 from robot_runner.meters.power_model.linear_power_model import FitReport, LinearModel, check_terms, term_value
-from robot_runner.meters.power_model.states import read_numbers, read_states
+from robot_runner.meters.power_model.sample_files import read_numbers
+from robot_runner.meters.power_model.states import read_states
+from robot_runner.meters.power_model.uncertainty import PiecesOfRuns, check_linearity, uncertainty_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -30,6 +33,8 @@ if TYPE_CHECKING:
 __all__ = ["MeasuredRun", "Sources", "fit_model", "read_runs", "terms_of"]
 
 
+#: A processor that knows more frequencies than this changes them in small steps: they are taken together as cycles.
+_FREQUENCIES = 6
 #: A piece shorter than this, s, holds too few samples of a 200 Hz meter for its mean power to mean much.
 _SHORTEST = 0.02
 
@@ -42,11 +47,13 @@ class Sources:
         power: its `samples.csv` holds `power_W`, its `quality.json` the measured window.
         utilisation: its `samples.csv` holds `cpu_percent` and `memory_percent`; None for none.
         phases: its `phases.csv` holds `phase` and `task`; None for none.
+        components: those that tell of the parts of the computer.
     """
 
     power: str = "Ina219"
     utilisation: str | None = "PsUtil"
     phases: str | None = "BasicTurtlebot3"
+    components: ComponentSources = field(default_factory=ComponentSources)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +105,14 @@ def _read_run(folder: Path, sources: Sources) -> MeasuredRun:
     times, watts = read_numbers(folder / sources.power / "samples.csv", ("time_s", "power_W"))
     power = Series(times, watts)
     states, means = [], []
-    for state in read_states(folder, window, utilisation=sources.utilisation, phases=sources.phases):
+    found = read_states(
+        folder,
+        window,
+        utilisation=sources.utilisation,
+        phases=sources.phases,
+        components=sources.components,
+    )
+    for state in found:
         joules = energy(power, Window(state.start, state.end)) if state.seconds >= _SHORTEST else None
         if joules is not None:
             states.append(state)
@@ -173,12 +187,24 @@ def terms_of(runs: Sequence[MeasuredRun], sources: Sources) -> tuple[str, ...]:
     """Return the terms that these runs can tell of: utilisation, motions and tasks, as far as they were seen."""
     states = [state for run in runs for state in run.states]
     terms = ["constant"]
-    terms += ["cpu"] if sources.utilisation else []
+    terms += _computing_terms(states, sources)
     if any(state.has_moved for state in states) and not all(state.has_moved for state in states):
         terms.append("has_moved")
     terms += [f"motion:{name}" for name in sorted({state.motion for state in states} - {""})]
     terms += [f"task:{name}" for name in sorted({state.task for state in states} - {""})]
     return tuple(terms)
+
+
+def _computing_terms(states: Sequence[RobotState], sources: Sources) -> list[str]:
+    """Return the terms of the computer's parts; with frequencies known, the cores take the place of `cpu`."""
+    terms = []
+    clocks = sorted({clock for state in states for clock, _ in state.cores or ()})
+    if clocks:
+        terms += [f"frequency:{clock}" for clock in clocks] if len(clocks) <= _FREQUENCIES else ["cycles"]
+    elif sources.utilisation:
+        terms.append("cpu")
+    terms += ["network"] if sources.components.network else []
+    return [*terms, "gpu"] if sources.components.gpu else terms
 
 
 def fit_model(
@@ -202,6 +228,13 @@ def fit_model(
     everything = _joined(rows)
     coefficients = everything.solve()
     partial = _without_each(rows)
+    pieces = PiecesOfRuns(
+        everything.matrix,
+        everything.watts,
+        everything.seconds,
+        np.repeat(np.arange(len(rows)), [len(each.watts) for each in rows]),
+    )
+    uncertainty = uncertainty_of(pieces, [each for each in partial if each is not None])
     report = FitReport(
         experiment=experiment,
         runs=[run.run_id for run in runs],
@@ -212,12 +245,18 @@ def fit_model(
         seconds=float(everything.seconds.sum()),
         r_squared=_r_squared(everything, coefficients),
         residual_W=_residual(everything, coefficients),
-        standard_errors=_jackknife(terms, [each for each in partial if each is not None]),
+        standard_errors=dict(zip(terms, map(float, uncertainty.standard_errors), strict=True)),
         energy_errors={
             run.run_id: _energy_error(own, others)
             for run, own, others in zip(runs, rows, partial, strict=True)
             if others is not None
         },
+        intervals={
+            term: (float(watts - half), float(watts + half))
+            for term, watts, half in zip(terms, coefficients, uncertainty.half_widths, strict=True)
+        },
+        correlation_lag=uncertainty.lag,
+        linearity=check_linearity(pieces),
     )
     return LinearModel(dict(zip(terms, map(float, coefficients), strict=True)), _ranges(runs, terms), report)
 
@@ -273,24 +312,9 @@ def _energy_error(rows: _Rows, coefficients: Floats) -> float:
     return 100.0 * (float(rows.seconds @ (rows.matrix @ coefficients)) / measured - 1.0)
 
 
-def _jackknife(terms: Sequence[str], partial: Sequence[Floats]) -> dict[str, float]:
-    """Return the standard error of each coefficient.
-
-    Source: Efron and Tibshirani, An introduction to the bootstrap, equation 11.5.
-    """
-    count = len(partial)
-    if count < 2:  # noqa: PLR2004 - two are the fewest that can differ
-        return {}
-    means = [math.fsum(float(each[place]) for each in partial) / count for place in range(len(terms))]
-    return {
-        term: math.sqrt((count - 1) / count * math.fsum((float(each[place]) - means[place]) ** 2 for each in partial))
-        for place, term in enumerate(terms)
-    }
-
-
 def _ranges(runs: Sequence[MeasuredRun], terms: Sequence[str]) -> dict[str, tuple[float, float]]:
     ranges = {}
-    for term in ("cpu", "memory"):
+    for term in ("cpu", "memory", "gpu"):
         met = [value for run in runs for state in run.states if (value := term_value(term, state)) is not None]
         if term in terms and met:
             ranges[term] = (min(met), max(met))

@@ -18,11 +18,42 @@ if TYPE_CHECKING:
 __all__ = ["FORMAT", "PLAIN_TERMS", "FitReport", "LinearModel", "check_terms", "read_model", "term_value"]
 
 FORMAT = "robot-runner power model 1"
-#: Terms that stand for themselves; the others are `motion:<phase>` and `task:<task>`.
-PLAIN_TERMS = ("constant", "cpu", "memory", "has_moved")
-_KINDS = ("motion", "task")
+#: Terms that stand for themselves; the others are `motion:<phase>`, `task:<task>` and `frequency:<MHz>`.
+PLAIN_TERMS = ("constant", "cpu", "memory", "has_moved", "cycles", "network", "gpu")
+_KINDS = ("motion", "task", "frequency")
 #: How far, as a share of the range that was fitted on, a value may lie outside before it is worth a warning.
 _TOLERANCE = 0.1
+
+
+#: Curvature is told where chance explains it in fewer than one of 100 experiments, and it is more than this share of
+#: the spread of power that the model is to explain.
+_CHANCE = 0.01
+_BENT = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Linearity:
+    """What Ramsey's RESET says of a model.
+
+    Attributes:
+        p_value: how often chance alone would bend the power of a straight model as much.
+        curvature_W: root mean square of what squares of the terms, and squares and cubes of the modelled power, add, W.
+        explained_W: standard deviation of the modelled power, W.
+    """
+
+    p_value: float
+    curvature_W: float  # noqa: N815 - the unit is part of the name in the file
+    explained_W: float  # noqa: N815 - the same
+
+    def doubt(self) -> str | None:
+        """Return what is wrong with the model, or None."""
+        if self.p_value >= _CHANCE or self.curvature_W <= _BENT * self.explained_W:
+            return None
+        p_value = "p < 0.001" if self.p_value < 0.001 else f"p = {self.p_value:.3f}"  # noqa: PLR2004 - as p is written
+        return (
+            f"power is no weighted sum of these terms: bending the model changes it by {self.curvature_W:.2f} W "
+            f"(root mean square; Ramsey's RESET, {p_value})"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,9 +70,12 @@ class FitReport:
         seconds: how long they lasted together, s.
         r_squared: the share of the variance of power that the model explains, 0..1.
         residual_W: root mean square of measured less modelled power, weighted by time, W.
-        standard_errors: of each coefficient, W; by leaving out one run after the other (jackknife), so that what the
-            pieces of one run have in common does not pass for certainty. Empty for fewer than two runs.
+        standard_errors: of each coefficient, W; they allow for the correlation of the pieces of a run, and for what
+            these have in common.
         energy_errors: the error of each run's energy, %, by a model that was fitted on the other runs.
+        intervals: for each coefficient, W, the interval that covers the true one in 95 of 100 experiments.
+        correlation_lag: over how many pieces correlation was allowed for; None in a file of an earlier version.
+        linearity: whether power bends where the model is straight; None where nothing could bend.
     """
 
     experiment: str
@@ -55,6 +89,9 @@ class FitReport:
     residual_W: float  # noqa: N815 - the unit is part of the name in the file
     standard_errors: Mapping[str, float]
     energy_errors: Mapping[str, float]
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    correlation_lag: int | None = None
+    linearity: Linearity | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +99,8 @@ class LinearModel:
     """So many watts for each term, added up.
 
     Attributes:
-        coefficients: W for each term; for `cpu` and `memory`, W for each percent.
+        coefficients: W for each term; for `cpu`, `memory` and `gpu`, W for each percent; for `network`, W for each
+            MB/s; for `frequency:<MHz>`, W for each core that is busy at it; for `cycles`, W for each GHz.
         ranges: least and largest value of `cpu` and `memory` that it was fitted on.
         report: how it was fitted; None for coefficients that were given by hand.
 
@@ -105,6 +143,8 @@ class LinearModel:
         """Yield one sentence for each way in which these states lie outside what the model was fitted on."""
         if self.report is None:
             return
+        if self.report.linearity is not None and (bent := self.report.linearity.doubt()):
+            yield f"the power model does not fit: {bent}"
         for kind, met in (("motion", {state.motion for state in states}), ("task", {state.task for state in states})):
             unknown = sorted(name for name in met if name and f"{kind}:{name}" not in self.coefficients)
             if unknown and self.needs(kind):
@@ -118,7 +158,7 @@ class LinearModel:
             "format": FORMAT,
             "coefficients_W": dict(self.coefficients),
             "ranges_percent": {term: list(limits) for term, limits in self.ranges.items()},
-            "fit": asdict(self.report) if self.report else None,
+            "fit": _as_document(self.report) if self.report else None,
         }
 
     @classmethod
@@ -132,8 +172,21 @@ class LinearModel:
         if document["format"] != FORMAT:
             raise ValueError(f"the model's format is {document['format']!r}, not {FORMAT!r}")
         ranges = {term: (float(low), float(high)) for term, (low, high) in document["ranges_percent"].items()}
-        report = FitReport(**document["fit"]) if document["fit"] else None
+        report = _report_of(document["fit"]) if document["fit"] else None
         return cls(dict(document["coefficients_W"]), ranges, report)
+
+
+def _as_document(report: FitReport) -> dict[str, Any]:
+    document = asdict(report)
+    if report.linearity is not None:
+        document["linearity"]["doubt"] = report.linearity.doubt()
+    return document
+
+
+def _report_of(document: Mapping[str, Any]) -> FitReport:
+    linearity = dict(document.get("linearity") or {})
+    linearity.pop("doubt", None)
+    return FitReport(**{**document, "linearity": Linearity(**linearity) if linearity else None})
 
 
 def _beyond(term: str, low: float, high: float, values: Iterable[float | None]) -> Iterator[str]:
@@ -161,7 +214,10 @@ def check_terms(terms: Iterable[str]) -> None:
 
 
 def term_value(term: str, state: RobotState) -> float | None:
-    """Return by what a coefficient is multiplied: 1 or 0, or a percentage; None where it was not sampled.
+    """Return by what a coefficient is multiplied; None where it was not sampled.
+
+    That is 1 or 0, a percentage (`cpu`, `memory`, `gpu`), MB/s (`network`), how many cores were busy at a frequency, or
+    GHz (`cycles`: the frequency of each core times the share of the time that it was busy, added up).
 
     Example:
         >>> from robot_runner.meters.power_model.states import RobotState
@@ -176,6 +232,10 @@ def term_value(term: str, state: RobotState) -> float | None:
         "has_moved": float(state.has_moved),
         "motion": float(state.motion == name),
         "task": float(state.task == name),
+        "network": state.network,
+        "gpu": state.gpu,
+        "cycles": None if state.cores is None else sum(megahertz / 1000 * busy for megahertz, busy in state.cores),
+        "frequency": None if state.cores is None else sum(busy for at, busy in state.cores if str(at) == name),
     }
     return values[kind]
 

@@ -14,6 +14,7 @@ from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.evaluation import publish_measures
 from robot_runner.core.sampling.quality import MINIMUM_COVERAGE, Column, write_quality, write_samples
+from robot_runner.meters.power_model.components import ComponentSources
 from robot_runner.meters.power_model.fitting import Sources, read_runs
 from robot_runner.meters.power_model.linear_power_model import LinearModel, read_model
 from robot_runner.meters.power_model.states import RobotState, read_states
@@ -76,11 +77,15 @@ class PowerModel(Profiler):
     Args:
         name: tells several models apart; the class's name if left out.
         model: a file that `robot-runner fit-power-model` has written.
-        coefficients: W for each term: `constant`, `cpu` and `memory` (for each percent), `has_moved`,
-            `motion:<phase>`, `task:<task>`.
+        coefficients: W for each term: `constant`, `cpu`, `memory` and `gpu` (for each percent), `has_moved`,
+            `motion:<phase>`, `task:<task>`, `frequency:<MHz>` (for each core that is busy at it), `cycles` (for each
+            GHz), `network` (for each MB/s).
         function: from what the robot does (`RobotState`) to the power in W; None where it cannot tell.
         utilisation: the plugin that samples CPU and memory; None for none.
         phases: the plugin that records the phases of the mission; None for none.
+        frequency: the plugin that samples the frequency of each core, for models with `frequency:<MHz>` or `cycles`.
+        network: the plugin that counts what goes over the network, for models with `network`.
+        gpu: the plugin that samples the GPUs, for models with `gpu`.
 
     Raises:
         PluginError: none or several of model, coefficients and function are given, or a term is not known.
@@ -100,7 +105,7 @@ class PowerModel(Profiler):
     needs: ClassVar[str] = "A power model (robot-runner fit-power-model), and the plugins whose samples it reads."
     bytes_per_run: int = 60_000  # a line of 35 bytes for each of the 10 samples a second of a mission of 95 s
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - one keyword for each plugin that it may read from
         self,
         *,
         name: str | None = None,
@@ -109,6 +114,9 @@ class PowerModel(Profiler):
         function: PowerFunction | None = None,
         utilisation: str | None = "PsUtil",
         phases: str | None = "BasicTurtlebot3",
+        frequency: str | None = "LinuxThermal",
+        network: str | None = "Network",
+        gpu: str | None = "Nvml",
     ) -> None:
         super().__init__(name=name)
         given = [each for each in (model, coefficients, function) if each is not None]
@@ -119,10 +127,11 @@ class PowerModel(Profiler):
         self.function = function
         self.utilisation = utilisation
         self.phases = phases
+        self.components = ComponentSources(frequency=frequency, network=network, gpu=gpu)
         self._linear = None if coefficients is None else LinearModel(dict(coefficients))
 
     @classmethod
-    def fit(
+    def fit(  # noqa: PLR0913 - one keyword for each plugin that it may read from
         cls,
         experiment: Path,
         run_ids: Sequence[str],
@@ -130,6 +139,9 @@ class PowerModel(Profiler):
         power: str = "Ina219",
         utilisation: str | None = "PsUtil",
         phases: str | None = "BasicTurtlebot3",
+        frequency: str | None = None,
+        network: str | None = None,
+        gpu: str | None = None,
         terms: Sequence[str] | None = None,
     ) -> dict[str, Any]:
         """Return what `model` reads: coefficients by least squares from the measured runs of an experiment.
@@ -140,6 +152,9 @@ class PowerModel(Profiler):
             power: the plugin that measured power.
             utilisation: the plugin that sampled CPU and memory; None for none.
             phases: the plugin that recorded the phases; None for none.
+            frequency: the plugin that sampled the frequency of each core; None for none.
+            network: the plugin that counted what went over the network; None for none.
+            gpu: the plugin that sampled the GPUs; None for none.
             terms: the terms of the model; None for all that were seen.
 
         Raises:
@@ -153,7 +168,8 @@ class PowerModel(Profiler):
             raise AnalysisError(
                 f"fitting needs {error.name}, which is not installed", where=cls.__name__, fix=fix
             ) from error
-        sources = Sources(power, utilisation, phases)
+        components = ComponentSources(frequency=frequency, network=network, gpu=gpu)
+        sources = Sources(power, utilisation, phases, components)
         runs, left_out = read_runs(experiment, sources, run_ids)
         chosen = terms_of(runs, sources) if terms is None else terms
         fitted = fit_model(runs, chosen, experiment=experiment.name, sources=sources, left_out=left_out)
@@ -167,7 +183,9 @@ class PowerModel(Profiler):
         except PluginError as error:
             return [Finding.error(where, f"{error.where}: {error.problem}", error.fix)]
         names = [plugin.name for plugin in circumstances.plugins]
-        wanted = [each for each in self._sources(linear) if each is not None and names and each not in names]
+        parts = self._components(linear)
+        sources = (*self._sources(linear), parts.frequency, parts.network, parts.gpu)
+        wanted = [each for each in sources if each is not None and names and each not in names]
         return [
             Finding.error(
                 where, f"the model reads the samples of {each!r}, which is not among the plugins", _add(each, names)
@@ -201,7 +219,8 @@ class PowerModel(Profiler):
         """
         linear = self._read()
         utilisation, phases = self._sources(linear)
-        states = read_states(context.run_path, window, utilisation=utilisation, phases=phases)
+        components = self._components(linear, context.run_path)
+        states = read_states(context.run_path, window, utilisation=utilisation, phases=phases, components=components)
         return _Estimate(states, [self._power(linear, state) for state in states], window)
 
     def _report(self, context: RobotRunnerContext, window: Window) -> None:
@@ -239,8 +258,23 @@ class PowerModel(Profiler):
         if linear is None:
             return self.utilisation, self.phases
         return (
-            self.utilisation if linear.needs("cpu", "memory") else None,
+            self.utilisation if linear.needs("cpu", "memory", "frequency", "cycles") else None,
             self.phases if linear.needs("has_moved", "motion", "task") else None,
+        )
+
+    def _components(self, linear: LinearModel | None, run_folder: Path | None = None) -> ComponentSources:
+        """Return the plugins that are needed for the computer's parts; a function gets what there is in a run."""
+
+        def needed(plugin: str | None, *terms: str) -> str | None:
+            if linear is not None:
+                return plugin if linear.needs(*terms) else None
+            is_there = plugin and run_folder and (run_folder / plugin / "samples.csv").is_file()
+            return plugin if is_there else None
+
+        return ComponentSources(
+            frequency=needed(self.components.frequency, "frequency", "cycles"),
+            network=needed(self.components.network, "network"),
+            gpu=needed(self.components.gpu, "gpu"),
         )
 
     def _power(self, linear: LinearModel | None, state: RobotState) -> float | None:

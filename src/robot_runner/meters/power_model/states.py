@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from robot_runner.core.errors import AnalysisError
+from robot_runner.meters.power_model.components import ComponentSources, read_components
+from robot_runner.meters.power_model.sample_files import number_of, read_numbers, rows_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.window import Window
 
-__all__ = ["RobotState", "read_numbers", "read_states"]
+__all__ = ["RobotState", "read_states"]
 
 #: Phases in which the robot stands still; every other one is a motion.
 _STILL = frozenset({"", "sleep", "task"})
@@ -35,6 +35,10 @@ class RobotState:
         phase: the phase of the mission, such as `forward`; empty between missions.
         task: the task that the on-board computer worked on; empty for none.
         has_moved: whether the robot has moved in this run, now or before: it draws more from then on.
+        cores: for each core its frequency in MHz, and the share of the time that it was busy, 0..1; None where these
+            were not sampled.
+        network: what went over the network, in and out, MB/s; None where it was not sampled.
+        gpu: how busy the GPUs were, 0..100 % each, added up; None where it was not sampled.
 
     Example:
         >>> RobotState(5.0, 5.1, cpu=12.0, memory=25.0, phase="forward", task="", has_moved=True).motion
@@ -48,6 +52,9 @@ class RobotState:
     phase: str = ""
     task: str = ""
     has_moved: bool = False
+    cores: tuple[tuple[int, float], ...] | None = None
+    network: float | None = None
+    gpu: float | None = None
 
     @property
     def motion(self) -> str:
@@ -98,7 +105,14 @@ class _Utilisation:
         return self.cpu[place], self.memory[place]
 
 
-def read_states(run_folder: Path, window: Window, *, utilisation: str | None, phases: str | None) -> list[RobotState]:
+def read_states(
+    run_folder: Path,
+    window: Window,
+    *,
+    utilisation: str | None,
+    phases: str | None,
+    components: ComponentSources | None = None,
+) -> list[RobotState]:
     """Return what the robot did in a window of a run, oldest first, without gaps.
 
     Args:
@@ -106,13 +120,15 @@ def read_states(run_folder: Path, window: Window, *, utilisation: str | None, ph
         window: the span of time, on the run's clock.
         utilisation: the plugin whose `samples.csv` holds `cpu_percent` and `memory_percent`; None for none.
         phases: the plugin whose `phases.csv` holds `phase` and `task`; None for none.
+        components: the plugins that tell of the parts of the computer; None for none.
 
     Raises:
         AnalysisError: a file is not there, or not as it should be.
     """
     sampled = _read_utilisation(run_folder / utilisation / "samples.csv") if utilisation else _Utilisation((), (), ())
     mission = _Mission(_read_phases(run_folder / phases / "phases.csv") if phases else ())
-    edges = {window.start, window.end, *sampled.times}
+    parts = read_components(run_folder, components or ComponentSources(), utilisation=utilisation)
+    edges = {window.start, window.end, *sampled.times, *parts.edges()}
     edges.update(time for phase in mission.phases for time in (phase.start, phase.end))
     within = sorted(edge for edge in edges if window.start <= edge <= window.end)
     first_motion = mission.first_motion()
@@ -121,7 +137,15 @@ def read_states(run_folder: Path, window: Window, *, utilisation: str | None, ph
         middle = (start + end) / 2
         cpu, memory = sampled.between(start, end)
         phase, task = mission.at(middle)
-        states.append(RobotState(start, end, cpu, memory, phase, task, has_moved=middle >= first_motion))
+        states.append(
+            RobotState(
+                *(start, end, cpu, memory, phase, task),
+                has_moved=middle >= first_motion,
+                cores=parts.cores(start, end),
+                network=parts.network(start, end),
+                gpu=parts.gpu(start, end),
+            )
+        )
     return states
 
 
@@ -134,46 +158,9 @@ def _read_utilisation(path: Path) -> _Utilisation:
 
 
 def _read_phases(path: Path) -> list[_Phase]:
-    rows = _rows(path, ("start_s", "end_s", "phase", "task"))
+    rows = rows_of(path, ("start_s", "end_s", "phase", "task"))
     phases = (
-        _Phase(_number(path, row["start_s"]), _number(path, row["end_s"]), row["phase"], row["task"]) for row in rows
+        _Phase(number_of(path, row["start_s"]), number_of(path, row["end_s"]), row["phase"], row["task"])
+        for row in rows
     )
     return sorted(phases, key=lambda phase: phase.start)
-
-
-def read_numbers(path: Path, columns: Sequence[str]) -> list[list[float]]:
-    """Return these columns of a file of samples; rows in which one of them is missing are passed over.
-
-    Raises:
-        AnalysisError: the file is not there, lacks one of the columns, or a cell is no number.
-    """
-    values: list[list[float]] = [[] for _ in columns]
-    for row in _rows(path, columns):
-        if not all(row[column] for column in columns):
-            continue
-        for column, cells in zip(columns, values, strict=True):
-            cells.append(_number(path, row[column]))
-    return values
-
-
-def _rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            reader = csv.DictReader(file)
-            missing = [column for column in columns if column not in (reader.fieldnames or ())]
-            rows = list(reader)
-    except FileNotFoundError as error:
-        fix = "Have the experiment's plugins measure it, or name the plugin that does."
-        raise AnalysisError("there is no such file", where=str(path), fix=fix) from error
-    if missing:
-        fix = "Name a plugin whose raw data hold it."
-        raise AnalysisError(f"the file has no column {missing[0]!r}", where=str(path), fix=fix)
-    return rows
-
-
-def _number(path: Path, cell: str | None) -> float:
-    try:
-        return float(cell or "")
-    except ValueError as error:
-        fix = "Leave this run out: its raw data are damaged."
-        raise AnalysisError(f"{cell!r} is not a number", where=str(path), fix=fix) from error
