@@ -286,6 +286,15 @@ def test_a_probe_can_be_interrupted(robot_runner: Program, study: Callable[..., 
     assert "mission" not in told(here)
 
 
+def test_a_profiler_is_probed_with_the_treatments_of_the_first_run(
+    robot_runner: Program, study: Callable[..., Path], here: Path
+) -> None:
+    study("Meter('A', value=treatment('Load'))")
+    assert robot_runner("study.py").code == 0
+    [probe] = probes(here)
+    assert probe["profilers"]["A"]["measures"]["Power_A"] == "heavy"
+
+
 def test_each_execution_that_has_something_to_do_begins_with_a_probe(
     robot_runner: Program, study: Callable[..., Path], here: Path
 ) -> None:

@@ -20,6 +20,7 @@ from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import ExperimentLock
+from robot_runner.core.treatments import built_with
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
@@ -159,7 +160,9 @@ def probe_profilers(experiment: Experiment, task: RunTask, interruption: Interru
         interruption: the user's; it ends the probe.
     """
     started = time.monotonic()
-    left, seen = probed_profilers(experiment), []
+    # A parameter that is bound to a factor has its treatment only in a run, and so has what follows from it.
+    built = [built_with(each, task.combination) for each in probed_profilers(experiment)]
+    left, seen = [each for each in built if each.probe_s is not None], []
     window = max((each.probe_s or 0.0 for each in left), default=0.0)
     while left:
         outcome = _tried(experiment, left, window, task, interruption)
