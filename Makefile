@@ -6,6 +6,8 @@ export PYTHON
 # A sourced ROS puts its own packages and pytest plugins before ours; here everything comes from .venv.
 unexport PYTHONPATH
 unexport PYTHONHOME
+# The tests start Python some thousand times; without kept bytecode each would compile everything anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 BIN := .venv/bin
 CODE := src tests benchmarks scripts examples robot

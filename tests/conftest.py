@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import fcntl
 import importlib.util
 import os
+import subprocess
 import textwrap
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis.internal.conjecture import providers
-from tests.command_line import program, robot_runner, terminal
+from tests.command_line import PROGRAM, program, robot_runner, terminal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -68,17 +71,41 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(missing)
 
 
+def written_config(
+    folder: Path, body: str = "", *, table: str = TABLE, head: str = HEAD, name: str = "config.py"
+) -> Path:
+    """Write a config: `body` goes into its class, `table` (a whole method) replaces the run table."""
+    parts = [head.rstrip(), textwrap.indent(textwrap.dedent(body).strip(), "    "), table.rstrip()]
+    path = folder / name
+    path.write_text("\n\n".join(part for part in parts if part.strip()) + "\n", encoding="utf-8")
+    return path
+
+
 @pytest.fixture
 def write_config(tmp_path: Path) -> Callable[..., Path]:
-    """Return what writes a config: `body` goes into its class, `table` (a whole method) replaces the run table."""
+    """Return what writes a config into the test's own folder, as `written_config` does."""
+    return partial(written_config, tmp_path)
 
-    def write(body: str = "", *, table: str = TABLE, head: str = HEAD, name: str = "config.py") -> Path:
-        parts = [head.rstrip(), textwrap.indent(textwrap.dedent(body).strip(), "    "), table.rstrip()]
-        path = tmp_path / name
-        path.write_text("\n\n".join(part for part in parts if part.strip()) + "\n", encoding="utf-8")
-        return path
 
-    return write
+@pytest.fixture(scope="session")
+def executed_demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder in which `robot-runner demo` was executed, once for all tests and all workers; read it only.
+
+    `answer.txt` in it is what the program said.
+    """
+    own = tmp_path_factory.getbasetemp()
+    shared = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+    folder = shared / "demo"
+    with (shared / "demo.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "answer.txt").exists():
+            folder.mkdir()
+            answer = subprocess.run(
+                [PROGRAM, "demo"], cwd=folder, check=True, capture_output=True, text=True, timeout=250
+            )
+            assert answer.stderr == ""
+            (folder / "answer.txt").write_text(answer.stdout, encoding="utf-8")
+    return folder
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import subprocess
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,14 +16,6 @@ if TYPE_CHECKING:
 
 #: The console script, which lies beside the interpreter.
 PROGRAM = Path(sys.executable).with_name("robot-runner")
-
-
-@pytest.fixture(scope="session")
-def executed_demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder in which the demo was executed, once for all tests that only read it."""
-    folder = tmp_path_factory.mktemp("demo")
-    subprocess.run([PROGRAM, "demo", "--folder", folder], check=True, capture_output=True, timeout=200)
-    return folder
 
 
 @pytest.fixture

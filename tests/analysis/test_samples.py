@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -13,6 +15,7 @@ from tests.analysis.made_experiment import make_experiment, write_phases, write_
 from robot_runner.analysis import load_results
 from robot_runner.analysis.samples import GrowingColumn
 from robot_runner.core.errors import AnalysisError
+from robot_runner.core.storage.journal import Journal
 
 
 @pytest.fixture
@@ -33,6 +36,33 @@ def test_each_sample_knows_its_run_and_its_treatments(folder):
 
 def test_times_count_from_the_start_of_measurement(folder):
     assert load_results(folder.root).samples()["time_s"].tolist() == [-0.5, 0.0, 2.0, 0.0]
+
+
+def note_window(folder, run_id, start, end):
+    noted = json.dumps({"window": {"start": start, "end": end}, "samples": None})
+    (folder.run(run_id) / "Meter" / "quality.json").write_text(noted)
+
+
+def test_samples_say_whether_they_lie_in_the_measured_window(folder):
+    note_window(folder, "r_1", 9.8, 11.0)
+    samples = load_results(folder.root).samples()
+    assert samples["in_window"].tolist() == [False, True, False, True]  # that of r_2 is not known
+    assert samples["time_s"].tolist() == pytest.approx([-0.3, 0.2, 2.2, 0.0])
+    assert "in_window" not in load_results(folder.root).samples(with_window=False)
+
+
+@pytest.mark.parametrize("noted", ["", "[]", "{}", '{"window": null}', '{"window": {"start": "x"}}'])
+def test_a_note_that_tells_of_no_window_is_passed_over(folder, noted):
+    (folder.run("r_1") / "Meter" / "quality.json").write_text(noted)
+    assert load_results(folder.root).samples()["in_window"].all()
+
+
+def test_the_window_of_the_journal_counts_where_the_plugin_notes_none(folder):
+    with Journal(folder.journal) as journal:
+        journal.append("window", run="r_1", attempt=1, start=9.9, end=11.9)
+    samples = load_results(folder.root).samples()
+    assert samples["in_window"].tolist() == [False, True, False, True]
+    assert samples["time_s"].tolist() == pytest.approx([-0.4, 0.1, 2.1, 0.0])
 
 
 def test_without_a_start_of_measurement_times_count_from_the_first_sample(folder):

@@ -13,7 +13,7 @@ from robot_runner.core import entry_points as entry_points_module
 from robot_runner.core.entry_points import EntryPoint
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 CORE = ["demo", "new", "check", "plan", "run", "status", "continue", "plugins", "try"]
@@ -39,8 +39,10 @@ def execute(arguments):
 
 
 @pytest.fixture
-def announce(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+def announce(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
     """Return what installs a stranger's package of these modules, with these commands."""
+
+    installed: list[str] = []
 
     def install(modules: dict[str, str], **commands: str) -> None:
         folder = tmp_path / "site"
@@ -52,11 +54,13 @@ def announce(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., N
         for name, text in modules.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_text(text)
-            monkeypatch.delitem(sys.modules, name.partition("/")[0].removesuffix(".py"), raising=False)
+            installed.append(name.partition("/")[0].removesuffix(".py"))
         monkeypatch.setattr(entry_points_module, "_read_before", {})
         monkeypatch.syspath_prepend(folder)
 
-    return install
+    yield install
+    for name in installed:
+        sys.modules.pop(name, None)
 
 
 def test_the_core_s_commands_come_first_and_those_of_a_room_stand_together() -> None:

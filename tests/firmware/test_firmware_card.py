@@ -35,7 +35,7 @@ def record(board, tmp_path, card, seconds: float = 10.0, **settings) -> bytes:
 @each_file_system
 def test_the_file_holds_what_went_up_the_line(board, tmp_path, bits, is_partitioned):
     card = make_card(tmp_path / "card", bits=bits, is_partitioned=is_partitioned)
-    sent = record(board, tmp_path, card)
+    sent = record(board, tmp_path, card, 6.0)
     kept = card.content().rstrip(b"\0")
     assert sent.startswith(kept)
     assert len(sent) - len(kept) < 2 * 512  # what was not yet a whole block when the power went

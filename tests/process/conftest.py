@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import os
 import signal
 import subprocess
@@ -18,7 +19,10 @@ import pytest
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from tests.processor_wait import ProcessorWait
+
 MARK = "ROBOT_RUNNER_TEST_MARK"
+#: How long something may take before a test gives up, s. It promises nothing: a busy machine may need most of it.
 PATIENCE = 60.0
 
 
@@ -44,9 +48,20 @@ class Experiment:
     def statuses(self) -> list[str]:
         return [row["status"] for row in self.table]
 
-    def wait_for(self, name: str) -> Path:
+    def wait_for(self, name: str, *, meanwhile: Callable[[], object] = lambda: None) -> Path:
         """Wait until a callback has written the file `name` beside the config."""
-        return wait_until(lambda: (path := self.config.parent / name).exists() and path, f"{name} is written")
+        path = self.config.parent / name
+        return wait_until(lambda: meanwhile() or (path.exists() and path), f"{name} is written")
+
+    def stops_within_a_second(self, since: float, wait: ProcessorWait, name: str = "stopped") -> bool:
+        """Whether the run wrote into the file `name` that it stopped a second at most after `since`.
+
+        The time in which its processes waited for a processor does not count; `wait` was made before `since`. The file
+        holds when the run stopped (s since the epoch), and how long its threads had waited by then.
+        """
+        stopped, waits = json.loads(self.wait_for(name, meanwhile=wait.look).read_text())
+        wait.add(waits)
+        return stopped - since - wait.seconds < 1.0
 
     def send(self, number: signal.Signals) -> float:
         """Send a signal to the orchestrator alone; returns when it was sent."""
@@ -82,24 +97,6 @@ def wait_until(holds: Callable[[], object], what: str) -> object:
             return result
         time.sleep(0.01)
     raise AssertionError(f"after {PATIENCE} s it is not so that {what}")
-
-
-def starved_for() -> float:
-    """Return for how many seconds, since the machine was started, some process had to wait for a processor.
-
-    Linux tells in /proc/pressure; where it does not, the machine may have been busy at any time.
-    """
-    try:
-        some = Path("/proc/pressure/cpu").read_text("ascii").splitlines()[0]
-    except OSError:
-        return time.monotonic()
-    return int(some.rpartition("total=")[2]) / 1e6
-
-
-def is_within_a_second(since: float, until: float, starved_before: float) -> bool:
-    """Whether a second at most went by, not counting the time in which processes had to wait for a processor."""
-    starved = min(starved_for() - starved_before, PATIENCE / 2)
-    return until - since - starved < 1.0
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from robot_runner.core.links.robot import RobotName
 from robot_runner.ros.graph_links import GRAPH_LINKS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
 PATIENCE = 60.0
 STANDSTILL = 0.01  # m/s
@@ -63,16 +63,20 @@ class Witness:
         """Wait until the robot is at least so fast, and return when that was."""
         return self._first(lambda seen: seen >= speed, since)
 
-    def sees_standstill(self, since: float) -> float:
-        """Wait until the robot stands still and goes on to do so for half a second; return when that began."""
-        moment = self._first(lambda seen: seen < STANDSTILL, since)
+    def sees_standstill(self, since: float, *, meanwhile: Callable[[], object] = lambda: None) -> float:
+        """Wait until the robot stands still and goes on to do so for half a second; return when that began.
+
+        `meanwhile` is called again and again until it stands still.
+        """
+        moment = self._first(lambda seen: seen < STANDSTILL, since, meanwhile)
         self._first(lambda _: True, moment + 0.5)
         assert all(seen < 3 * STANDSTILL for at, seen in list(self.speeds) if at > moment)
         return moment
 
-    def _first(self, holds: Any, since: float) -> float:
+    def _first(self, holds: Any, since: float, meanwhile: Callable[[], object] = lambda: None) -> float:
         deadline = time.monotonic() + PATIENCE
         while time.monotonic() < deadline:
+            meanwhile()
             for moment, speed in list(self.speeds):
                 if moment > since and holds(speed):
                     return moment

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pty
 import signal
@@ -9,16 +10,18 @@ import subprocess
 import sys
 import textwrap
 import time
+import uuid
 from collections.abc import Callable
 from typing import Any
 
 import pytest
-from tests.process.conftest import is_within_a_second, starved_for
+from tests.process.conftest import MARK, PATIENCE, Experiment, wait_until
+from tests.processor_wait import OWN_WAITS, ProcessorWait
 
 Start = Callable[..., Any]
 
 #: The second run moves until it is told to stop, and says when it was.
-MOVING = """
+MOVING = f"""
 grace_in_s = 5
 def launch_mission(self, context):
     import time
@@ -26,11 +29,11 @@ def launch_mission(self, context):
         self.flag("moving").write_text("")
         time.sleep(60)
 def stop_run(self, context):
-    import time
+    import json, time
     if self.flag("moving").exists() and not self.flag("stopped").exists():
-        self.flag("stopped.new").write_text(str(time.time()))
+        self.flag("stopped.new").write_text(json.dumps([time.time(), {OWN_WAITS}]))
         self.flag("stopped.new").rename(self.flag("stopped"))
-def populate_run_data(self, context): return {"Energy": 1.5}
+def populate_run_data(self, context): return {{"Energy": 1.5}}
 def flag(self, name): return Path(__file__).parent / name
 """
 
@@ -51,9 +54,9 @@ def test_told_to_end_the_run_is_closed_and_marked_and_the_experiment_resumes(
 ) -> None:
     experiment = start(MOVING)
     experiment.wait_for("moving")
-    starved = starved_for()
+    wait = ProcessorWait(experiment.processes())
     sent = experiment.send(number)
-    assert is_within_a_second(sent, float(experiment.wait_for("stopped").read_text()), starved)
+    assert experiment.stops_within_a_second(sent, wait)
     assert experiment.end() == 130
     assert experiment.statuses == ["Done", "-", "-", "-"]
     assert experiment.nobody_is_left()
@@ -62,15 +65,19 @@ def test_told_to_end_the_run_is_closed_and_marked_and_the_experiment_resumes(
 
 def test_a_second_ctrl_c_ends_at_once(start: Start) -> None:
     experiment = start(
-        MOVING.replace("grace_in_s = 5", "grace_in_s = 90").replace(  # longer than the end is waited for
+        MOVING.replace("grace_in_s = 5", "grace_in_s = 90").replace(
             "def stop_run(self, context):", "def stop_run(self, context):\n    self.hang()"
         )
         + "def hang(self):\n    import time\n    self.flag('closing').write_text('')\n    time.sleep(90)\n"
     )
     experiment.wait_for("closing")
     experiment.send(signal.SIGINT)
-    time.sleep(1.0)  # two that come before the first is noticed are one
-    experiment.send(signal.SIGINT)
+    # Two that come before the first is noticed are one.
+    assert any("Ctrl-C again kills it at once" in line for line in experiment.process.stdout)
+    wait = ProcessorWait([os.getpid(), *experiment.processes()])
+    sent = experiment.send(signal.SIGINT)
+    wait_until(lambda: wait.look() or experiment.process.poll() is not None, "it has ended")
+    assert time.time() - sent - wait.seconds < 3.0
     assert experiment.end() == 130
     assert experiment.nobody_is_left()
 
@@ -93,9 +100,9 @@ def test_ctrl_c_ends_a_callback_of_the_orchestrator(start: Start) -> None:
 def test_killed_the_run_is_closed_within_a_second_and_the_experiment_resumes(start: Start) -> None:
     experiment = start(MOVING)
     experiment.wait_for("moving")
-    starved = starved_for()
+    wait = ProcessorWait(experiment.processes())
     sent = experiment.send(signal.SIGKILL)
-    assert is_within_a_second(sent, float(experiment.wait_for("stopped").read_text()), starved)
+    assert experiment.stops_within_a_second(sent, wait)
     experiment.end()
     assert experiment.nobody_is_left()
     assert resumes(start, experiment)
@@ -134,28 +141,31 @@ def test_killed_the_log_of_the_unfinished_attempt_is_kept(start: Start) -> None:
 def test_a_closed_terminal_ends_the_experiment_cleanly(start: Start, write_config: Any) -> None:
     config = write_config(MOVING)
     master, terminal = pty.openpty()
+    mark = uuid.uuid4().hex
     process = subprocess.Popen(
         [sys.executable, "-m", "robot_runner", "run", str(config)],
         stdin=terminal,
         stdout=terminal,
         stderr=terminal,
         start_new_session=True,
+        env={**os.environ, MARK: mark},
         # The first terminal that a session leader opens becomes its controlling one: closing it sends SIGHUP.
         preexec_fn=lambda: os.close(os.open(os.ttyname(0), os.O_RDWR)),  # noqa: PLW1509 - pytest has no threads here
     )
     os.close(terminal)
-    deadline = time.monotonic() + 30
     os.set_blocking(master, False)
-    while not (config.parent / "moving").exists():
-        assert time.monotonic() < deadline
-        try:
+
+    def show() -> None:  # as a terminal does; one that nobody reads would hold the program up
+        with contextlib.suppress(BlockingIOError):
             os.read(master, 65536)
-        except BlockingIOError:
-            time.sleep(0.02)
+
+    experiment = Experiment(config, process, mark)
+    experiment.wait_for("moving", meanwhile=show)
+    wait = ProcessorWait(experiment.processes())
     closed = time.time()
     os.close(master)
-    process.wait(timeout=30)
-    assert float((config.parent / "stopped").read_text()) - closed < 1
+    assert experiment.stops_within_a_second(closed, wait)
+    process.wait(timeout=PATIENCE)
     again = start(config=config)
     assert again.end() == 0
     assert again.statuses == ["Done"] * 4
@@ -232,11 +242,12 @@ def note_keeper(self):
     )
     experiment.wait_for("moving")
     keeper = int((experiment.config.parent / "keeper").read_text())
+    wait = ProcessorWait(experiment.processes())
     os.kill(experiment.process.pid, signal.SIGSTOP)  # so that neither has the time to do anything about the other
     os.kill(keeper, signal.SIGSTOP)
     sent = experiment.send(signal.SIGKILL)
     os.kill(keeper, signal.SIGKILL)
-    assert float(experiment.wait_for("stopped").read_text()) - sent < 1
+    assert experiment.stops_within_a_second(sent, wait)
     experiment.end()
     assert experiment.nobody_is_left()
     assert resumes(start, experiment)

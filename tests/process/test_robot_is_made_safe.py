@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.process.conftest import is_within_a_second, starved_for
+from tests.process.conftest import wait_until
+from tests.processor_wait import OWN_WAITS, ProcessorWait
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 Start = Callable[..., Any]
 
-HEAD = """\
+HEAD = f"""\
 import json, os, time
 from pathlib import Path
 from robot_runner import *
@@ -31,6 +31,10 @@ class Watcher(System):
         robot = connect_robot(context)
         robot.subscribe("odom", "nav_msgs/Odometry", self.look)
         self.clock = context.clock
+        (HERE / "begun").touch()
+    def launch_mission(self, context):
+        (HERE / "launched.new").write_text(str(time.time()))
+        (HERE / "launched.new").rename(HERE / "launched")
     def look(self, message):
         self.speed = message["twist"]["twist"]["linear"]["x"]
         if self.speed > 0.15 and not (HERE / "moving").exists():
@@ -41,9 +45,9 @@ class Watcher(System):
         self.note(context)
     def note(self, context):
         context.clock.sleep(0.5)
-        truth = {"speed": self.speed, "at": time.time()}
-        (HERE / "still.new").write_text(json.dumps(truth))
-        (HERE / "still.new").rename(HERE / "still.json")
+        (HERE / "speed").write_text(str(self.speed))
+        (HERE / "still.new").write_text(json.dumps([time.time(), {OWN_WAITS}]))
+        (HERE / "still.new").rename(HERE / "still")
 
 class RobotRunnerConfig(ExperimentConfig):
     experiment_name = "trial"
@@ -66,16 +70,16 @@ def moving(start: Start, write_config: Callable[..., Path]) -> Any:
     return experiment
 
 
-def stood_still(experiment: Any, since: float, starved_before: float) -> bool:
-    truth = json.loads(experiment.wait_for("still.json").read_text())
-    return abs(truth["speed"]) < 0.01 and is_within_a_second(since, truth["at"], starved_before)
+def stood_still(experiment: Any, since: float, wait: ProcessorWait) -> bool:
+    is_in_time = experiment.stops_within_a_second(since, wait, "still")
+    return is_in_time and abs(float((experiment.config.parent / "speed").read_text())) < 0.01
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP], ids=lambda n: n.name)
 def test_when_the_orchestrator_goes_the_robot_stands_still_within_a_second(moving: Any, number: signal.Signals) -> None:
-    starved = starved_for()
+    wait = ProcessorWait(moving.processes())
     sent = moving.send(number)
-    assert stood_still(moving, sent, starved)
+    assert stood_still(moving, sent, wait)
     moving.end()
     assert moving.nobody_is_left()
 
@@ -89,8 +93,10 @@ def test_when_the_mission_raises_the_robot_stands_still_within_a_second(
         f"        if self.speed > 0.15 and self.clock.now() > 2: {bump}\n        if self.speed > 0.15",
     )
     experiment = start(config=write_config("", head=head, table=TABLE))
-    raised, starved = experiment.wait_for("raised").stat().st_mtime, starved_for()
-    assert stood_still(experiment, raised, starved)
+    experiment.wait_for("begun")
+    wait = ProcessorWait(experiment.processes())
+    raised = experiment.wait_for("raised", meanwhile=wait.restart).stat().st_mtime
+    assert stood_still(experiment, raised, wait)
     assert experiment.end() == 1
     assert "a bump" in experiment.output
 
@@ -100,8 +106,10 @@ def test_when_a_deadline_passes_the_robot_stands_still_within_a_second(
 ) -> None:
     config = write_config("", head=HEAD.replace("event_deadline_in_s = 60", "event_deadline_in_s = 3"), table=TABLE)
     experiment = start(config=config)
-    experiment.wait_for("moving")
-    started, starved = time.time(), starved_for()
+    deadline = float(experiment.wait_for("launched").read_text()) + 3.0
+    wait = ProcessorWait(experiment.processes())
+    wait_until(lambda: wait.restart() or time.time() > deadline, "the deadline has passed")
+    assert (config.parent / "moving").exists()
+    assert stood_still(experiment, deadline, wait)
     assert experiment.end() == 1
-    assert stood_still(experiment, started + 3, starved)
     assert "event_deadline_in_s = 3" in experiment.output

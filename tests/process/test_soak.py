@@ -14,15 +14,14 @@ import pytest
 
 Start = Callable[..., Any]
 
-RUNS = 400
-BODY = f"""
+BODY = """
 grace_in_s = 2
 def create_run_table(self):
-    return RunTableModel([Factor("N", range({RUNS}))], data_columns=["Square"], shuffle=True, seed=3)
+    return RunTableModel([Factor("N", range(RUNS))], data_columns=["Square"], shuffle=True, seed=3)
 def launch_mission(self, context):
     (context.raw_data_folder / "raw.txt").write_text(str(context.combination["N"]))
     print("number", context.combination["N"])
-def populate_run_data(self, context): return {{"Square": context.combination["N"] ** 2}}
+def populate_run_data(self, context): return {"Square": context.combination["N"] ** 2}
 """
 DONE = re.compile(r"run \d+ of \d+ \((r_\d+)\) is done .*?: Square ([\d,.]+)")
 SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -42,9 +41,9 @@ def inject(experiment: Any, chance: random.Random) -> None:
         return
 
 
-def torture(start: Start, write_config: Callable[..., Any], *, kills: int, seed: int) -> None:
+def torture(start: Start, write_config: Callable[..., Any], *, kills: int, runs: int, seed: int) -> None:
     chance = random.Random(seed)  # noqa: S311 - kills need no cryptography
-    config = write_config(BODY, table="")
+    config = write_config(BODY.replace("RUNS", str(runs)), table="")
     reported: set[str] = set()
     for _ in range(kills):
         experiment = start(config=config)
@@ -56,8 +55,8 @@ def torture(start: Start, write_config: Callable[..., Any], *, kills: int, seed:
         reported |= done
         if not (experiment.folder / "run_table.csv").exists():
             continue
-        assert len(experiment.table) == RUNS
-        if experiment.statuses.count("Done") == RUNS:
+        assert len(experiment.table) == runs
+        if experiment.statuses.count("Done") == runs:
             for path in sorted(experiment.folder.rglob("*"), reverse=True):
                 path.unlink() if path.is_file() else path.rmdir()
             reported.clear()
@@ -68,7 +67,7 @@ def torture(start: Start, write_config: Callable[..., Any], *, kills: int, seed:
     rows = {row["run_id"]: row for row in again.table}
     assert all(row["status"] == "Done" for row in rows.values())
     assert all(int(row["Square"]) == int(row["N"]) ** 2 for row in rows.values())
-    assert len({row["N"] for row in rows.values()}) == RUNS
+    assert len({row["N"] for row in rows.values()}) == runs
     done_again = {run_id for run_id, _ in DONE.findall(last.output + again.output)}
     assert not reported & done_again, "a run that was reported done was executed again: it had been lost"
 
@@ -77,7 +76,7 @@ def test_kills_at_random_moments_lose_nothing(
     start: Start, write_config: Callable[..., Any], request: pytest.FixtureRequest
 ) -> None:
     request.node.user_properties.append(("faults", 11))
-    torture(start, write_config, kills=12, seed=1)
+    torture(start, write_config, kills=12, runs=200, seed=1)
 
 
 @pytest.mark.soak
@@ -87,4 +86,4 @@ def test_thousands_of_kills_at_random_moments_lose_nothing(
     start: Start, write_config: Callable[..., Any], request: pytest.FixtureRequest, seed: int
 ) -> None:
     request.node.user_properties.append(("faults", 49))
-    torture(start, write_config, kills=50, seed=seed)
+    torture(start, write_config, kills=50, runs=400, seed=seed)

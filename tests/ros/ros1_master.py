@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.loopback_port import claim_port
 
 from robot_runner.core.errors import LinkError
 from robot_runner.ros.ros1_master import Master
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-__all__ = ["free_port", "needs_ros1", "quiet_about_rospy", "ros1_environment", "ros1_master"]
+__all__ = ["needs_ros1", "quiet_about_rospy", "ros1_environment", "ros1_master"]
 
 MASTER = shutil.which("rosmaster")
 needs_ros1 = pytest.mark.skipif(
@@ -38,15 +39,6 @@ def quiet_about_rospy(test):
     return needs_ros1(test)
 
 
-def free_port() -> int:
-    """Return a port of loopback that nobody listens at."""
-    import socket
-
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 def ros1_environment(uri: str, folder: Path) -> dict[str, str]:
     """Return what a node of this master needs in its environment, so that it stays on loopback and in the folder."""
     return {
@@ -60,7 +52,7 @@ def ros1_environment(uri: str, folder: Path) -> dict[str, str]:
 @contextmanager
 def ros1_master(folder: Path) -> Iterator[str]:
     """Start a master, and end it by its process id; yields its URI."""
-    port = free_port()
+    port = claim_port()
     uri = f"http://127.0.0.1:{port}"
     with (folder / "rosmaster.txt").open("wb") as output:
         # Debian's own Python: the one of the tests may be another.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from tests.ros.ros1_master import free_port, needs_ros1, ros1_master
+from tests.loopback_port import claim_port
+from tests.ros.ros1_master import needs_ros1, ros1_master
 
 from robot_runner.core.errors import LinkError
 from robot_runner.ros import ros_environment
@@ -14,8 +15,8 @@ from robot_runner.ros.ros_environment import found_robot
 def _nothing_is_there(monkeypatch):
     for name in ("ROS_VERSION", "ROS_DISTRO"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("ROS_MASTER_URI", f"http://127.0.0.1:{free_port()}")
-    monkeypatch.setattr(ros_environment, "_BRIDGE", ("127.0.0.1", free_port()))
+    monkeypatch.setenv("ROS_MASTER_URI", f"http://127.0.0.1:{claim_port()}")
+    monkeypatch.setattr(ros_environment, "_BRIDGE", ("127.0.0.1", claim_port()))
     monkeypatch.setattr(ros_environment, "_LOOK_AT_GRAPH", "raise SystemExit(1)")
     found_robot.cache_clear()
     yield

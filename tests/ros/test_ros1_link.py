@@ -13,7 +13,8 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from tests.ros.ros1_master import free_port, quiet_about_rospy, ros1_environment, ros1_master
+from tests.loopback_port import claim_port
+from tests.ros.ros1_master import quiet_about_rospy, ros1_environment, ros1_master
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import Resources, SystemClock
@@ -126,8 +127,8 @@ class TestGraph:
 
     def test_a_service_that_a_dead_node_left_behind_can_be_offered_and_not_called(self, opened, master_uri):
         with xmlrpc.client.ServerProxy(master_uri) as server:
-            nobody = f"http://127.0.0.1:{free_port()}"
-            server.registerService("/dead", "/left", f"rosrpc://127.0.0.1:{free_port()}", nobody)
+            nobody = f"http://127.0.0.1:{claim_port()}"
+            server.registerService("/dead", "/left", f"rosrpc://127.0.0.1:{claim_port()}", nobody)
         robot, link = opened(), opened()
         with pytest.raises(LinkError, match="cannot be reached"):
             link.call("left", "std_srvs/Trigger", timeout=1.0)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
-from robot_runner.core.links.measured_machine import clock_details, machine_clock, simulation_findings
+from robot_runner.core.links.measured_machine import THIS_MACHINE, clock_details, machine_clock, simulation_findings
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.evaluation import note_own_window, publish_measures
 from robot_runner.core.sampling.quality import write_quality
@@ -60,6 +60,7 @@ class CodeCarbon(Profiler):
         Measure("CPUEnergy", "J", "Energy of the processor while its tracker ran, estimated by CodeCarbon."),
         Measure("MemoryEnergy", "J", "Energy of the memory while its tracker ran, estimated by CodeCarbon."),
     )
+    measured_computer = THIS_MACHINE
     needs: ClassVar[str] = "robot-runner[codecarbon]."
     #: It has totals only, and an estimate for every machine: a probe would tell nothing in the seconds that it starts.
     probe_s: float | None = None

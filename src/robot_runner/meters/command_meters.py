@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Origin
-from robot_runner.core.links.measured_machine import simulation_findings
+from robot_runner.core.links.measured_machine import THIS_MACHINE, simulation_findings
 from robot_runner.meters.command import CommandProfiler, Measured
 from robot_runner.meters.command_output import Aggregate, CommandColumn, Row, TimeColumn, TimeKind, parse_csv
 from robot_runner.meters.rapl import POWERCAP, permission_findings
@@ -116,6 +116,7 @@ class EnergiBridge(CommandProfiler):
         Measure("CPU", "%", "CPU utilisation of all cores together, mean over the measured window, by EnergiBridge."),
         Measure("Memory", "%", "Physical memory in use, mean over the measured window, by EnergiBridge."),
     )
+    measured_computer = THIS_MACHINE
     needs: ClassVar[str] = "EnergiBridge, and the right to read the processor's registers (/dev/cpu/*/msr)."
     bytes_per_run: int = 300_000  # 5 rows a second of 500 bytes for a mission of 95 s on 8 cores, and the samples
 
@@ -197,6 +198,7 @@ class PowerJoular(CommandProfiler):
         Measure("MeanPower", "W", "Power of the processor and GPU, mean over the measured window, by PowerJoular."),
         Measure("CPU", "%", "CPU utilisation of all cores together, mean over the measured window, by PowerJoular."),
     )
+    measured_computer = THIS_MACHINE
     needs: ClassVar[str] = "PowerJoular, and the right to read /sys/class/powercap (PC) or a supported board."
     bytes_per_run: int = 20_000  # a row a second of 100 bytes for a mission of 95 s, and the samples
 
@@ -299,6 +301,7 @@ class Powermetrics(CommandProfiler):
         Measure("Energy", "J", "Energy of the processor over the measured window, estimated by powermetrics."),
         Measure("MeanPower", "W", "Power of the processor, mean over the measured window, estimated by powermetrics."),
     )
+    measured_computer = THIS_MACHINE
     needs: ClassVar[str] = "macOS, and the right to execute `sudo -n powermetrics`."
     bytes_per_run: int = 1_000_000  # a property list a second of 10 kB for a mission of 95 s
 

@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Over
-from robot_runner.core.links.measured_machine import simulation_findings
+from robot_runner.core.links.measured_machine import THIS_MACHINE, simulation_findings
 from robot_runner.core.sampling.quality import Column
 from robot_runner.core.sampling.series import Series, cut, mean
-from robot_runner.meters.polled import PolledProfiler
+from robot_runner.meters.polled import PolledProfiler, known_series
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -154,6 +155,7 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
             over=Over.MEAN,
         ),
     )
+    measured_computer = THIS_MACHINE
     needs: ClassVar[str] = "Linux with thermal zones or cpufreq in /sys."
     bytes_per_run: int = 10_000  # 2 readings a second of 40 bytes for a mission of 95 s
 
@@ -260,9 +262,7 @@ def _digit(flag: bool | None) -> int | None:
 
 
 def _series(sampling: Sampling[ThermalReading], quantity: str) -> Series:
-    pairs = zip(sampling.times, sampling.readings, strict=True)
-    told = [(time, value) for time, reading in pairs if (value := getattr(reading, quantity)) is not None]
-    return Series([time for time, _ in told], [value for _, value in told])
+    return known_series(sampling, attrgetter(quantity))
 
 
 def _held_back(readings: Sequence[ThermalReading]) -> list[bool]:

@@ -12,7 +12,7 @@ from robot_runner.core.events.measure import Measure, Over
 from robot_runner.core.links.measured_machine import simulation_findings
 from robot_runner.core.sampling.quality import Column
 from robot_runner.core.sampling.series import Series, cut, energy, growth, mean
-from robot_runner.meters.polled import PolledProfiler
+from robot_runner.meters.polled import PolledProfiler, known_series
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -208,9 +208,7 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
 
 
 def _series(sampling: Sampling[tuple[GpuReading, ...]], place: int, quantity: str) -> Series:
-    pairs = zip(sampling.times, sampling.readings, strict=True)
-    told = [(time, value) for time, reading in pairs if (value := getattr(reading[place], quantity)) is not None]
-    return Series([time for time, _ in told], [value for _, value in told])
+    return known_series(sampling, lambda reading: getattr(reading[place], quantity))
 
 
 def _total(values: Sequence[float | None]) -> float | None:

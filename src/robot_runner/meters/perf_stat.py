@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure
-from robot_runner.core.links.measured_machine import simulation_findings
+from robot_runner.core.links.measured_machine import THIS_MACHINE, simulation_findings
 from robot_runner.meters.command import CommandProfiler, Measured
 from robot_runner.meters.command_output import Aggregate, CommandColumn, Row, TimeColumn, TimeKind
 
@@ -73,6 +73,7 @@ class PerfStat(CommandProfiler):
     """
 
     measures: Sequence[Measure] = ()
+    measured_computer = THIS_MACHINE
     needs: ClassVar[str] = "Linux' perf, and the right to count (kernel.perf_event_paranoid)."
 
     def __init__(

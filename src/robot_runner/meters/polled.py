@@ -13,16 +13,17 @@ from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.evaluation import publish_measures
 from robot_runner.core.sampling.periodic import PeriodicSampler
 from robot_runner.core.sampling.quality import Column, report_quality, write_samples
+from robot_runner.core.sampling.series import Series
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.events.window import Window
     from robot_runner.core.plugin import Circumstances
     from robot_runner.core.sampling.periodic import Sampling
 
-__all__ = ["Meter", "PolledProfiler", "Sampler", "reach_findings"]
+__all__ = ["Meter", "PolledProfiler", "Sampler", "known_series", "reach_findings"]
 
 
 _FIX = f"Name it in the config: robot = {SIMULATED!r}. Or: --set robot={SIMULATED}."
@@ -198,3 +199,10 @@ class PolledProfiler(Profiler, Generic[R]):
     def _evaluated(self, window: Window) -> Mapping[str, float | None]:
         sampling = self._sampling.over(window) if self._sampling is not None else None
         return self.values(sampling) if sampling is not None and sampling.quality().is_sufficient else {}
+
+
+def known_series(sampling: Sampling[R], pick: Callable[[R], float | None]) -> Series:
+    """Return one quantity of the readings, without those that do not tell it (None)."""
+    pairs = zip(sampling.times, sampling.readings, strict=True)
+    told = [(time, value) for time, reading in pairs if (value := pick(reading)) is not None]
+    return Series([time for time, _ in told], [value for _, value in told])

@@ -16,7 +16,7 @@ from robot_runner.core.sampling.quality import Column
 from robot_runner.core.sampling.series import Series, cut, growth, mean
 from robot_runner.meters.counters import fall_count, unwrapped
 from robot_runner.meters.http_requests import HttpDevice, Secret, check_url
-from robot_runner.meters.polled import PolledProfiler
+from robot_runner.meters.polled import PolledProfiler, known_series
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -307,11 +307,9 @@ class Prometheus(PolledProfiler[Scrape]):
         return self.metrics[place].combined(known) if known else None
 
     def _mean(self, sampling: Sampling[Scrape], place: int) -> float | None:
-        metric, window = self.metrics[place], sampling.window
-        pairs = zip(sampling.times, sampling.readings, strict=True)
-        told = [(time, metric.combined(list(scrape[place].values()))) for time, scrape in pairs]
-        series = Series([time for time, _ in told], [value for _, value in told])
-        return mean(cut(series, window, reach=5 / self.rate_hz))
+        metric = self.metrics[place]
+        series = known_series(sampling, lambda scrape: metric.combined(list(scrape[place].values())))
+        return mean(cut(series, sampling.window, reach=5 / self.rate_hz))
 
 
 def _all_labels(sampling: Sampling[Scrape], place: int) -> list[Labels]:
@@ -319,9 +317,7 @@ def _all_labels(sampling: Sampling[Scrape], place: int) -> list[Labels]:
 
 
 def _series(sampling: Sampling[Scrape], place: int, labels: Labels) -> Series:
-    pairs = zip(sampling.times, sampling.readings, strict=True)
-    told = [(time, scrape[place][labels]) for time, scrape in pairs if labels in scrape[place]]
-    return Series([time for time, _ in told], [value for _, value in told])
+    return known_series(sampling, lambda scrape: scrape[place].get(labels))
 
 
 def _metric_findings(where: str, metric: ScrapedMetric, families: Sequence[Any]) -> Iterator[Finding]:

@@ -20,7 +20,7 @@ from robot_runner.core.links.host import (
     SamplingReport,
     process_selector,
 )
-from robot_runner.core.links.measured_machine import host_findings, machine_clock
+from robot_runner.core.links.measured_machine import Computer, host_findings, machine_clock
 from robot_runner.core.links.on_board_session import FORMS
 from robot_runner.core.links.utilisation import Selection, Utilisation
 from robot_runner.core.plugin import Profiler
@@ -121,6 +121,13 @@ class PsUtil(Profiler):
         self._sampled: Window | None = None
         self._begun_at = 0.0
         self._utilisation: Utilisation | None = None
+
+    @property
+    def measured_computer(self) -> Computer | None:
+        """The computer that is sampled; None for that of a simulated robot."""
+        if self.host is None:
+            return None
+        return Computer(self.host, self.ssh_config, self.form, self.selection.processes)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no computer is named, or it cannot be reached."""

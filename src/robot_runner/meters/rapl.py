@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Over
-from robot_runner.core.links.measured_machine import simulation_findings
+from robot_runner.core.links.measured_machine import THIS_MACHINE, simulation_findings
 from robot_runner.core.sampling.quality import Column
 from robot_runner.core.sampling.series import Series, growth
 from robot_runner.meters.counters import unwrapped
@@ -145,6 +145,7 @@ class Rapl(PolledProfiler[Counters]):
         ),
         Measure("MeanPower", "W", "Energy divided by the duration of the measured window.", over=Over.MEAN),
     )
+    measured_computer = THIS_MACHINE
     needs: ClassVar[str] = "Linux on an Intel or AMD machine, and the right to read /sys/class/powercap."
     bytes_per_run: int = 40_000  # 10 readings a second of 40 bytes for a mission of 95 s
 

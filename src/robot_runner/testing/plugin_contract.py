@@ -281,7 +281,7 @@ class ProfilerContract(PluginContract):
         require(isinstance(plugin, Profiler), f"{plugin!r} does not derive from Profiler")
 
     def test_values_are_about_the_mission_alone(self, tmp_path: Path) -> None:
-        """Hold that a profiler that takes its time, listed before or behind, changes no value; or that values are doubted.
+        """Hold that a slow profiler, listed before or behind, changes no value; or that values are doubted.
 
         Listed behind, it has the profiler sample for some seconds before the mission and for some after it.
         """

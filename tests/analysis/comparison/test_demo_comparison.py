@@ -15,13 +15,13 @@ def execute(*words):
 
 
 def test_the_demo_compared_with_itself_and_with_a_hungrier_robot(executed_demo, tmp_path):
-    text = (executed_demo / "demo.py").read_text()
+    text = (executed_demo / "robot-runner-demo" / "demo.py").read_text()
     again, hungrier = tmp_path / "again.py", tmp_path / "hungrier.py"
     again.write_text(text.replace("seed=2021", "seed=77"))
     hungrier.write_text(text.replace("range(1, 6)", "range(1, 4)"))  # three repetitions show it as well as five do
     execute("run", again, "--set", "experiment_name=again")
     execute("run", hungrier, "--set", "experiment_name=hungrier", "--set", "robot=simulated:task_power_factor=1.1")
-    original = executed_demo / "basic_experiment"
+    original = executed_demo / "robot-runner-demo" / "basic_experiment"
     assert compare(original, tmp_path / "again", bound="5%").verdict is Verdict.EQUIVALENT
     energy = compare(original, tmp_path / "again", bound=["Energy=2%"]).measure("Energy")
     assert energy.verdict is Verdict.EQUIVALENT

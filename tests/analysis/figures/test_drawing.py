@@ -167,7 +167,7 @@ def test_names_of_outliers_do_not_hide_each_other():
 def test_units_stand_on_the_axes():
     figure = single()
     texts = [figure.get_supylabel(), figure.axes[-1].get_xlabel()]
-    assert texts == ["Power (W)", "Time since the start of measurement (s)"]
+    assert texts == ["Power (W)", "Time since the start of the mission (s)"]
 
 
 def test_phases_and_events_are_named():

@@ -137,6 +137,9 @@ def test_a_policy_that_stops_leaves_runs_to_do(
 def test_what_looked_odd_in_many_runs_is_said_once(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
     write_config(
         """\
+        def before_run(self, context):
+            self.task = context.combination["Task"]
+
         def stop_run(self, context):
             context.warn(f"{context.run_number} of 190 samples lost", fix="Look at the cable.")
 

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
 import csv
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.conftest import written_config
 
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.execution.notices import ExperimentFinished, Notice, SilentObserver
@@ -44,15 +46,16 @@ class Executed:
         return (self.folder / "runs" / run_id / "log.txt").read_text(encoding="utf-8")
 
 
+def execute_in(folder: Path, body: str = "", **settings: Any) -> Executed:
+    """Write a config into a folder and execute it."""
+    overrides = {name: str(settings.pop(name)) for name in list(settings) if name not in {"table", "head", "name"}}
+    config = written_config(folder, body, **settings)
+    observer = RecordingObserver()
+    finished = execute_experiment(prepare_or_refuse(config, overrides), observer)
+    return Executed(config, finished, observer.notices)
+
+
 @pytest.fixture
-def execute(write_config: Callable[..., Path]) -> Callable[..., Executed]:
-    """Return what writes a config and executes it."""
-
-    def run(body: str = "", **settings: Any) -> Executed:
-        overrides = {name: str(settings.pop(name)) for name in list(settings) if name not in {"table", "head", "name"}}
-        config = write_config(body, **settings)
-        observer = RecordingObserver()
-        finished = execute_experiment(prepare_or_refuse(config, overrides), observer)
-        return Executed(config, finished, observer.notices)
-
-    return run
+def execute(tmp_path: Path) -> Callable[..., Executed]:
+    """Return what writes a config into the test's own folder and executes it."""
+    return partial(execute_in, tmp_path)

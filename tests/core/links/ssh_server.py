@@ -13,6 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from tests.loopback_port import claim_port
 
 _SEARCHED = os.pathsep.join([os.environ.get("PATH", os.defpath), "/usr/sbin", "/usr/local/sbin", "/sbin"])
 _SEPARATED = Path("/run/sshd")
@@ -71,7 +72,7 @@ class SshServer:
         needed("ssh")
         for key in ("host_key", "user_key"):
             subprocess.run([keygen, "-q", "-t", "ed25519", "-N", "", "-f", folder / key], check=True, timeout=30)
-        self.port = _free_port()
+        self.port = claim_port()
         variables = " ".join(f'"{name}={value}"' for name, value in (environment or {}).items())
         extra = f"SetEnv {variables}" if variables else ""
         (folder / "sshd_config").write_text(_SERVER.format(port=self.port, folder=folder, extra=extra))
@@ -125,12 +126,6 @@ class SshServer:
             time.sleep(0.02)
         self.stop()
         pytest.skip(f"sshd does not start here: {(self.folder / 'sshd.log').read_text(errors='replace')[-500:]}")
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def _descendants(pid: int) -> list[int]:

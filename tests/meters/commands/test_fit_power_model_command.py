@@ -1,9 +1,13 @@
 from __future__ import annotations
 
+import contextlib
 import json
 import re
+import shutil
 
 import pytest
+
+from robot_runner.cli.main import main
 
 pytest.importorskip("mujoco")
 
@@ -25,10 +29,18 @@ class RobotRunnerConfig(ExperimentConfig):
 """
 
 
+@pytest.fixture(scope="module")
+def executed(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("measured")
+    (folder / "measured.py").write_text(CONFIG)
+    with contextlib.chdir(folder):
+        assert main(["run", "measured.py"]) == 0
+    return folder / "results"
+
+
 @pytest.fixture
-def experiment(robot_runner, tmp_path):
-    (tmp_path / "measured.py").write_text(CONFIG)
-    assert robot_runner("run", "measured.py").code == 0
+def experiment(executed, tmp_path):
+    shutil.copytree(executed, tmp_path / "results")
     return "results/measured"
 
 

@@ -13,6 +13,7 @@ from robot_runner.analysis.figures.effects import draw_interaction
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Section, Tone
 from robot_runner.analysis.report.material import JOINT, origin_in_words
 from robot_runner.analysis.report.mission_figures import mission_parts, trajectory_part
+from robot_runner.analysis.report.stills_part import stills_part
 from robot_runner.analysis.wording import RHO, shown_number
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import counted
@@ -171,7 +172,7 @@ def _interaction(material: Material, measure: MeasureStatistics, along: str, acr
 def figures_section(material: Material) -> Section:
     """Return the section."""
     measures = [measure for measure in material.statistics.measures if measure.name in material.drawn]
-    blocks: list[Block] = [*mission_parts(material), *trajectory_part(material)]
+    blocks: list[Block] = [*mission_parts(material), *trajectory_part(material), *stills_part(material)]
     distributions = [each for measure in measures for each in _distributions(material, measure)]
     if distributions:
         blocks.append(Part("distributions", "Measures by treatment", (Gallery(tuple(distributions)),)))

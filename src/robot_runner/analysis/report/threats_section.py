@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.report.blocks import Block, Gallery, Paragraph, Remark, Remarks, Section, Tone
+from robot_runner.analysis.report.machine_threats import machine_threats
 from robot_runner.analysis.report.material import origin_badges
 from robot_runner.analysis.report.measure_figures import drift_figure
 from robot_runner.analysis.report.outcome_section import failures_in_words
@@ -57,7 +58,7 @@ def threats_of(material: Material) -> tuple[Remark, ...]:
     """Return all threats, those of one kind together."""
     kinds = {
         "Conclusion validity": (_groups, _power, _plan, _doubtful),
-        "Internal validity": (_drifts, _order, _unfinished, _circumstances, _odd, _gaps),
+        "Internal validity": (_drifts, _order, _unfinished, _circumstances, machine_threats, _odd, _gaps),
         "Construct validity": (_unread, _origins, _saturation),
         "External validity": (_constant_factors,),
     }

@@ -174,6 +174,10 @@ def _not_from_text(text: str) -> NoReturn:
     raise ValueError(f"{text!r} cannot be set from outside")
 
 
+def _truth(text: str) -> bool:
+    return ("false", "true").index(text.casefold()) == 1
+
+
 def _whole(least: int, what: str) -> Kind:
     return Kind(f"a whole number{what}, {least} or more", lambda value: _is_integer(value) and value >= least, int)
 
@@ -218,6 +222,7 @@ _AUTHORS = Kind(
 )
 _LICENCE = Kind('an SPDX identifier such as "CC-BY-4.0", a URL', is_licence)
 _TEXT = Kind("a text", _is_text)
+_YES_OR_NO = Kind("True or False", lambda value: isinstance(value, bool), _truth)
 
 
 _PHASES = Kind(
@@ -306,6 +311,12 @@ class StaticParameters:
         "orchestrator itself (IN_PROCESS).",
         _choice(RunProcess),
         RunProcess.FORK,
+    )
+    watch_machines: bool = _declare(
+        "Whether the computers that profilers measure are watched for what else goes on there: load by others, swap, "
+        "throttling.",
+        _YES_OR_NO,
+        True,  # noqa: FBT003 - the default of the declaration
     )
     analysis: AnalysisPlan | None = _declare(
         "What is fixed for the analysis before the experiment: measures, level of significance, hypotheses.",

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.loader import place_in
 from robot_runner.core.design.factor import treatment_text
+from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import Finding, RobotRunnerError, did_you_mean
 from robot_runner.core.plugin import Circumstances, Plugin
 from robot_runner.core.treatments import Treatment, bind, built_with, factors_of
@@ -17,9 +18,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.core.config.loader import LoadedConfig
+    from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.design.run_table_model import RunTableModel
 
-__all__ = ["check_plugins", "check_treatments", "failed_check", "gather_plugins"]
+__all__ = ["check_plugins", "check_treatments", "companions", "failed_check", "gather_plugins"]
 
 
 def gather_plugins(loaded: LoadedConfig, model: RunTableModel | None) -> tuple[tuple[Plugin, ...], list[Finding]]:
@@ -36,6 +38,22 @@ def gather_plugins(loaded: LoadedConfig, model: RunTableModel | None) -> tuple[t
             plugins += _instantiated(loaded, activated, findings)
     built = [plugin for plugin in plugins if _is_built(plugin, model, findings)]
     return tuple(built), [*findings, *_equal_names(loaded, built)]
+
+
+def companions(parameters: Parameters, plugins: Sequence[Plugin]) -> tuple[tuple[Plugin, ...], list[Finding]]:
+    """Return the plugins that packages add to those of a config (group `robot_runner.companions`), and findings.
+
+    Each is a function that takes the static parameters and the plugins of the config, and returns plugins. They come
+    before those of the config: they begin before them, and end after them.
+    """
+    added: list[Plugin] = []
+    findings: list[Finding] = []
+    for point in entry_points("companions"):
+        try:
+            added += point.load()(parameters, plugins)
+        except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
+            findings.append(failed_check(point.where, error, "it"))
+    return tuple(added), findings
 
 
 def check_plugins(plugins: Sequence[Plugin], model: RunTableModel | None, robot: Any) -> list[Finding]:
@@ -73,11 +91,11 @@ def check_treatments(
     return findings
 
 
-def failed_check(where: str, error: Exception) -> Finding:
-    """Return the finding that takes the place of those of a check that raised."""
+def failed_check(where: str, error: Exception, what: str = "the check") -> Finding:
+    """Return the finding that takes the place of what a check, or whatever else it was, would have returned."""
     if isinstance(error, RobotRunnerError):
         return Finding.error(error.where or where, error.problem, error.fix)
-    problem = f"the check raised {type(error).__name__}: {error}"
+    problem = f"{what} raised {type(error).__name__}: {error}"
     return Finding.error(where, problem, "Tell the plugin's author; update or leave out the plugin.")
 
 

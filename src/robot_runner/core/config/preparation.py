@@ -20,7 +20,7 @@ from robot_runner.core.config.checks import (
 )
 from robot_runner.core.config.experiment import Experiment, event_manager_for, experiment_folder
 from robot_runner.core.config.loader import LoadedConfig, load_config
-from robot_runner.core.config.plugin_checks import check_plugins, gather_plugins
+from robot_runner.core.config.plugin_checks import check_plugins, companions, gather_plugins
 from robot_runner.core.errors import ConfigError, Finding, LinkError
 from robot_runner.core.events.manager import EventManager
 from robot_runner.core.events.measure import MeasureColumns, resolve_columns, with_phases
@@ -102,6 +102,9 @@ def prepare(
     model, model_findings = create_model(loaded)
     plugins, plugin_findings = gather_plugins(loaded, model)
     findings += [*parameter_findings, *plugin_findings, *model_findings]
+    if parameters is not None:
+        added, companion_findings = companions(parameters, plugins)
+        plugins, findings = (*added, *plugins), [*findings, *companion_findings]
     events = _subscribe(loaded, plugins, findings)
     columns = _columns(model, plugins, parameters, findings)
     if parameters is not None:

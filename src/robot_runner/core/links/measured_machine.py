@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.context import SystemClock
@@ -17,10 +18,49 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import Clock, RobotRunnerContext
 
-__all__ = ["clock_details", "host_findings", "machine_clock", "simulation_findings"]
+__all__ = [
+    "THIS_MACHINE",
+    "Computer",
+    "MeasuresComputer",
+    "clock_details",
+    "host_findings",
+    "machine_clock",
+    "simulation_findings",
+]
 
 _INSTALL = "Install it: pip install 'robot-runner[psutil]'."
 _NAME_ONE = f"Name it: host='localhost' for this machine, or host='user@robot'. Or: --set robot={SIMULATED}."
+
+
+@dataclass(frozen=True, slots=True)
+class Computer:
+    """A computer that a profiler measures, and how it is reached.
+
+    Attributes:
+        host: `localhost` for this machine, or as ssh takes it.
+        ssh_config: a file to take the place of the user's ssh config.
+        form: how it is sampled over ssh, as `connect_host` takes it.
+        subjects: selectors of processes that are measured on purpose (`process_selector`).
+    """
+
+    host: str = LOCAL
+    ssh_config: Path | None = None
+    form: str | None = None
+    subjects: tuple[str, ...] = ()
+
+
+#: What a profiler measures that reads counters of the machine that it is executed on.
+THIS_MACHINE = Computer()
+
+
+@runtime_checkable
+class MeasuresComputer(Protocol):
+    """A profiler whose measures depend on what else goes on on a computer."""
+
+    @property
+    def measured_computer(self) -> Computer | None:
+        """The computer; None for one that is simulated."""
+        ...
 
 
 def machine_clock(context: RobotRunnerContext) -> Clock:

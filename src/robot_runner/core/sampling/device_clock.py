@@ -29,7 +29,7 @@ class ClockMap:
     Attributes:
         offset: the run's time when the device's clock showed 0, s.
         rate: seconds of the run that go by in one second of the device.
-        drift: by how much that differs from 1 as it was found; where that is more than a clock can be off, the rate is 1.
+        drift: by how much that differs from 1 as it was found; where a clock cannot be so far off, the rate is 1.
 
     Example:
         >>> ClockMap(offset=100.0, rate=1.0).to_run(2.5)

@@ -131,7 +131,7 @@ class FrameDecoder:
     Example:
         >>> decoder = FrameDecoder()
         >>> decoder.feed(bytes.fromhex("00ff a55a 1108 0100 88130000 f217 e260 15df"))
-        [SampleFrame(sequence=1, microseconds=5000, shunt_raw=6130, bus_raw=24802)]
+        [SampleFrame(sequence=1, microseconds=5000, shunt_raw=6130, bus_raw=24802, address=0)]
     """
 
     def __init__(self) -> None:

@@ -31,6 +31,8 @@ _BACKWARDS = 1 << 31
 _IMPLAUSIBLE_LEAD = 60.0
 #: Up to where the device's clock is mended by the arrivals, in parts of one: however wrong it is, they are right.
 _LARGEST_SKEW = 0.5
+#: Digits of a time in s: stamps are whole microseconds, and so one moment has one time, whenever the device was reset.
+_DIGITS = 6
 
 
 class Trouble(Enum):
@@ -169,9 +171,8 @@ class SampleStream:
             stamps = self.device_seconds[begin:end]
             clock = fit_clock(stamps, self._received[begin:end], largest_skew=_LARGEST_SKEW)
             self.drift = max(self.drift, clock.drift, key=abs)
-            offset, rate = clock.offset - self.lag, clock.rate
             earliest = times[-1] if times else float("-inf")
-            times.extend(max(offset + rate * stamp, earliest) for stamp in stamps)
+            times.extend(max(round(clock.to_run(stamp) - self.lag, _DIGITS), earliest) for stamp in stamps)
         return times
 
     def _add(self, frames: Iterable[Frame], received_at: float) -> None:

@@ -127,6 +127,9 @@ def read_states(run_folder: Path, window: Window, *, utilisation: str | None, ph
 
 def _read_utilisation(path: Path) -> _Utilisation:
     times, cpu, memory = read_numbers(path, ("time_s", "cpu_percent", "memory_percent"))
+    [every] = read_numbers(path, ("time_s",))
+    if every[:1] < times[:1]:  # the first sample has no utilisation, and tells from when on the second one does
+        times, cpu, memory = [every[0], *times], [math.nan, *cpu], [math.nan, *memory]
     return _Utilisation(times, cpu, memory)
 
 

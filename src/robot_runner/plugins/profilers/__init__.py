@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from robot_runner.meters.ina219.card import read_card as read_card
     from robot_runner.meters.ina219.profiler import Ina219 as Ina219
     from robot_runner.meters.joulescope import Joulescope as Joulescope
+    from robot_runner.meters.lab_camera import LabCamera as LabCamera
     from robot_runner.meters.linux_thermal import LinuxThermal as LinuxThermal
+    from robot_runner.meters.machine.machine_watch import MachineWatch as MachineWatch
     from robot_runner.meters.network import Network as Network
     from robot_runner.meters.nvml import Nvml as Nvml
     from robot_runner.meters.perf_stat import PerfStat as PerfStat

@@ -6,6 +6,7 @@ from robot_runner.core.doors import open_door
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from robot_runner.meters.machine.tuned_machine import Tune as Tune
     from robot_runner.ros.turtlebot3.basic_turtlebot3 import BasicTurtlebot3 as BasicTurtlebot3
 else:
     __getattr__, __dir__ = open_door(__name__)

@@ -1,0 +1,108 @@
+"""Threats to validity from the computers on which something was measured: what changed there between runs."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.analysis.report.blocks import Tone
+from robot_runner.analysis.wording import listed
+from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.words import enumerated
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from robot_runner.analysis.report.material import Material
+
+__all__ = ["machine_threats", "read_machines"]
+
+#: The profiler whose files are read; its class as the manifest has it.
+_WATCH = ":MachineWatch"
+#: From which difference between runs on something is said: of the mean frequency, in parts of one, and degC.
+_FREQUENCY, _TEMPERATURE = 0.1, 10.0
+_GIGA, _DEGREES = 1e9, "\N{DEGREE SIGN}C"
+
+
+def read_machines(material: Material) -> dict[str, dict[str, Mapping[str, Any]]]:
+    """Return what was noted of each computer in each run that is done, by host and by run."""
+    watches = [
+        str(plugin.get("name"))
+        for plugin in material.manifest("plugins", default=[])
+        if str(plugin.get("class", "")).endswith(_WATCH)
+    ]
+    folder = ExperimentFolder(material.results.folder)
+    found: dict[str, dict[str, Mapping[str, Any]]] = {}
+    for run_id in material.done[RUN_ID]:
+        for path in (path for name in watches for path in sorted((folder.run(run_id) / name).glob("*.json"))):
+            try:
+                facts = json.loads(path.read_text(encoding="utf-8"))
+            except (OSError, ValueError):
+                continue
+            if isinstance(facts, dict):
+                found.setdefault(str(facts.get("host")), {})[str(run_id)] = facts
+    return found
+
+
+def machine_threats(material: Material) -> Iterator[tuple[str, str, Tone]]:
+    """Yield what was not the same on a computer in all runs, and what was left to chance."""
+    for host, runs in read_machines(material).items():
+        whose = "this machine" if host == "localhost" else host
+        yield from _governor(whose, runs)
+        yield from _frequency(whose, runs)
+        yield from _temperature(whose, runs)
+
+
+def _governor(whose: str, runs: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, str, Tone]]:
+    settings: dict[tuple[str, str], list[str]] = {}
+    for run, facts in runs.items():
+        governors, turbo = facts.get("governors"), facts.get("turbo")
+        governor = enumerated(map(str, governors)) if isinstance(governors, list) and governors else ""
+        settings.setdefault((governor, {True: "on", False: "off"}.get(turbo, "")), []).append(run)  # type: ignore[arg-type]
+    if len(settings) > 1:
+        texts = [f"{_setting(*setting)} in {listed(members)}" for setting, members in settings.items()]
+        yield f"The processor of {whose} was set up differently", f"{'; '.join(texts)}.", Tone.WARNING
+        return
+    for governor, turbo in settings:
+        if turbo == "on" or governor not in {"", "performance"}:
+            text = (
+                f"It was left to {_setting(governor, turbo)} to choose the frequency of its processor: energy and time "
+                f"of one and the same program differ by heat and by what ran before. `Tune` fixes it."
+            )
+            yield f"The frequency of {whose} was not fixed", text, Tone.NOTE
+
+
+def _setting(governor: str, turbo: str) -> str:
+    parts = [f"the governor {governor}" if governor else "", f"turbo {turbo}" if turbo else ""]
+    return ", ".join(filter(None, parts)) or "settings that are not known"
+
+
+def _frequency(whose: str, runs: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, str, Tone]]:
+    means = {run: mean for run, facts in runs.items() if (mean := _figure(facts, "frequency_hz", "mean"))}
+    if len(means) > 1 and max(means.values()) > (1 + _FREQUENCY) * min(means.values()):
+        slowest, fastest = min(means, key=means.__getitem__), max(means, key=means.__getitem__)
+        text = (
+            f"Its cores ran at {means[slowest] / _GIGA:.2f} GHz on average in {slowest}, and at "
+            f"{means[fastest] / _GIGA:.2f} GHz in {fastest}."
+        )
+        yield f"The frequency of {whose} differs between runs", text, Tone.WARNING
+
+
+def _temperature(whose: str, runs: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, str, Tone]]:
+    means = {
+        run: mean for run, facts in runs.items() if (mean := _figure(facts, "temperature_degc", "mean")) is not None
+    }
+    if len(means) > 1 and max(means.values()) - min(means.values()) >= _TEMPERATURE:
+        coolest, hottest = min(means, key=means.__getitem__), max(means, key=means.__getitem__)
+        text = (
+            f"It was at {means[coolest]:.0f} {_DEGREES} in {coolest}, and at {means[hottest]:.0f} {_DEGREES} in "
+            f"{hottest}: a hot processor draws more power for the same work. Let it rest between runs, or warm it up."
+        )
+        yield f"The temperature of {whose} differs between runs", text, Tone.NOTE
+
+
+def _figure(facts: Mapping[str, Any], name: str, part: str) -> float | None:
+    spread = facts.get(name)
+    value = spread.get(part) if isinstance(spread, dict) else None
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None

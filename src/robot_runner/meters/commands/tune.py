@@ -1,0 +1,72 @@
+"""Set up this machine for measuring, or put it back as it was.
+
+Without options it says how the machine is set up. What is set stays until `robot-runner tune --restore`, which also
+puts back what an experiment left that was killed. To have an experiment set up its machine and put it back by itself,
+list the plugin Tune in its config.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robot_runner.cli.parser import UsageError
+from robot_runner.core.errors import ConfigError, ExecutionError
+from robot_runner.meters.machine.tuning import Machine, Wishes
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    from robot_runner.cli.parser import Parser
+
+__all__ = ["add_arguments", "execute"]
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add what the command takes."""
+    parser.add_argument("--governor", metavar="NAME", help="who chooses the frequency of the processor")
+    parser.add_argument("--turbo", choices=("on", "off"), help="whether it may exceed its nominal frequency")
+    parser.add_argument("--drop-caches", action="store_true", help="have the kernel forget what it keeps of files")
+    parser.add_argument("--restore", action="store_true", help="put the machine back as it was")
+    parser.add_argument(
+        "--root",
+        metavar="FOLDER",
+        type=Path,
+        default=Path("/"),
+        help="a folder with a copy of proc and sys, to try it on",
+    )
+
+
+def execute(arguments: Namespace) -> int:
+    """Do what the arguments say."""
+    machine = Machine(arguments.root)
+    turbo = None if arguments.turbo is None else arguments.turbo == "on"
+    wishes = Wishes(arguments.governor, turbo, drops_caches=arguments.drop_caches)
+    if arguments.restore:
+        if wishes != Wishes():
+            raise UsageError("--restore and settings cannot go together")
+        _restore(machine)
+    elif wishes != Wishes():
+        _set(machine, wishes)
+    for name, value in machine.describe().items():
+        print(f"{name}: {value}")
+    return 0
+
+
+def _set(machine: Machine, wishes: Wishes) -> None:
+    findings = [finding for finding in machine.findings("this machine", wishes) if finding.is_error]
+    if findings:
+        raise ConfigError.of_findings(findings)
+    if wishes.governor is not None or wishes.turbo is not None:
+        machine.apply(wishes, owner=None)
+    if wishes.drops_caches:
+        machine.drop_caches()
+
+
+def _restore(machine: Machine) -> None:
+    if machine.is_in_use:
+        fix = "Wait until it has ended: it puts the machine back itself."
+        raise ExecutionError("an experiment that goes on has set the machine up", where=str(machine.state), fix=fix)
+    problems = machine.restore()
+    if problems:
+        raise ExecutionError("; ".join(problems), where="this machine", fix="Set it by hand.")

@@ -1,0 +1,335 @@
+"""What Linux tells of a computer at one moment: who used its processor, memory, frequency, heat, throttling.
+
+Everything comes from /proc and /sys. What a computer does not tell is None, so that a container says less, and
+nothing that is wrong.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+__all__ = ["Conditions", "Files", "MachineFiles", "MachineState", "ProcessTimes", "SystemFiles"]
+
+#: Ticks a second in which /proc counts: USER_HZ, 100 wherever Linux runs on a robot or beside it.
+_TICKS = 100.0
+_KILO, _MILLI, _MICRO = 1e3, 1e-3, 1e-6
+_MOST = 1 << 16
+_PF_KTHREAD = 0x00200000  # linux/sched.h
+#: Zones that show no such temperature, in degC, are asleep or broken.
+_PLAUSIBLE = (-40.0, 150.0)
+#: Cooling devices that hold the processor back; the others are fans and the like.
+_PROCESSOR_COOLERS = ("Processor", "cpufreq", "thermal-cpufreq", "cpuidle", "thermal-idle")
+#: The firmware of a Raspberry Pi (raspberrypi/linux, pull request 2397), in hexadecimal: bit 0 is under-voltage; bits
+#: 1 to 3 are a capped frequency, throttling and the soft temperature limit; 16 bits higher the same since the start.
+_FIRMWARE = "/sys/devices/platform/soc/soc:firmware/get_throttled"
+_UNDER_VOLTAGE, _HELD_BACK, _EVER = 0b0001, 0b1110, 16
+_CPU = "/sys/devices/system/cpu"
+#: 1 switches turbo off in the first (Intel), and on in the second (the others): Linux, admin-guide/pm.
+_NO_TURBO, _BOOST = f"{_CPU}/intel_pstate/no_turbo", f"{_CPU}/cpufreq/boost"
+
+
+class Files(Protocol):
+    """A computer whose files can be read: this one, or another over ssh, which tells only the first line of each."""
+
+    def list_files(self, pattern: str) -> list[str]:
+        """Return the paths that match a pattern of the shell, sorted."""
+        ...
+
+    def read_files(self, paths: Sequence[str]) -> Sequence[str | None]:
+        """Return what stands in each file; None for one that cannot be read."""
+        ...
+
+
+class SystemFiles:
+    """The files of this machine.
+
+    Args:
+        root: the folder that holds `proc` and `sys`; a test has a copy elsewhere.
+
+    Example:
+        >>> SystemFiles().read_files(["/dev/null", "/no/such/file"])
+        ['', None]
+    """
+
+    def __init__(self, root: Path = Path("/")) -> None:
+        self.root = root
+        self._prefix = str(root).rstrip("/")
+
+    def list_files(self, pattern: str) -> list[str]:
+        """Return the paths that match a pattern of the shell, sorted."""
+        found = self.root.glob(pattern.lstrip("/"))
+        return sorted(str(path).removeprefix(self._prefix) for path in found)
+
+    def read_files(self, paths: Sequence[str]) -> list[str | None]:
+        """Return what stands in each file, 64 KiB at most; None for one that cannot be read."""
+        return [_content(self._prefix + path) for path in paths]
+
+
+def _content(path: str) -> str | None:
+    # `open` would take three times as long, and there may be thousands of processes.
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        try:
+            return os.read(descriptor, _MOST).decode("utf-8", "replace").rstrip("\n")
+        finally:
+            os.close(descriptor)
+    except OSError:
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessTimes:
+    """The CPU time of one process.
+
+    Attributes:
+        pid: the process.
+        parent: the process that started it, or that took it over.
+        name: as the system knows it.
+        started: when, in ticks since the computer started: tells it from another process that had the pid before.
+        is_kernel: whether it is a thread of the kernel.
+        own: CPU time that it has used, s.
+        children: CPU time of its children that have ended and were reaped, s.
+    """
+
+    pid: int
+    parent: int
+    name: str
+    started: str
+    is_kernel: bool
+    own: float
+    children: float
+
+    @classmethod
+    def of_stat(cls, text: str) -> ProcessTimes:
+        """Read /proc/PID/stat (proc_pid_stat(5)); a name may hold blanks and parentheses.
+
+        Raises:
+            ValueError: it is no such line.
+
+        Example:
+            >>> stat = "42 (a b) S 1 42 42 0 -1 0 0 0 0 0 150 50 7 3 20 0 1 0 999 0 0"
+            >>> process = ProcessTimes.of_stat(stat)
+            >>> process.name, process.parent, process.own, process.children, process.started
+            ('a b', 1, 2.0, 0.1, '999')
+        """
+        head, _, tail = text.rpartition(")")
+        pid, _, name = head.partition("(")
+        fields = tail.split()
+        if len(fields) <= 19:  # noqa: PLR2004 - up to the time at which it was started
+            raise ValueError(text)
+        utime, stime, cutime, cstime = (int(field) / _TICKS for field in fields[11:15])
+        is_kernel = bool(int(fields[6]) & _PF_KTHREAD)
+        return cls(int(pid), int(fields[1]), name, fields[19], is_kernel, utime + stime, cutime + cstime)
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """How a processor is run at one moment.
+
+    Attributes:
+        governors: who chooses the frequency, each once; empty where the computer does not tell.
+        is_turbo: whether it may go beyond its nominal frequency.
+        frequency: mean over the cores, Hz.
+        limit: the highest frequency that is allowed, mean over the cores, Hz.
+        temperature: of the hottest zone, degC.
+        throttle_count: how often it was throttled for heat since the computer started.
+        is_held_back: whether the kernel or the firmware holds it back now.
+        is_under_voltage: whether the supply voltage is too low now.
+        firmware_flags: what has happened since the computer started, by a Raspberry Pi's firmware, or is happening now.
+    """
+
+    governors: tuple[str, ...] = ()
+    is_turbo: bool | None = None
+    frequency: float | None = None
+    limit: float | None = None
+    temperature: float | None = None
+    throttle_count: int | None = None
+    is_held_back: bool | None = None
+    is_under_voltage: bool | None = None
+    firmware_flags: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class MachineState:
+    """One whole look at a computer.
+
+    Attributes:
+        at: when, s on a steady clock.
+        busy: CPU time of all cores that processes used, s since the computer started; None if unknown.
+        stolen: CPU time that a hypervisor gave to others, s.
+        processes: by pid; those that can be seen from where the look was taken.
+        reader: the pid of who read the files there.
+        swapped: pages that went to swap and came from there since the computer started.
+        stalled: how long some process had to wait for memory since the computer started, s.
+        conditions: how its processor is run.
+    """
+
+    at: float
+    busy: float | None
+    stolen: float | None
+    processes: Mapping[int, ProcessTimes]
+    reader: int | None
+    swapped: int | None
+    stalled: float | None
+    conditions: Conditions
+
+
+class MachineFiles:
+    """The files of a computer that tell of its state; found once, read several times.
+
+    Args:
+        files: the computer.
+    """
+
+    def __init__(self, files: Files) -> None:
+        self._files = files
+        policies = files.list_files(f"{_CPU}/cpufreq/policy*/scaling_*")
+        thermal = files.list_files("/sys/class/thermal/*/*")
+        self._governors = _named(policies, "scaling_governor")
+        self._frequencies = _named(policies, "scaling_cur_freq")
+        self._limits = _named(policies, "scaling_max_freq")
+        self._temperatures = [path for path in _named(thermal, "temp") if "thermal_zone" in path]
+        self._counters = files.list_files(f"{_CPU}/cpu[0-9]*/thermal_throttle/*_throttle_count")
+        types = [path for path in _named(thermal, "type") if "cooling_device" in path]
+        kinds = zip(types, files.read_files(types) if types else (), strict=True)
+        self._coolers = [
+            f"{path.removesuffix('type')}cur_state"
+            for path, kind in kinds
+            if (kind or "").startswith(_PROCESSOR_COOLERS)
+        ]
+        self._cheap = [
+            *(_NO_TURBO, _BOOST, _FIRMWARE),
+            *self._governors,
+            *self._frequencies,
+            *self._limits,
+            *self._temperatures,
+            *self._counters,
+            *self._coolers,
+        ]
+
+    @property
+    def tells_of_conditions(self) -> bool:
+        """Whether there is anything about the processor that changes by itself."""
+        return bool(self._frequencies or self._temperatures or self._coolers)
+
+    def conditions(self) -> Conditions:
+        """Look at how the processor is run: a few files for each core."""
+        return self._understood(dict(zip(self._cheap, self._files.read_files(self._cheap), strict=True)))
+
+    def state(self) -> MachineState:
+        """Look at everything: at each process, too."""
+        listed = self._files.list_files("/proc/[0-9]*/stat")
+        general = ["/proc/stat", "/proc/self/stat", "/proc/vmstat", "/proc/pressure/memory"]
+        texts = self._files.read_files([*general, *self._cheap, *listed])
+        times, reader, memory, pressure = texts[: len(general)]
+        cheap = texts[len(general) : len(general) + len(self._cheap)]
+        processes = _processes(texts[len(general) + len(self._cheap) :])
+        busy, stolen = _cpu_times(times)
+        return MachineState(
+            at=time.monotonic(),
+            busy=busy,
+            stolen=stolen,
+            processes=processes,
+            reader=next(iter(_processes([reader])), None),
+            swapped=_swapped(memory),
+            stalled=_stalled(pressure),
+            conditions=self._understood(dict(zip(self._cheap, cheap, strict=True))),
+        )
+
+    def command_lines(self, pids: Sequence[int]) -> dict[int, list[str]]:
+        """Return the words of the command lines of some processes; none for one that has ended."""
+        texts = self._files.read_files([f"/proc/{pid}/cmdline" for pid in pids])
+        return {pid: [word for word in (text or "").split("\0") if word] for pid, text in zip(pids, texts, strict=True)}
+
+    def _understood(self, texts: Mapping[str, str | None]) -> Conditions:
+        def numbers(paths: Iterable[str]) -> list[float]:
+            return [number for path in paths if (number := _number(texts[path])) is not None]
+
+        temperatures = [each * _MILLI for each in numbers(self._temperatures)]
+        plausible = [each for each in temperatures if _PLAUSIBLE[0] < each < _PLAUSIBLE[1]]
+        counts, coolers = numbers(self._counters), numbers(self._coolers)
+        flags = _hexadecimal(texts[_FIRMWARE])
+        tells = bool(coolers) or flags is not None
+        now = flags or 0
+        return Conditions(
+            governors=tuple(dict.fromkeys(text for path in self._governors if (text := texts[path]))),
+            is_turbo=_turbo(_number(texts[_NO_TURBO]), _number(texts[_BOOST])),
+            frequency=_mean(numbers(self._frequencies), _KILO),
+            limit=_mean(numbers(self._limits), _KILO),
+            temperature=max(plausible, default=None),
+            throttle_count=int(sum(counts)) if counts else None,
+            is_held_back=any(coolers) or bool(now & _HELD_BACK) if tells else None,
+            is_under_voltage=None if flags is None else bool(now & _UNDER_VOLTAGE),
+            firmware_flags=(now | now >> _EVER) & (_UNDER_VOLTAGE | _HELD_BACK),
+        )
+
+
+def _named(paths: Iterable[str], name: str) -> list[str]:
+    return [path for path in paths if path.endswith(f"/{name}")]
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        found = float(text or "")
+    except ValueError:  # a sensor that is asleep or gone
+        return None
+    return found if math.isfinite(found) else None
+
+
+def _hexadecimal(text: str | None) -> int | None:
+    try:
+        return int(text or "", 16)
+    except ValueError:
+        return None
+
+
+def _mean(values: Sequence[float], factor: float) -> float | None:
+    return math.fsum(values) / len(values) * factor if values else None
+
+
+def _turbo(no_turbo: float | None, boost: float | None) -> bool | None:
+    if no_turbo is not None:
+        return no_turbo == 0
+    return None if boost is None else boost != 0
+
+
+def _cpu_times(text: str | None) -> tuple[float | None, float | None]:
+    """Return busy and stolen time of the first line of /proc/stat (proc_stat(5)).
+
+    User time holds that of guests. Time in interrupts is left out, as no process is charged with it.
+    """
+    words = (text or "").partition("\n")[0].split()
+    if len(words) < 9 or words[0] != "cpu" or not all(word.isdigit() for word in words[1:]):  # noqa: PLR2004 - to `steal`
+        return None, None
+    user, nice, system, _idle, _iowait, _irq, _softirq, steal = (int(word) / _TICKS for word in words[1:9])
+    return user + nice + system, steal
+
+
+def _processes(texts: Iterable[str | None]) -> dict[int, ProcessTimes]:
+    found = {}
+    for text in texts:
+        try:
+            process = ProcessTimes.of_stat(text or "")
+        except ValueError:  # it has ended meanwhile
+            continue
+        found[process.pid] = process
+    return found
+
+
+def _swapped(text: str | None) -> int | None:
+    pages = re.findall(r"^pswp(?:in|out) (\d+)$", text or "", re.MULTILINE)
+    return sum(map(int, pages)) if pages else None
+
+
+def _stalled(text: str | None) -> float | None:
+    found = re.search(r"^some .*total=(\d+)", text or "")
+    return int(found[1]) * _MICRO if found else None

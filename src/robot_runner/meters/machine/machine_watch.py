@@ -1,0 +1,261 @@
+"""The profiler that watches the computers on which something is measured, for what makes their measures doubtful."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.connect import connect_host
+from robot_runner.core.links.host import LOCAL, FileHost, RemoteHost
+from robot_runner.core.links.measured_machine import Computer, MeasuresComputer
+from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.periodic import PeriodicSampler
+from robot_runner.meters.machine.machine_doubts import MachineReport, Thresholds
+from robot_runner.meters.machine.machine_state import MachineFiles, SystemFiles
+from robot_runner.meters.machine.others_load import load_between
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from robot_runner.core.config.parameters import Parameters
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.plugin import Plugin
+    from robot_runner.meters.machine.machine_state import Conditions, MachineState
+    from robot_runner.meters.machine.others_load import Load
+
+__all__ = ["MachineWatch", "watch_machines"]
+
+_USUAL = Thresholds()
+#: How often frequency and temperature of this machine are looked at, s: heat takes longer than that to build up, and a
+#: look at sixteen cores takes about a millisecond, 0.02 % of a core.
+_PERIOD = 5.0
+_FIX = "End what else runs there, or keep it off the cores of the experiment (Tune), and repeat the run."
+
+
+class MachineWatch(Profiler):
+    """Watches computers while something is measured there, and doubts what was measured while others disturbed it.
+
+    It is there by itself wherever a profiler measures a computer (`watch_machines = False` turns it off); list it to
+    watch further computers or to set other thresholds. It looks twice at /proc and /sys, before everything else begins
+    and after everything else has ended, and every five seconds at frequency and temperature of this machine.
+
+    Args:
+        name: tells several instances apart; the class's name if left out.
+        hosts: computers to watch beside those that profilers measure: `localhost`, or as ssh takes them.
+        load: from which CPU time of others on something is said, percent of one core.
+        root: the folder that holds this machine's `proc` and `sys`.
+
+    Example:
+        >>> MachineWatch(hosts=["localhost"], load=25.0).name
+        'MachineWatch'
+    """
+
+    needs: ClassVar[str] = "Linux's /proc and /sys; where a file is missing, what it would tell is left out."
+    bytes_per_run: int = 1_500  # one file of facts for each computer
+
+    def __init__(
+        self,
+        *,
+        name: str | None = None,
+        hosts: Sequence[str] = (LOCAL,),
+        load: float = _USUAL.load,
+        root: str | Path = "/",
+    ) -> None:
+        super().__init__(name=name)
+        if isinstance(hosts, str):
+            raise PluginError(f"hosts is {hosts!r}", where=self.name, fix=f"Give a list: hosts=[{hosts!r}].")
+        if not load > 0:
+            raise PluginError(f"load is {load!r}", where=self.name, fix="Give load a percentage above 0.")
+        self.hosts = tuple(hosts)
+        self.thresholds = Thresholds(load=load)
+        self.root = Path(root)
+        self._orchestrator = os.getpid()  # a run that is forked inherits it
+        self._measuring: tuple[Plugin, ...] = ()
+        self._watched: list[_WatchedComputer] = []
+
+    def attach(self, plugins: Iterable[Plugin]) -> None:
+        """Take down which plugins may measure a computer; which one, they are asked in each run."""
+        self._measuring = tuple(plugins)
+
+    @property
+    def _concerned(self) -> list[tuple[str, Computer]]:
+        return _concerned(self._measuring)
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Find the files of each computer, so that looking at them takes little time."""
+        self._watched = []
+        for computer in self._computers():
+            try:
+                self._watched.append(self._found(context, computer))
+            except LinkError as error:
+                context.warn(f"{computer.host} cannot be watched: {error.problem}", fix=error.fix)
+
+    def start_measurement(self, context: RobotRunnerContext) -> None:
+        """Take the first look, before other profilers begin."""
+        del context
+        for watched in self._watched:
+            watched.begin()
+
+    def stop_measurement(self, context: RobotRunnerContext) -> None:
+        """Take the last look at this machine, now that other profilers have ended."""
+        del context
+        for watched in self._watched:
+            if watched.is_here:
+                watched.end()
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Take the last look at computers over ssh: their sessions are free once all samples were fetched."""
+        for watched in self._watched:
+            watched.end()
+        reports = self._reports(context.run_id)
+        for host, report in reports:
+            path = context.raw_data_folder / f"{re.sub(r'[^A-Za-z0-9.-]+', '_', host)}.json"
+            path.write_text(json.dumps(report.facts(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Doubt the measures of each computer on which something disturbed them."""
+        for watched in self._watched:
+            for problem in watched.complaints:
+                context.warn(f"{watched.computer.host} could not be watched: {problem}")
+        for host, report in self._reports(context.run_id):
+            problems = report.problems()
+            owners = [name for name, computer in self._concerned if computer.host == host]
+            if problems and owners:
+                for owner in owners:
+                    context.broker.doubt(owner, "; ".join(problems), _FIX, ())
+            elif problems:
+                context.warn("; ".join(problems), fix=_FIX)
+
+    def _computers(self) -> list[Computer]:
+        """Return each computer once; how it is reached is as for the first profiler that measures it."""
+        named = [Computer(host) for host in self.hosts]
+        by_host: dict[str, Computer] = {}
+        for computer in (*(each for _, each in self._concerned), *named):
+            known = by_host.get(computer.host, computer)
+            by_host[computer.host] = replace(known, subjects=(*known.subjects, *computer.subjects))
+        return list(by_host.values())
+
+    def _found(self, context: RobotRunnerContext, computer: Computer) -> _WatchedComputer:
+        if computer.host == LOCAL:
+            return _WatchedComputer(computer, MachineFiles(SystemFiles(self.root)), self._orchestrator)
+        link = connect_host(context, computer.host, ssh_config=computer.ssh_config, form=computer.form)
+        if isinstance(link, RemoteHost):
+            link.connect()
+        if not isinstance(link, FileHost):
+            raise LinkError("its files cannot be read", where=computer.host, fix="Watch another computer.")
+        return _WatchedComputer(computer, MachineFiles(link), None)
+
+    def _reports(self, run_id: str) -> list[tuple[str, MachineReport]]:
+        reports = [(each.computer.host, each.report(run_id, self.thresholds)) for each in self._watched]
+        return [(host, report) for host, report in reports if report is not None]
+
+
+class _WatchedComputer:
+    """One computer during one run.
+
+    Attributes:
+        computer: how it is reached.
+        complaints: why a look could not be taken.
+    """
+
+    def __init__(self, computer: Computer, files: MachineFiles, orchestrator: int | None) -> None:
+        self.computer = computer
+        self.complaints: list[str] = []
+        self._files = files
+        self._orchestrator = orchestrator
+        self._before: MachineState | None = None
+        self._after: MachineState | None = None
+        self._load: Load | None = None
+        self._poller: PeriodicSampler[Conditions] | None = None
+
+    @property
+    def is_here(self) -> bool:
+        return self._orchestrator is not None
+
+    def begin(self) -> None:
+        self._before, self._after = self._look(), None
+        if self.is_here and self._files.tells_of_conditions:
+            self._poller = PeriodicSampler(self._files.conditions, rate=1 / _PERIOD, clock=SystemClock())
+            self._poller.start()
+
+    def end(self) -> None:
+        """Take the last look; a second call does nothing."""
+        if self._before is None or self._after is not None:
+            return
+        self._after = self._look()
+        if self._after is None:
+            self._before = None
+            return
+        try:
+            self._load = load_between(
+                self._before,
+                self._after,
+                is_ours=self._own,
+                command_lines=self._files.command_lines,
+                subjects=self.computer.subjects,
+            )
+        except LinkError as error:
+            self.complaints.append(error.problem)
+
+    def report(self, run_id: str, thresholds: Thresholds) -> MachineReport | None:
+        """Return what is known; None where nothing is."""
+        if self._before is None or self._after is None or self._load is None:
+            return None
+        polled = self._poller.stop().readings if self._poller else ()
+        looks = (self._before.conditions, *polled, self._after.conditions)
+        host = "" if self.is_here else self.computer.host
+        return MachineReport(host, run_id, self._before, self._after, self._load, looks, thresholds)
+
+    def _look(self) -> MachineState | None:
+        try:
+            return self._files.state()
+        except LinkError as error:
+            self.complaints.append(error.problem)
+            return None
+
+    def _own(self, state: MachineState) -> set[int]:
+        """Return the experiment's processes: the orchestrator, the keeper, the run, and all that they started."""
+        if self._orchestrator is None:
+            return _descendants(state, state.reader)
+        above = state.processes.get(os.getppid())  # a fresh interpreter does not know who orchestrates
+        return _descendants(state, self._orchestrator) | {os.getpid(), os.getppid(), above.parent if above else 0}
+
+
+def _descendants(state: MachineState, ancestor: int | None) -> set[int]:
+    children: dict[int, list[int]] = {}
+    for process in state.processes.values():
+        children.setdefault(process.parent, []).append(process.pid)
+    found: set[int] = set()
+    left = [] if ancestor is None else [ancestor]
+    while left:
+        pid = left.pop()
+        found.add(pid)
+        left += [child for child in children.get(pid, ()) if child not in found]
+    return found
+
+
+def _concerned(plugins: Iterable[Plugin]) -> list[tuple[str, Computer]]:
+    """Return which plugin measures which computer; how a parameter is bound to a factor decides it anew in each run."""
+    measured = [(plugin.name, plugin.measured_computer) for plugin in plugins if isinstance(plugin, MeasuresComputer)]
+    return [(name, computer) for name, computer in measured if computer is not None]
+
+
+def watch_machines(parameters: Parameters, plugins: Sequence[Plugin]) -> Iterable[Plugin]:
+    """Return the watch over the computers that these plugins measure; none where there are none, or none is wanted."""
+    watches = [plugin for plugin in plugins if isinstance(plugin, MachineWatch)]
+    for watch in watches:
+        watch.attach(plugins)
+    if not _concerned(plugins) or watches or not parameters.watch_machines:
+        return []
+    names = {plugin.name.casefold() for plugin in plugins}
+    free = next(name for number in count(1) if (name := "machine" if number == 1 else f"machine-{number}") not in names)
+    watch = MachineWatch(name=free, hosts=())
+    watch.attach(plugins)
+    return [watch]

@@ -1,0 +1,149 @@
+"""Who else had the processor between two looks at a computer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import PurePath
+from typing import TYPE_CHECKING
+
+from robot_runner.core.links.local_host import matches
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from robot_runner.meters.machine.machine_state import MachineState, ProcessTimes
+
+__all__ = ["Load", "Share", "is_expected", "load_between"]
+
+_PERCENT = 100.0
+#: How many of the busiest processes are looked at: more would be read by nobody.
+_LOOKED_AT = 12
+#: A process that took less than this share of a core, in percent, is not looked at by itself.
+_NOTABLE = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """What one process, with the children that ended meanwhile, took of the processor.
+
+    Attributes:
+        percent: of one core.
+    """
+
+    pid: int
+    name: str
+    percent: float
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """How the processor was shared between two looks, in percent of one core.
+
+    Attributes:
+        seconds: between the looks.
+        busy: everything; None where the computer does not tell.
+        ours: the experiment's processes.
+        others: processes that have nothing to do with the experiment, busiest first; the least busy are left out.
+        unseen: what no process that can be seen took: another container, another guest of the same kernel.
+    """
+
+    seconds: float
+    busy: float | None
+    ours: float
+    others: tuple[Share, ...]
+    unseen: float
+
+    @property
+    def foreign(self) -> float:
+        """All that the experiment did not take, as far as it is known."""
+        return sum(share.percent for share in self.others) + self.unseen
+
+
+#: Between two looks, s: they take longer than that.
+_SHORTEST = 1e-3
+
+
+def load_between(
+    before: MachineState,
+    after: MachineState,
+    *,
+    is_ours: Callable[[MachineState], set[int]],
+    command_lines: Callable[[Sequence[int]], Mapping[int, Sequence[str]]],
+    subjects: Sequence[str] = (),
+) -> Load:
+    """Return who took the processor between two looks.
+
+    Args:
+        before: the first look.
+        after: the second one.
+        is_ours: returns the pids of the experiment's own processes.
+        command_lines: returns the command lines of processes.
+        subjects: selectors of processes that the experiment is about (`process_selector`).
+    """
+    seconds = max(after.at - before.at, _SHORTEST)
+    spent = _spent(before, after)
+    own = is_ours(before) | is_ours(after)
+    kernel = {pid for pid, process in after.processes.items() if process.is_kernel}
+    candidates = {pid: each for pid, each in spent.items() if pid not in own | kernel}
+    busiest = sorted(candidates, key=candidates.__getitem__, reverse=True)[:_LOOKED_AT]
+    notable = [pid for pid in busiest if candidates[pid] / seconds * _PERCENT >= _NOTABLE]
+    words = command_lines(notable) if notable else {}
+    others = [
+        Share(pid, after.processes[pid].name, candidates[pid] / seconds * _PERCENT)
+        for pid in notable
+        if not is_expected(pid, after.processes[pid].name, words[pid], subjects)
+    ]
+    busy = None if before.busy is None or after.busy is None else (after.busy - before.busy) / seconds * _PERCENT
+    seen = sum(spent.values()) / seconds * _PERCENT
+    return Load(
+        seconds=seconds,
+        busy=busy,
+        ours=sum(spent.get(pid, 0.0) for pid in own) / seconds * _PERCENT,
+        others=tuple(others),
+        unseen=0.0 if busy is None else max(0.0, busy - seen),
+    )
+
+
+def is_expected(pid: int, name: str, words: Sequence[str], subjects: Sequence[str]) -> bool:
+    """Whether a process belongs to the experiment although it did not start it: robot software, or a measured subject.
+
+    Example:
+        >>> is_expected(7, "talker", ["/opt/talker", "--ros-args", "-r", "__node:=talker"], ())
+        True
+        >>> is_expected(8, "chromium", ["/usr/bin/chromium"], ["name:talker"])
+        False
+    """
+    is_robot_software = any(
+        word == "--ros-args" or word.startswith(("__name:=", "__node:=", "/opt/ros/")) for word in words
+    )
+    return is_robot_software or _is_own_loop(words) or any(matches(one, pid, name, words) for one in subjects)
+
+
+def _is_own_loop(words: Sequence[str]) -> bool:
+    """Whether it is a program of ours that samples on board of a computer (core/links/on_board)."""
+    if len(words) < 2 or not PurePath(words[0]).name.startswith(("python", "sh", "dash", "bash")):  # noqa: PLR2004 - `sh -c`
+        return False
+    program = words[-1]
+    return "Sample a Linux computer's utilisation" in program or '!= "#end"' in program
+
+
+def _spent(before: MachineState, after: MachineState) -> dict[int, float]:
+    """Return the CPU time of each process that is there, s: its own, and that of children which ended meanwhile."""
+    # A parent's counter takes the whole life of a child that ended, also what went before the first look.
+    earlier: dict[int, float] = {}
+    for process in _ended(before, after):
+        earlier[process.parent] = earlier.get(process.parent, 0.0) + process.own + process.children
+    spent: dict[int, float] = {}
+    for process in after.processes.values():
+        old = before.processes.get(process.pid)
+        own, children = (old.own, old.children) if old and old.started == process.started else (0.0, 0.0)
+        by_children = process.children - children - earlier.get(process.pid, 0.0)
+        spent[process.pid] = max(0.0, process.own - own) + max(0.0, by_children)
+    return spent
+
+
+def _ended(before: MachineState, after: MachineState) -> Iterable[ProcessTimes]:
+    for process in before.processes.values():
+        now = after.processes.get(process.pid)
+        if now is None or now.started != process.started:
+            yield process

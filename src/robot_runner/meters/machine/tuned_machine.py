@@ -1,0 +1,141 @@
+"""The plugin that sets up this machine for an experiment, and the process that puts it back if all else is killed."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from robot_runner.core.errors import Finding, PluginError, did_you_mean
+from robot_runner.core.plugin import System
+from robot_runner.meters.machine.tuning import Machine, Wishes
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from robot_runner.core.config.parameters import Parameters
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.plugin import Circumstances, Plugin
+
+__all__ = ["Tune", "check_left_behind"]
+
+_log = logging.getLogger(__name__)
+
+_SCOPES = ("experiment", "run")
+_MODULE = "robot_runner.meters.machine.tuned_machine"
+#: How long the guardian may take to end once it is no longer needed, s.
+_PATIENCE = 5.0
+
+
+def check_left_behind(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> list[Finding]:
+    """Return that this machine is still set up by somebody who was killed, or by hand; a check of each experiment."""
+    del where, parameters
+    return [] if any(isinstance(plugin, Tune) for plugin in plugins) else Machine().left_behind("this machine")
+
+
+class Tune(System):
+    """Sets up this machine before the experiment or before each run, and puts it back afterwards, killed or not.
+
+    What was there before is written to a file first. A process of its own puts it back when the experiment was killed,
+    and if that was killed as well, the next experiment with a `Tune` does, or `robot-runner tune --restore`.
+
+    Args:
+        name: tells several instances apart; the class's name if left out.
+        governor: who chooses the frequency of the processor, such as `performance`.
+        turbo: whether the processor may go beyond its nominal frequency.
+        cores: the cores that the experiment has for itself; all else that may be moved is kept off them meanwhile.
+        drop_caches: whether the kernel forgets before each run what it keeps of files.
+        scope: `experiment`, or `run` to set the machine up for each run and put it back in between.
+        root: the folder that holds this machine's `proc` and `sys`.
+        state: the file that keeps what was there before; left out, one in the user's folder of state.
+
+    Raises:
+        PluginError: nothing is asked for, or there is no such scope.
+
+    Example:
+        >>> Tune(governor="performance", turbo=False).wishes.governor
+        'performance'
+    """
+
+    needs: ClassVar[str] = "Linux, and the right to write to /sys: root, mostly."
+
+    def __init__(
+        self,
+        *,
+        name: str | None = None,
+        governor: str | None = None,
+        turbo: bool | None = None,
+        cores: Sequence[int] = (),
+        drop_caches: bool = False,
+        scope: str = "experiment",
+        root: str | Path = "/",
+        state: str | Path | None = None,
+    ) -> None:
+        super().__init__(name=name)
+        if scope not in _SCOPES:
+            raise PluginError(f"scope is {scope!r}", where=self.name, fix=did_you_mean(scope, _SCOPES))
+        odd = [core for core in cores if isinstance(core, bool) or not isinstance(core, int) or core < 0]
+        if odd:
+            raise PluginError(f"there is no core {odd[0]!r}", where=self.name, fix="Number the cores from 0.")
+        self.wishes = Wishes(governor, turbo, tuple(dict.fromkeys(cores)), drop_caches)
+        if self.wishes == Wishes():
+            fix = "Ask for governor, turbo, cores or drop_caches, or leave the plugin out."
+            raise PluginError("nothing is to be set", where=self.name, fix=fix)
+        self.scope = scope
+        self.machine = Machine(Path(root), None if state is None else Path(state))
+        self._guardian: subprocess.Popen[bytes] | None = None
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: the machine has no such setting, or we may not change it."""
+        del circumstances
+        return self.machine.findings(f"plugin {self.name}", self.wishes)
+
+    def before_experiment(self) -> None:
+        """Set the machine up for the experiment, or put back what somebody who was killed left."""
+        words = [sys.executable, "-m", _MODULE, str(self.machine.root), str(self.machine.state.absolute())]
+        # Its input ends when this process and all that were forked from it are gone: then nobody measures any more.
+        self._guardian = subprocess.Popen(words, stdin=subprocess.PIPE, start_new_session=True)  # noqa: S603 - ours
+        if self.scope == "experiment":
+            self.machine.apply(self.wishes, owner=os.getpid())
+        else:
+            self.machine.restore()
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Set the machine up for this run, and drop the caches."""
+        del context
+        if self.scope == "run":
+            self.machine.apply(self.wishes, owner=os.getpid())
+        if self.wishes.drops_caches:
+            self.machine.drop_caches()
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Put back what was there before the run."""
+        if self.scope == "run":
+            for problem in self.machine.restore():
+                context.warn(problem, fix="Set it by hand.")
+
+    def after_experiment(self) -> None:
+        """Put back what was there before the experiment."""
+        for problem in self.machine.restore():
+            _log.warning("%s: %s", self.name, problem)
+        guardian, self._guardian = self._guardian, None
+        if guardian is not None and guardian.stdin is not None:
+            guardian.stdin.close()
+            try:
+                guardian.wait(_PATIENCE)
+            except subprocess.TimeoutExpired:
+                guardian.kill()
+                guardian.wait()
+
+
+def _guard(root: Path, state: Path) -> None:
+    """Wait until nobody is left who could put the machine back, and do it; there is nothing to do in the best case."""
+    sys.stdin.buffer.read()
+    Machine(root, state).restore()
+
+
+if __name__ == "__main__":
+    _guard(Path(sys.argv[1]), Path(sys.argv[2]))

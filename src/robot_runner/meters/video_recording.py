@@ -1,0 +1,166 @@
+"""Videos through ffmpeg: recorded with the wall clock's time of each frame, read back, and looked at in stills."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import PluginError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+__all__ = ["COPY", "FFMPEG", "FFPROBE", "Recording", "frame_times", "missing_programs", "take_still", "without_secrets"]
+
+FFMPEG, FFPROBE = "ffmpeg", "ffprobe"
+#: An encoder that is none: what the camera encoded is kept.
+COPY = "copy"
+_TEST_PICTURE = "lavfi:"
+#: A cluster of Matroska is complete, and can be played, this often, ms: what a kill costs at most.
+_CLUSTER = 500
+_WIDTH = 480
+_PATIENCE = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """How a video is recorded.
+
+    Attributes:
+        device: a device file of Video4Linux, an address such as `rtsp://camera/stream`, a file, or `lavfi:` and a
+            source of ffmpeg's own.
+        encoder: ffmpeg's name of an encoder, or `copy`.
+        size: width x height that a device is asked for; None for its own.
+        rate: frames a second that a device is asked for; None for its own.
+    """
+
+    device: str
+    encoder: str
+    size: str | None = None
+    rate: float | None = None
+
+    def command(self, video: Path, epoch: int) -> list[str]:
+        """Return the command that records until it gets SIGINT.
+
+        Frames get the wall clock's time of their arrival less `epoch`, and that is where they are in the file: so the
+        file alone tells when a frame was, also one that was cut off by a kill.
+
+        Args:
+            video: the file to write, Matroska.
+            epoch: the second since 1970 at which the video begins.
+        """
+        return [
+            *(FFMPEG, "-nostdin", "-hide_banner", "-loglevel", "warning", "-y"),
+            *self._input(),
+            *("-map", "0:v:0", "-an", "-copyts", "-output_ts_offset", str(-epoch)),
+            *self._encoding(),
+            *("-f", "matroska", "-flush_packets", "1", "-cluster_time_limit", str(_CLUSTER)),
+            *("-progress", "pipe:1", "-stats_period", "0.2", str(video)),
+        ]
+
+    def _input(self) -> list[str]:
+        stamped = ["-use_wallclock_as_timestamps", "1"]
+        if self.device.startswith(_TEST_PICTURE):
+            # As slow as a camera, and with a finer clock than one tick a frame, to which times would be rounded.
+            return [
+                *stamped,
+                "-f",
+                "lavfi",
+                "-i",
+                f"{self.device.removeprefix(_TEST_PICTURE)},realtime,settb=1/1000000",
+            ]
+        if self.device.startswith("rtsp"):
+            return [*stamped, "-rtsp_transport", "tcp", "-i", self.device]
+        asked = ["-video_size", self.size] if self.size else []
+        asked += ["-framerate", f"{self.rate:g}"] if self.rate else []
+        kind = ["-f", "v4l2"] if self.device.startswith("/dev/") else []
+        return [*stamped, *kind, *asked, "-i", self.device]
+
+    def _encoding(self) -> list[str]:
+        if self.encoder == COPY:
+            return ["-c:v", "copy"]
+        passed = ["-fps_mode", "passthrough"] if _version() >= (5, 1) else ["-vsync", "passthrough"]
+        fast = ["-preset", "ultrafast", "-tune", "zerolatency"] if self.encoder.startswith("libx26") else []
+        # A key frame a second: a still is found by decoding from the key frame before it.
+        keys = ["-force_key_frames", "expr:gte(t,n_forced)"]
+        return [*passed, "-c:v", self.encoder, *fast, *keys, "-pix_fmt", "yuv420p"]
+
+
+@cache
+def _version() -> tuple[int, int]:
+    """Return the first two numbers of ffmpeg's version; one built from its repository counts as the newest."""
+    done = _execute([FFMPEG, "-hide_banner", "-version"])
+    found = re.search(r"ffmpeg version n?(\d+)\.(\d+)", done)
+    return (int(found[1]), int(found[2])) if found else (99, 0)
+
+
+def missing_programs() -> list[str]:
+    """Return which of ffmpeg's programs are not there."""
+    return [program for program in (FFMPEG, FFPROBE) if shutil.which(program) is None]
+
+
+def without_secrets(text: str) -> str:
+    """Return a text without the users and passwords of the addresses in it.
+
+    Example:
+        >>> without_secrets("rtsp://lab:secret@camera/stream: refused")
+        'rtsp://...@camera/stream: refused'
+    """
+    return re.sub(r"://[^/\s]*@", "://...@", text)
+
+
+def frame_times(video: Path) -> list[float]:
+    """Return where each frame is in a video, s, in the order in which they are shown.
+
+    Raises:
+        PluginError: the file is no video.
+    """
+    asked = ("-select_streams", "v:0", "-show_entries", "packet=pts_time", "-of", "csv=p=0")
+    said = _execute([FFPROBE, "-loglevel", "error", *asked, str(video)])
+    found = (line.strip().strip(",") for line in said.splitlines())
+    return sorted(float(time) for time in found if time and time != "N/A")
+
+
+def take_still(video: Path, at: float, still: Path) -> None:
+    """Write the frame that is shown at a time of a video, as JPEG, 480 pixels wide.
+
+    Args:
+        video: what to look at.
+        at: where, s; no earlier than the first frame.
+        still: the file to write.
+
+    Raises:
+        PluginError: there is no such frame.
+    """
+    # Seeking is relative to the first frame, unless it is said otherwise.
+    seek = ("-seek_timestamp", "1", "-ss", f"{at:.3f}")
+    scaled = ("-frames:v", "1", "-vf", f"scale={_WIDTH}:-2", "-q:v", "4", "-update", "1")
+    _execute(
+        [FFMPEG, "-nostdin", "-hide_banner", "-loglevel", "error", "-y", *seek, "-i", str(video), *scaled, str(still)]
+    )
+    if not still.is_file():
+        raise PluginError(f"there is no frame at {at:.3f} s", where=str(video), fix="Look at the video.")
+
+
+def _execute(command: Sequence[str]) -> str:
+    try:
+        done = subprocess.run(  # noqa: S603 - our own words, and a path
+            command,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=_PATIENCE,
+            check=False,
+            text=True,
+            errors="replace",
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise PluginError(f"{command[0]} cannot be executed: {error}", where=command[0], fix="Install it.") from error
+    if done.returncode:
+        said = next(iter(done.stderr.strip().splitlines()[::-1]), f"exit code {done.returncode}")
+        raise PluginError(f"{command[0]}: {said}", where=command[-1], fix="Look at the video.")
+    return done.stdout

@@ -1,0 +1,79 @@
+"""What differed on a computer between runs is a threat, with the figures that its files had."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.analysis.made_experiment import write_samples
+
+from robot_runner.analysis.report.material import Material
+from robot_runner.analysis.report.threats_section import threats_of
+from robot_runner.analysis.results import load_results
+from robot_runner.analysis.statistics.experiment_statistics import analyse
+from robot_runner.core.storage.layout import ExperimentFolder
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+WATCH = {"name": "machine", "class": "robot_runner.meters.machine.machine_watch:MachineWatch"}
+
+
+@pytest.fixture
+def threats(two_tasks: Callable[..., Any]) -> Callable[..., dict[str, str]]:
+    """Return the threats of an experiment whose runs have these facts, from the first run on."""
+
+    def found(*facts: object) -> dict[str, str]:
+        folder = two_tasks(manifest={"plugins": [WATCH]})
+        for number, fact in enumerate(facts, start=1):
+            text = fact if isinstance(fact, str) else json.dumps({"host": "localhost", **fact})  # type: ignore[dict-item]
+            write_samples(ExperimentFolder(folder.root), f"r_{number}", text, plugin="machine", name="localhost.json")
+        results = load_results(folder.root)
+        return {threat.title: threat.text for threat in threats_of(Material(results, analyse(results)))}
+
+    return found
+
+
+def facts(
+    governor: str = "performance", *, turbo: bool | None = False, hertz: float = 2e9, degrees: float = 50.0
+) -> dict[str, Any]:
+    spread = {"least": hertz, "mean": hertz, "greatest": hertz}
+    heat = {"least": degrees, "mean": degrees, "greatest": degrees}
+    return {"governors": [governor], "turbo": turbo, "frequency_hz": spread, "temperature_degc": heat}
+
+
+def about_machines(found: dict[str, str]) -> dict[str, str]:
+    return {title: text for title, text in found.items() if "this machine" in title}
+
+
+def test_a_machine_that_was_the_same_in_all_runs_is_no_threat(threats: Callable[..., dict[str, str]]) -> None:
+    assert about_machines(threats(facts(), facts())) == {}
+
+
+def test_a_frequency_that_was_left_to_chance_is_said_once(threats: Callable[..., dict[str, str]]) -> None:
+    found = about_machines(threats(facts("powersave", turbo=True), facts("powersave", turbo=True)))
+    assert list(found) == ["The frequency of this machine was not fixed"]
+    assert "the governor powersave, turbo on" in found["The frequency of this machine was not fixed"]
+
+
+def test_settings_that_changed_between_runs_are_told_with_their_runs(threats: Callable[..., dict[str, str]]) -> None:
+    found = about_machines(threats(facts("powersave"), facts(), facts()))
+    text = found["The processor of this machine was set up differently"]
+    assert text == "the governor powersave, turbo off in r_1; the governor performance, turbo off in r_2, r_3."
+
+
+def test_frequency_and_temperature_are_compared(threats: Callable[..., dict[str, str]]) -> None:
+    found = about_machines(threats(facts(hertz=1.2e9, degrees=45.0), facts(hertz=3.4e9, degrees=71.0)))
+    assert (
+        "1.20 GHz on average in r_1, and at 3.40 GHz in r_2"
+        in found["The frequency of this machine differs between runs"]
+    )
+    assert "45 °C in r_1, and at 71 °C in r_2" in found["The temperature of this machine differs between runs"]
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[1]", '{"host": 3, "governors": 7, "frequency_hz": [1], "temperature_degc": {"mean": "x"}}']
+)
+def test_a_file_that_is_no_such_note_is_passed_over(threats: Callable[..., dict[str, str]], text: str) -> None:
+    assert about_machines(threats(text, text)) == {}
