@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -52,7 +52,7 @@ class ExperimentStatus:
     findings: tuple[Finding, ...]
     started_at: str | None
     finished_at: str | None
-    bad_values: Mapping[str, Mapping[str, Sequence[str]]] = MappingProxyType({})
+    bad_values: Mapping[str, Mapping[str, Sequence[str]]] = field(default_factory=lambda: MappingProxyType({}))
 
 
 def read_status(folder: Path) -> ExperimentStatus:
