@@ -31,7 +31,8 @@ step "shell scripts" "$bin/shellcheck" scripts/*.sh .ci/run
 if [ "${1:-all}" = all ]; then
     step "command-line page is current" "$bin/python" scripts/generate_cli_page.py --check
     step "documentation" "$bin/mkdocs" build --strict --site-dir .make/site
-    "$bin/pytest" -q -n 2 -m "not soak" || failed="$failed, tests"
+    # worksteal: tests of one file stay with one worker, and share what the file sets up, as long as both have work.
+    "$bin/pytest" -q -n 2 --dist worksteal -m "not soak" || failed="$failed, tests"
 fi
 if [ -n "$failed" ]; then
     printf 'Failed: %s.\n' "${failed#, }"

@@ -54,7 +54,13 @@ def test_it_is_tried_by_its_name(installed: dict[str, str], tmp_path: Path) -> N
     )
     assert answer.returncode == 0, answer.stderr
     told = json.loads(answer.stdout)
-    assert told["measures"]["Temperature"] == {"value": 41.5, "unit": "°C", "origin": "measured"}
+    temperature = told["measures"]["Temperature"]
+    assert {name: temperature[name] for name in ("value", "unit", "origin", "quality")} == {
+        "value": 41.5,
+        "unit": "°C",
+        "origin": "measured",
+        "quality": "good",
+    }
     assert [file["name"] for file in told["raw_files"]] == ["quality.json", "samples.csv"]
 
 

@@ -19,6 +19,8 @@ from tests.processor_wait import OWN_WAITS, ProcessorWait, family
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.ros1_master import RUDE, needs_ros1
 
+from robot_runner.core.sampling.quality import MINIMUM_COVERAGE
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -44,7 +46,8 @@ class RobotRunnerConfig:
     time_between_runs_in_ms = 0
     robot = {robot!r}
     plugins = [
-        BasicTurtlebot3(namespace={namespace!r}, sleep_s=0.1, drive_s={drive_s}, task_s=0.1, rotate_s=1.8),
+        BasicTurtlebot3(namespace={namespace!r}, sleep_s=0.1, drive_s={drive_s}, task_s=0.1, rotate_s=1.8,
+                        odometry_timeout_s=30),
         *{profilers},
     ]
 
@@ -99,22 +102,33 @@ def test_the_experiment_of_the_paper_is_executed_on_a_real_graph(graph: str, sta
     tasks = ["Computation", "Network"] if graph == "ros1" else ["Video", "Network"]
     with simulated_robot(graph, "--namespace", "/alice") as port:
         config = written(tmp_path, tasks, PROFILERS.format(port=port), robot=graph, namespace="/alice", drive_s=0.8)
+        begun, wait = time.monotonic(), ProcessorWait(family())
         experiment = start(config=config)
         experiment.output, _ = experiment.process.communicate(timeout=PATIENCE)
         assert experiment.process.returncode == 0, experiment.output
+        wait.look()
+        starved = min(1.0, wait.seconds / (time.monotonic() - begun))  # of the robot's own time
     rows = experiment.table
     assert {row["Task"] for row in rows} == set(tasks)
     assert {row["status"] for row in rows} == {"Done"}
     for row in rows:
-        assert 25 < float(row["Energy"]) < 60  # 4.3 s at 7.6 to 10.5 W
-        assert 0 < float(row["CPU"]) <= 100
-        assert 25 < float(row["OdomRate"]) < 35
-        assert int(row["BagMessages"]) > 100
+        raw = experiment.folder / "runs" / row["run_id"]
+        quality = {name: json.loads((raw / name / "quality.json").read_text()) for name in ("Ina219", "PsUtil")}
+        window = quality["Ina219"]["window"]
+        seconds = window["end"] - window["start"]
+        limits = {"Energy": ("Ina219", 7.4 * seconds, 10.7 * seconds), "CPU": ("PsUtil", 0.0, 100.0)}
+        for name, (meter, least, most) in limits.items():
+            # A machine that is too busy for the samples leaves no value, and never a wrong one.
+            is_covered = quality[meter]["samples"]["coverage"] >= MINIMUM_COVERAGE
+            assert least < float(row[name]) <= most if is_covered else row[name] == ""
+        assert 25 * (1.0 - starved) < float(row["OdomRate"]) < 35
+        assert int(row["BagMessages"]) > 100 * (1.0 - starved)
         assert int(row["Nodes"]) >= 2
-        with (experiment.folder / "runs" / row["run_id"] / "BasicTurtlebot3" / "phases.csv").open() as file:
+        with (raw / "BasicTurtlebot3" / "phases.csv").open() as file:
             phases = list(csv.DictReader(file))
         assert len(phases) == 12
-        assert abs(float(phases[1]["x_m"]) - float(phases[0]["x_m"])) > 0.05  # it drove, by its odometry
+        driven = abs(float(phases[1]["x_m"]) - float(phases[0]["x_m"]))  # by its odometry
+        assert driven > 0.05 * max(0.1, 1.0 - starved)
     schema = json.loads((experiment.folder / "run_table.schema.json").read_text())
     labels = {each["name"]: "simulated" in json.dumps(each) for each in schema["fields"]}
     assert (labels["Energy"], labels["Distance"], labels["CPU"]) == (True, True, False)

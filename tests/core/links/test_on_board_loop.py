@@ -301,6 +301,7 @@ def test_a_loop_without_its_connection_ends_after_its_lease(
     link = host(form)
     sampler = link.sample_utilisation(20.0)
     session = sampler._session
+    wait(0.5)
     session._process.stdin.close()  # as where a connection is cut
     holder = int(re.search(r"pid\t(\d+)", Path(sampler._path).read_text()).group(1))
     wait(0.7)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import AnalysisError
 from robot_runner.meters.network import counted
-from robot_runner.meters.power_model.sample_files import heading_of, read_numbers
+from robot_runner.meters.power_model.raw_columns import heading_of, read_numbers
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -16,7 +16,7 @@ from robot_runner.core.sampling.series import Series, energy
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.meters.power_model.components import ComponentSources
 from robot_runner.meters.power_model.linear_power_model import FitReport, LinearModel, check_terms, term_value
-from robot_runner.meters.power_model.sample_files import read_numbers
+from robot_runner.meters.power_model.raw_columns import read_numbers
 from robot_runner.meters.power_model.states import read_states
 from robot_runner.meters.power_model.uncertainty import PiecesOfRuns, check_linearity, uncertainty_of
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from robot_runner.meters.power_model.components import ComponentSources, read_components
-from robot_runner.meters.power_model.sample_files import number_of, read_numbers, rows_of
+from robot_runner.meters.power_model.raw_columns import number_of, read_numbers, rows_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
