@@ -177,7 +177,9 @@ class Performer:
         self._log = log
 
     def perform(
-        self, announce: Callable[[int, Phase], None], mark: Callable[[str], AbstractContextManager[object]] = nullcontext
+        self,
+        announce: Callable[[int, Phase], None],
+        mark: Callable[[str], AbstractContextManager[object]] = nullcontext,
     ) -> Performance:
         """Carry out the mission; the robot is stopped whatever happens.
 
