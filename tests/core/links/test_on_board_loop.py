@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import ast
 import os
+import re
 import shutil
+import subprocess
+import sys
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -15,8 +18,11 @@ from tests.core.links.busy_core import busy_core, needs_affinity, wait
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.window import Window
+from robot_runner.core.links import on_board_session
 from robot_runner.core.links.on_board_session import FORMS, REMOTE_COMMAND, OnBoardSession
 from robot_runner.core.links.ssh_host import SshHost
+from robot_runner.core.links.utilisation import Selection, Utilisation
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -201,6 +207,107 @@ def test_without_python_the_shell_samples(host: Callable[..., SshHost], tmp_path
     wait(0.3)
     assert len(sampler.stop()) >= 2
     assert sampler.report().form == FORMS["sh"].description
+
+
+def test_without_getconf_sysctl_and_nproc_the_cores_are_counted(host: Callable[..., SshHost], tmp_path: Path) -> None:
+    for tool in ("sh", "cat", "ps", "awk", "sleep", "date", "grep", "rm", "tr", "sed"):
+        if found := shutil.which(tool):
+            (tmp_path / tool).symlink_to(found)
+    command = ["env", f"PATH={tmp_path}", "sh", "-c", REMOTE_COMMAND]
+    for form in ("sh", "ps"):
+        sampler = host(form, command=command).sample_utilisation(10.0)
+        wait(0.2)
+        sampler.stop()
+        assert sampler._cores == os.cpu_count()
+
+
+def test_a_form_that_counts_in_whole_seconds_is_doubted_with_how_far_it_may_be_off(
+    host: Callable[..., SshHost],
+) -> None:
+    clock = SystemClock()
+    start = clock.now()
+    sampler = host("ps").sample_utilisation(1.0)
+    wait(2.2)
+    samples = sampler.stop()
+    window = Window(start, start + 2.0)
+    measured = Utilisation(samples, window, Selection(), sampler.report(), is_simulated=False)
+    (doubt,) = (problem for problem in measured.doubts() if "ps" in problem)
+    assert "may be off by 50 % of a core" in doubt
+
+
+@pytest.mark.parametrize("form", PYTHON_AND_SHELL)
+def test_samples_that_a_killed_run_left_on_board_are_removed_by_the_next_session(
+    host: Callable[..., SshHost], tmp_path: Path, form: str
+) -> None:
+    killed = f"""
+import os, sys, time
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.on_board_session import REMOTE_COMMAND
+from robot_runner.core.links.ssh_host import SshHost
+host = SshHost("here", SystemClock(), form={form!r}, command=["sh", "-c", REMOTE_COMMAND])
+sampler = host.sample_utilisation(20.0)
+time.sleep(0.5)
+os.kill(os.getpid(), 9)
+"""
+    assert subprocess.run([sys.executable, "-c", killed], check=False, timeout=60).returncode == -9
+    (left,) = tmp_path.glob("robot-runner-samples-*")
+    holder = int(re.search(r"pid\t(\d+)", left.read_text()).group(1))
+    assert _is_alive(holder)  # it goes on for a while, should the connection come back
+    link = host(form)
+    link.connect()
+    assert not left.exists()
+    deadline = time.monotonic() + 5.0
+    while _is_alive(holder) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not _is_alive(holder)
+
+
+def test_samples_of_a_run_that_goes_on_are_left_alone(host: Callable[..., SshHost], tmp_path: Path) -> None:
+    first = host().sample_utilisation(20.0)
+    foreign = tmp_path / "robot-runner-samples-0123456789abcdef-1-0123456789abcdef"
+    foreign.write_text("pid\t999999999\n")
+    host().connect()
+    wait(0.3)
+    assert foreign.exists()  # somebody else's, who may want them
+    foreign.unlink()
+    assert len(first.stop()) >= 3
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.parametrize("form", PYTHON_AND_SHELL)
+def test_a_loop_that_is_told_to_leave_ends_at_once(host: Callable[..., SshHost], form: str) -> None:
+    link = host(form)
+    sampler = link.sample_utilisation(20.0)
+    wait(0.2)
+    begun = time.monotonic()
+    session = sampler._session
+    session.close()
+    assert time.monotonic() - begun < 1.5
+    assert session._process.returncode is not None
+    sampler.stop()  # recovers what was kept
+
+
+@pytest.mark.parametrize("form", PYTHON_AND_SHELL)
+def test_a_loop_without_its_connection_ends_after_its_lease(
+    host: Callable[..., SshHost], form: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(on_board_session, "_LEASE", 2)
+    link = host(form)
+    sampler = link.sample_utilisation(20.0)
+    session = sampler._session
+    session._process.stdin.close()  # as where a connection is cut
+    holder = int(re.search(r"pid\t(\d+)", Path(sampler._path).read_text()).group(1))
+    wait(0.7)
+    assert _is_alive(holder)
+    wait(4.0)
+    assert not _is_alive(holder)
+    assert len(sampler.stop()) >= 20  # what it had kept by then
 
 
 def test_a_computer_on_which_nobody_answers_is_an_error(host: Callable[..., SshHost]) -> None:

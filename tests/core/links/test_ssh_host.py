@@ -98,6 +98,23 @@ def test_the_samples_of_a_lost_connection_are_recovered_from_on_board(
     assert sampler.report().clock.after is not None
 
 
+@pytest.mark.parametrize("form", ["python3", "sh"])
+def test_the_loop_goes_on_after_the_connection_was_cut(
+    connect: Callable[..., SshHost], server: SshServer, form: str
+) -> None:
+    clock = SystemClock()
+    sampler = connect(form).sample_utilisation(20.0)
+    wait(0.6)
+    cut_at = clock.now()
+    server.cut()
+    wait(2.0)
+    samples = sampler.stop()
+    assert samples[-1].time > cut_at + 1.5
+    after = [sample for sample in samples if sample.time > cut_at]
+    assert len(after) >= 15
+    assert "samples were recovered over a second connection" in sampler.report().problems[-1]
+
+
 def test_the_samples_that_had_arrived_before_the_connection_was_lost_are_kept(
     connect: Callable[..., SshHost], server: SshServer
 ) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 from contextlib import suppress
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
@@ -10,6 +9,7 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.links.clock_offset import ClockRecord
 from robot_runner.core.links.cpu_counters import CoreCounters, CounterSample, ProcessCounters, utilisation_of
 from robot_runner.core.links.host import FileSample, SamplingReport, UtilisationSample
+from robot_runner.core.links.on_board_leftovers import new_token
 from robot_runner.core.links.on_board_session import FORMS
 
 if TYPE_CHECKING:
@@ -159,7 +159,7 @@ class OnBoardSampler(Generic[S_co]):
         self._cpu_seconds: float | None = None
         self._clock = ClockRecord(session.where, session.clock_offset())
         session.samples = []
-        token = "-" if is_streamed else secrets.token_hex(8)
+        token = "-" if is_streamed else new_token()
         kind, about = quantity.question
         path, cores, actual = session.ask(kind, rate, token, *about, answer="begun")
         self._path = None if path == "-" else path
@@ -221,7 +221,10 @@ class OnBoardSampler(Generic[S_co]):
         try:
             session = self._reconnect()
         except LinkError as again:
-            self._problems.append(f"the samples are still on board, in {self._path}: {again.problem}")
+            self._problems.append(
+                f"the samples are still on board, in {self._path}: {again.problem}; the next run that samples this "
+                "computer removes them"
+            )
             return []
         return self._recovered(session, self._path)
 

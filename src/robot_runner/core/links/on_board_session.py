@@ -60,6 +60,9 @@ _SAMPLES = ("s", "f")
 #: How long an answer may take, s: the first one waits for the connection.
 _PATIENCE = 10.0
 _FIRST_PATIENCE = 20.0
+#: For how long, s, a loop that keeps its samples goes on after its connection was cut: a network that comes back within
+#: a mission finds them whole, and a computer is not sampled for ever where nobody comes back.
+_LEASE = 600
 #: How often the clock is asked for: the least delay of eight is near the least there is.
 _EXCHANGES = 8
 #: How long a process may take to end once its input is closed, s, and then once it is told to.
@@ -178,9 +181,12 @@ class OnBoardSession:
 
     def close(self) -> None:
         """End the process at both ends; closing twice does nothing."""
-        with suppress(OSError):
-            if self._process.stdin is not None:
-                self._process.stdin.close()
+        pipe = self._process.stdin
+        if pipe is not None and not pipe.closed:
+            with suppress(OSError):
+                pipe.write(b"leave\n")  # otherwise it would take this for a connection that was cut
+            with suppress(OSError):
+                pipe.close()
         for ending in (None, signal.SIGTERM, signal.SIGKILL):
             if ending is not None:
                 with suppress(ProcessLookupError):
@@ -219,7 +225,7 @@ class OnBoardSession:
                 where=self.where,
                 fix=f"Choose among what it can: {', '.join(offered)}." if offered else "Install python3 there.",
             )
-        self._send(f"{form}\n{_program(FORMS[form].program)}\n{_END}")
+        self._send(f"{form}\n{_program(FORMS[form].program)}\n{_END}lease\t{_LEASE}\n")
         return form
 
     def _exchange(self, number: int) -> ClockExchange:

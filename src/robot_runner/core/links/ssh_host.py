@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.links.host import checked_words
+from robot_runner.core.links.on_board_leftovers import remove_leftovers
 from robot_runner.core.links.on_board_sampler import FileLines, OnBoardSampler, UtilisationCounters, file_line
 from robot_runner.core.links.on_board_session import REMOTE_COMMAND, OnBoardSession
 
@@ -300,6 +301,8 @@ class SshHost:
             if session.is_alive and session not in busy:
                 return session
         session = self._connected()
+        if not self._sessions:
+            remove_leftovers(session)
         self._sessions.append(session)
         return session
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.events.measure import Measure, Over
+from robot_runner.core.links.on_board_session import FORMS
 from robot_runner.core.sampling.quality import Column, SampleQuality, quality_of, write_quality, write_samples
 from robot_runner.core.sampling.series import Series, cut, mean, mean_of_intervals
 
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
     from robot_runner.core.links.host import SamplingReport, UtilisationSample
 
 __all__ = ["Selection", "Utilisation"]
+
+#: In steps of how many seconds ps tells what a process has used.
+_PS_STEP = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +128,12 @@ class Utilisation:
     def doubts(self) -> Iterator[str]:
         """Yield what is doubtful, with figures, besides the quality of the samples."""
         yield from self.report.problems
+        if self.report.form == FORMS["ps"].description and self.window.duration > 0:
+            off = _PS_STEP / self.window.duration * 100
+            yield (
+                f"ps tells CPU time in whole seconds: over {self.window.duration:.1f} s, utilisation may be off by "
+                f"{off:.0f} % of a core for each process"
+            )
         for place, selector in enumerate(self.selection.processes):
             if self.samples and not self._was_seen(place):
                 yield f"no process {selector} was seen"

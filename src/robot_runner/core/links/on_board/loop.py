@@ -11,15 +11,21 @@ little to import. Messages are lines of fields with tabs between:
     read  PATH...                                    lines  =LINE or - ...
     list  PATTERN                                    paths  PATH...
     recover  FILE                                    s or f lines, then  end  -
+    leftovers  OWNER                                 paths  FILE...
+    discard  FILE                                    discarded  FILE
+    lease  SECONDS                                   (for how long to go on after the connection was cut)
+    leave                                            (not to go on)
 
     s  STEADY  CORE:TOTAL:IDLE,...  TOTAL:AVAILABLE  SELECTOR:PID:STARTED:CPU_SECONDS:BYTES,...
     f  STEADY  =LINE or - ...
 
-With a TOKEN samples are kept in a file named after it until `stop` asks for them; with `-` they are sent at once.
+With a TOKEN samples are kept in a file named after it until `stop` asks for them; with `-` they are sent at once. Where
+the input ends while samples are kept, the loop goes on for its lease, so that they can be recovered. A token begins
+with its owner: leftovers are all files of one.
 Memory is in kB; CORE is empty for all of them together.
 """
 # Importing pathlib would double the time that Python needs to start on a small computer.
-# ruff: noqa: PTH108, PTH111, PTH115, PTH118, PTH119, PTH123, PTH207, PTH208
+# ruff: noqa: PTH108, PTH110, PTH111, PTH115, PTH118, PTH119, PTH123, PTH207, PTH208
 
 import glob
 import io
@@ -35,6 +41,7 @@ CORES = os.sysconf("SC_NPROCESSORS_ONLN")
 INTERPRETERS = ("python", "perl", "ruby", "node", "sh", "bash", "dash")
 RESCAN = 1.0  # seconds between two looks for new processes
 YOUNG = 5  # looks during which a process may still turn into another program
+PREFIX = "robot-runner-samples-"
 MOST = 1 << 18  # bytes of /proc/stat: those of a computer with hundreds of cores
 
 
@@ -172,21 +179,31 @@ class Loop:
         self.source = None  # type: Utilisation | Files | None
         self.kept = None  # type: io.TextIOWrapper | None
         self.path = "-"
-        self.period = self.due = self.cpu = self.flushed = 0.0
+        self.period = self.due = self.cpu = self.flushed = self.lease = 0.0
 
     def run(self) -> None:
-        """Go on until the input ends."""
+        """Go on until the input ends, and for the lease after it if samples are kept."""
         while True:
             wait = None if self.source is None else max(0.0, self.due - time.monotonic())
             if select.select([0], [], [], wait)[0]:
                 data = os.read(0, 65536)
                 if not data:
+                    self.go_on_alone()
                     return
                 *lines, self.heard = (self.heard + data).split(b"\n")
                 for line in lines:
                     self.answer(line.decode("utf-8").split("\t"))
             elif self.source is not None:
                 self.sample(self.source)
+
+    def go_on_alone(self) -> None:
+        """Sample until the lease is over, or what was kept is fetched or discarded by another session."""
+        end = time.monotonic() + self.lease
+        while self.source is not None and self.kept is not None and time.monotonic() < end:
+            if not os.path.exists(self.path):
+                return
+            time.sleep(max(0.0, min(self.due, end) - time.monotonic()))
+            self.sample(self.source)
 
     def sample(self, source: "Utilisation | Files") -> None:
         """Take one sample; moments that were missed are passed over."""
@@ -219,6 +236,16 @@ class Loop:
             say("paths", *sorted(glob.glob(rest[0])))
         elif kind == "recover":
             recover(rest[0])
+        elif kind == "leftovers":
+            say(
+                "paths",
+                *[path for folder in folders() for path in glob.glob(os.path.join(folder, PREFIX + rest[0] + "-*"))],
+            )
+        elif kind == "discard":
+            discard(rest[0])
+            say("discarded", rest[0])
+        elif kind in {"lease", "leave"}:
+            self.lease = float(rest[0]) if rest else 0.0
         else:
             say("error", "asked for", kind)
 
@@ -243,10 +270,15 @@ class Loop:
         say("end", f"{cpu:.6f}")
 
 
+def folders() -> "list[str]":
+    """Return where samples may be kept, best first."""
+    return [os.environ.get("TMPDIR") or "/tmp", "/var/tmp", os.path.expanduser("~")]  # noqa: S108 - only for its owner
+
+
 def opened(token: str) -> "tuple[io.TextIOWrapper, str]":
     """Return a new file that samples are kept in, readable for its owner alone, and its path."""
-    for folder in (os.environ.get("TMPDIR") or "/tmp", "/var/tmp", os.path.expanduser("~")):  # noqa: S108 - as below
-        path = os.path.join(folder, "robot-runner-samples-" + token)
+    for folder in folders():
+        path = os.path.join(folder, PREFIX + token)
         try:
             descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         except OSError:
@@ -267,8 +299,8 @@ def send(path: str) -> None:
     os.unlink(path)
 
 
-def recover(path: str) -> None:
-    """End a loop that lost its connection, and send what it kept."""
+def end_holder(path: str) -> None:
+    """End the loop that keeps its samples in a file, if it is still there."""
     pid = first_bytes(path).split(b"\n")[0].rpartition(b"\t")[2].decode("ascii", "replace")
     if pid.isdigit() and holds(pid, path):
         os.kill(int(pid), signal.SIGTERM)
@@ -276,6 +308,19 @@ def recover(path: str) -> None:
             if not holds(pid, path):
                 break
             time.sleep(0.05)
+
+
+def discard(path: str) -> None:
+    """Remove a file of samples that nobody will fetch."""
+    if os.path.basename(path).startswith(PREFIX):
+        end_holder(path)
+        if os.path.exists(path):
+            os.unlink(path)
+
+
+def recover(path: str) -> None:
+    """End a loop that lost its connection, and send what it kept."""
+    end_holder(path)
     try:
         send(path)
     except OSError as error:
@@ -303,7 +348,7 @@ def leave(number: int, _: object) -> None:
 def main() -> None:
     """Sample until the input ends; what was kept stays, to be recovered later."""
     signal.signal(signal.SIGTERM, leave)
-    signal.signal(signal.SIGHUP, leave)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a connection that is cut shows in the input
     loop = Loop()
     try:
         loop.run()

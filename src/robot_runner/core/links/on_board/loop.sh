@@ -2,11 +2,23 @@
 # /proc, and `ps` for any other. It understands what loop.py does. This shell hears; a second one samples.
 
 tab=$(printf '\t')
-cores=$(getconf _NPROCESSORS_ONLN 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || nproc 2>/dev/null || echo 1)
+# Linux tells of the cores without any tool, too: each has a line of its own.
+count_cores() {
+    cores=0
+    while read -r name _; do
+        case $name in cpu[0-9]*) cores=$((cores + 1)) ;; esac
+    done </proc/stat
+    [ "$cores" -gt 0 ]
+}
+
+cores=$(getconf _NPROCESSORS_ONLN 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || nproc 2>/dev/null) ||
+    { [ -r /proc/stat ] && count_cores; } || cores=
 page=$(getconf PAGESIZE 2>/dev/null || echo 4096)
 tick=$(getconf CLK_TCK 2>/dev/null || echo 100)
 sampler=
 path=-
+lease=0
+prefix=robot-runner-samples-
 
 # Set $now to hundredths of a second on the steady clock, and $steady to the same in seconds.
 look_at_clock() {
@@ -218,6 +230,10 @@ begin() {
         printf 'error\tthere is no /proc/uptime to time them with\n'
         return
     fi
+    if [ -z "$cores" ]; then
+        printf 'error\tthe number of its cores is not known: getconf, sysctl and nproc are missing\n'
+        return
+    fi
     shortest=100
     if [ "$form" = sh ] && sleep 0.01 2>/dev/null; then shortest=1; fi
     period=$(awk "BEGIN { printf \"%d\", 100 / $rate + 0.5 }" 2>/dev/null || echo 100)
@@ -243,8 +259,8 @@ make_file() {
     path=-
     if [ "$token" = - ]; then return; fi
     for folder in "${TMPDIR:-/tmp}" /var/tmp "$HOME"; do
-        if (set -C && : >"$folder/robot-runner-samples-$token") 2>/dev/null; then
-            path=$folder/robot-runner-samples-$token
+        if (set -C && : >"$folder/$prefix$token") 2>/dev/null; then
+            path=$folder/$prefix$token
             return
         fi
     done
@@ -297,16 +313,43 @@ send_kept() {
     rm -f "$1"
 }
 
+# End the sampler that keeps its samples in a file, if it is still there.
+end_holder() {
+    pid=$(sed -n "s/^pid$tab//p" "$1")
+    if [ -n "$pid" ] && ls -l "/proc/$pid/fd" 2>/dev/null | grep -q -F -e "-> $1"; then
+        kill "$pid" && sleep 1
+    fi
+}
+
+# Tell of the files that sessions of one owner keep, or have left.
+leftovers() {
+    line=paths
+    for folder in "${TMPDIR:-/tmp}" /var/tmp "$HOME"; do
+        for file in "$folder/$prefix$1-"*; do
+            if [ -f "$file" ]; then line="$line$tab$file"; fi
+        done
+    done
+    printf '%s\n' "$line"
+}
+
+# Remove a file of samples that nobody will fetch.
+discard() {
+    case ${1##*/} in
+        "$prefix"*)
+            if [ -r "$1" ]; then end_holder "$1"; fi
+            rm -f "$1"
+            ;;
+    esac
+    printf 'discarded\t%s\n' "$1"
+}
+
 # End a sampler that lost its connection, and send what it kept.
 recover() {
     if ! [ -r "$1" ]; then
         printf 'error\tthere is no %s\n' "$1"
         return
     fi
-    pid=$(sed -n "s/^pid$tab//p" "$1")
-    if [ -n "$pid" ] && ls -l "/proc/$pid/fd" 2>/dev/null | grep -q -F -e "-> $1"; then
-        kill "$pid" && sleep 1
-    fi
+    end_holder "$1"
     send_kept "$1"
     printf 'end\t-\n'
 }
@@ -328,6 +371,7 @@ list_files() {
 }
 
 trap stop_sampler EXIT
+trap '' HUP # a connection that is cut shows in the input
 while IFS= read -r asked; do
     set -f
     IFS=$tab
@@ -354,6 +398,18 @@ while IFS= read -r asked; do
         read) shift && read_files "$@" ;;
         list) list_files "$2" ;;
         recover) recover "$2" ;;
+        leftovers) leftovers "$2" ;;
+        discard) discard "$2" ;;
+        lease) lease=$2 ;;
+        leave) lease=0 ;;
         *) printf 'error\tasked for\t%s\n' "$1" ;;
     esac
 done
+
+# The connection was cut: go on for a while, until somebody fetches what is kept.
+if [ -n "$sampler" ] && [ "$path" != - ]; then
+    while [ "$lease" -gt 0 ] && [ -e "$path" ]; do
+        sleep 1
+        lease=$((lease - 1))
+    done
+fi
