@@ -177,7 +177,7 @@ class Performer:
         self._log = log
 
     def perform(
-        self, announce: Callable[[int, Phase], None], mark: Callable[[str], AbstractContextManager[None]] = nullcontext
+        self, announce: Callable[[int, Phase], None], mark: Callable[[str], AbstractContextManager[Any]] = nullcontext
     ) -> Performance:
         """Carry out the mission; the robot is stopped whatever happens.
 
@@ -204,7 +204,7 @@ class Performer:
             fault.add_note(f"The robot could not be made safe: {error}")
 
     def _perform(
-        self, announce: Callable[[int, Phase], None], mark: Callable[[str], AbstractContextManager[None]]
+        self, announce: Callable[[int, Phase], None], mark: Callable[[str], AbstractContextManager[Any]]
     ) -> Performance:
         odometer = self._robot.odometer
         home, way_before = odometer.pose(), odometer.travelled
