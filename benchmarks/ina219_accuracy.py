@@ -7,23 +7,34 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from tests.firmware.measuring import MISSIONS, SWING, VOLTS, measure
+from tests.firmware.measuring import MISSIONS, OWN_HERTZ, SWING, VOLTS, Pulses, Sine, measure
 from tests.firmware.raw_line import decoded, intact, read_until_unplugged
 from tests.firmware.simulated_board import BoardClock, build, executed, missing_tools
 
 from benchmarks.table import Row, print_table
 
 if TYPE_CHECKING:
-    from tests.firmware.measuring import Measured, Sine, Steps
+    from tests.firmware.measuring import Measured, Steps
     from tests.firmware.simulated_board import Build
 
 _TEN_MINUTES = 600.0
-_BOUND, _BOUND_WHEN_CORRUPT = "0.5 %", "1 %"
+_BOUND, _BOUND_WHEN_CORRUPT, _BOUND_IN_STEP = "0.5 %", "1 %", "2.5 %"
+#: Loads in step with the samples, with the sensor's own conversions, with the beat of both, and faster than all.
+_IN_STEP: tuple[tuple[str, Sine | Pulses], ...] = (
+    ("sine, 200 Hz", Sine(0.8, 0.4, 200.0, 0.25)),
+    ("10 % pulses, 200 Hz", Pulses(0.0, 1.0, 200.0, 0.1)),
+    ("50 % pulses, 400 Hz", Pulses(0.2, 1.4, 400.0, 0.5)),
+    ("10 % pulses, 235 Hz (the sensor's own)", Pulses(0.0, 1.0, OWN_HERTZ, 0.1)),
+    ("10 % pulses, 35 Hz (their beat)", Pulses(0.0, 1.0, OWN_HERTZ - 200.0, 0.1)),
+    ("10 % pulses, 1 kHz", Pulses(0.0, 1.0, 1000.0, 0.1)),
+    ("10 % pulses, 20 kHz", Pulses(0.0, 1.0, 20_000.0, 0.1)),
+)
+_IN_STEP_SECONDS = 30.0
 
 
 class _Outcome(NamedTuple):
     measured: Measured
-    load: Steps | Sine
+    load: Steps | Sine | Pulses
     facts: dict[str, float]
     wall_s: float
 
@@ -50,6 +61,7 @@ def main() -> None:
         swinging = _executed(built, SWING)
         slow = _executed(built, MISSIONS, skew=0.005)
         corrupt = _executed(built, MISSIONS, corrupt=0.01, seed=1)
+        in_step = [(name, _executed(built, load, _IN_STEP_SECONDS)) for name, load in _IN_STEP]
         undetected, hit = _undetected(built, Path(folder) / "truth")
     rows = [
         Row("energy, stepped load", stepped.error, stepped.joules, "", _BOUND),
@@ -61,6 +73,8 @@ def main() -> None:
         Row("corrupt frames taken for true ones", f"{undetected}", f"of {hit} hit", "", "0"),
         Row("simulated seconds a second", f"{_TEN_MINUTES / stepped.wall_s:.0f}", "1 (the real meter)"),
     ]
+    for name, outcome in in_step:
+        rows.append(Row(f"energy, {name}, {_IN_STEP_SECONDS:.0f} s", outcome.error, outcome.joules, "", _BOUND_IN_STEP))
     print_table(
         f"INA219: {_TEN_MINUTES / 60:.0f} minutes at 200 Hz, firmware in simavr, beside the analytic value", rows
     )
@@ -82,11 +96,11 @@ def _undetected(built: Build, truth: Path) -> tuple[int, int]:
     return len(set(decoded(received)) - set(untouched)), hit
 
 
-def _executed(built: Build, load: Steps | Sine, **settings: object) -> _Outcome:
+def _executed(built: Build, load: Steps | Sine | Pulses, seconds: float = _TEN_MINUTES, **settings: object) -> _Outcome:
     with tempfile.TemporaryDirectory() as name:
         folder, begun = Path(name), time.perf_counter()
         with executed(built, clock=BoardClock(folder / "clock"), load=load.words, volts=VOLTS, **settings) as board:
-            measured = measure(board, folder, _TEN_MINUTES)
+            measured = measure(board, folder, seconds)
             facts = board.facts()
         return _Outcome(measured, load, facts, time.perf_counter() - begun)
 

@@ -5,17 +5,16 @@ from __future__ import annotations
 import random
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich import box
 from rich.console import Console
 from rich.table import Table
 from tests.firmware.measuring import VOLTS, Steps, measure
 from tests.firmware.simulated_board import BoardClock, build, executed, missing_tools
-from tests.meters.ina219.test_ina219_card import recording
-from tests.meters.ina219.test_ina219_sysfs import HWMON
-from tests.meters.ina219.test_ina219_sysfs import measured as measured_by_driver
-from tests.meters.scripted_meter import NOISE, ScriptedMeter, frame, hello, sample
+from tests.meters.scripted_driver import HWMON
+from tests.meters.scripted_driver import measured as measured_by_driver
+from tests.meters.scripted_meter import NOISE, ScriptedMeter, frame, hello, recording, sample
 
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.plugins.profilers import Ina219
@@ -72,10 +71,10 @@ def _line(
     *,
     lost_at: float | None = None,
     seconds: float = _SECONDS,
-    **given: object,
+    **given: Any,
 ) -> Fault:
     def execute(folder: Path) -> RobotRunnerContext:
-        clock, profiler = FakeClock(), Ina219(**given)  # type: ignore[arg-type]
+        clock, profiler = FakeClock(), Ina219(**given)
         links = FakeLinks(serial=FakeSerialLine(clock, chunks, lost_at=lost_at))
         context = make_context(folder, profiler, links=links, clock=clock)
         rehearse(context, profiler, mission=lambda: clock.sleep(seconds))
@@ -84,8 +83,8 @@ def _line(
     return Fault("serial line", name, execute, expected)
 
 
-def _sent(watts: float = 8.0, *, end: float = _END, **script: object) -> list[Chunk]:
-    return ScriptedMeter(lambda _: watts, **script).chunks(start=0.0, end=end)  # type: ignore[arg-type]
+def _sent(watts: float = 8.0, *, end: float = _END, **script: Any) -> list[Chunk]:
+    return ScriptedMeter(lambda _: watts, **script).chunks(start=0.0, end=end)
 
 
 def _samples(count: int = 2000, **columns: Callable[[int], int]) -> list[Chunk]:
@@ -102,7 +101,7 @@ def _samples(count: int = 2000, **columns: Callable[[int], int]) -> list[Chunk]:
 
 
 def _noise(count: int, period: float, size: int, begin: float = 0.0) -> list[Chunk]:
-    drawn = random.Random(5)  # noqa: S311 - noise, no secret
+    drawn = random.Random(5)
     return [Chunk(begin + period * at, drawn.randbytes(size)) for at in range(count)]
 
 
@@ -118,18 +117,32 @@ _GPS = b"$GPGGA,101010.00,4717.11,N,00833.91,E,1,08,1.0,499.6,M,48.0,M,,*47\r\n"
 
 _ON_THE_LINE = (
     _line("no fault: a constant load", "", _sent()),
-    _line("no fault: a load that jumps", "", ScriptedMeter(lambda at: 7.0 if at < 2 else 10.0).chunks(start=0.0, end=_END)),
+    _line(
+        "no fault: a load that jumps", "", ScriptedMeter(lambda at: 7.0 if at < 2 else 10.0).chunks(start=0.0, end=_END)
+    ),
     _line("no fault: the largest current in range", "", _sent(35.4)),
     _line("no fault: a resonator 0.5 % slow, 30 s", "", _sent(end=40.0, skew=0.005), seconds=30.0),
     _line("no fault: power within the declared limits", "", _sent(), plausible_w=(2, 30)),
     _line("nothing is sent", "no byte came", []),
     _line("wrong baud rate: random bytes", "none of it frames: wrong baud rate", _noise(200, 0.05, 350)),
     _line("another device: a GPS receiver", "none of it frames", [Chunk(0.1 * at, _GPS) for at in range(100)]),
-    _line("frames of a later version only", "another version", [Chunk(0.01 * at, frame(0x21, at, b"later")) for at in range(900)]),
-    _line("the baud rate changes half way", "on the line held no frame", _merged(_sent(end=1.5), _noise(100, 0.05, 300, 1.6))),
+    _line(
+        "frames of a later version only",
+        "another version",
+        [Chunk(0.01 * at, frame(0x21, at, b"later")) for at in range(900)],
+    ),
+    _line(
+        "the baud rate changes half way",
+        "on the line held no frame",
+        _merged(_sent(end=1.5), _noise(100, 0.05, 300, 1.6)),
+    ),
     _line("bytes between the frames", "belonged to no frame", _merged(_sent(), _noise(50, 0.1, 5, 0.051))),
     _line("registers stuck from the beginning", "read the same", _sent(noise=0)),
-    _line("registers stuck from some moment on", "read the same", _samples(shunt=lambda at: 7200 + (NOISE[at % 4] if at < 300 else 0))),
+    _line(
+        "registers stuck from some moment on",
+        "read the same",
+        _samples(shunt=lambda at: 7200 + (NOISE[at % 4] if at < 300 else 0)),
+    ),
     _line("1 % of the samples lost", "samples were lost", _sent(left_out=set(range(50, 2000, 100)))),
     _line("frames damaged", "damaged and left out", _sent(damaged={100, 200, 300})),
     _line("samples sent twice", "received twice", _merged(_sent(), _sent(says_hello=False))),
@@ -138,8 +151,14 @@ _ON_THE_LINE = (
     _line("a gap at the mission's end", "the largest gap", _until(2.9, _sent())),
     _line("the meter dies half way", "do not cover", _until(1.5, _sent())),
     _line("half of the samples", "samples were lost", _sent(left_out=set(range(1, 2000, 2)))),
-    _line("a restart", "restarted once", _merged(_until(1.0, _sent(first_stamp=9_000_000)), [
-        Chunk(chunk.received_at + 1.02, chunk.data) for chunk in _sent(end=8.0)])),
+    _line(
+        "a restart",
+        "restarted once",
+        _merged(
+            _until(1.0, _sent(first_stamp=9_000_000)),
+            [Chunk(chunk.received_at + 1.02, chunk.data) for chunk in _sent(end=8.0)],
+        ),
+    ),
     _line("the device's clock 3 % slow, 30 s", "3.1 % slow", _sent(end=40.0, skew=0.03), seconds=30.0),
     _line("the device's clock 5 % fast, 30 s", "4.8 % fast", _sent(end=40.0, skew=-0.05), seconds=30.0),
     _line("the device's clock stands still", "stood still", _samples(stamp=lambda at: 5000 * min(at, 200))),
@@ -150,12 +169,20 @@ _ON_THE_LINE = (
     _line("no voltage on the bus", "saw no voltage", _samples(bus=lambda _: 0)),
     _line("power above the declared limits", "outside the plausible", _sent(33.0), plausible_w=(2, 30)),
     _line("power below the declared limits", "outside the plausible", _sent(0.5), plausible_w=(2, 30)),
-    _line("the sensor does not answer the device", "its sensor did not", [Chunk(at, hello(200 * at, 0, configuration=0)) for at in range(9)]),
-    _line("the sensor lost its power", "without power", _merged(_sent(), [Chunk(1.0, hello(200, 995_000, configuration=0x399F))])),
+    _line(
+        "the sensor does not answer the device",
+        "its sensor did not",
+        [Chunk(at, hello(200 * at, 0, configuration=0)) for at in range(9)],
+    ),
+    _line(
+        "the sensor lost its power",
+        "without power",
+        _merged(_sent(), [Chunk(1.0, hello(200, 995_000, configuration=0x399F))]),
+    ),
     _line("another shunt than the meter says", "its shunt has", _sent(), shunt_ohm=0.05),
     _line("another rate than the meter says", "samples at 200 Hz", _sent(), rate_hz=100.0),
     _line("the cable is pulled out", "unplugged", _sent(), lost_at=1.0),
-)  # fmt: skip
+)
 
 
 def _card(name: str, expected: str, data: bytes | None, *, before: bytes | None = None) -> Fault:
@@ -211,7 +238,7 @@ def _driver(
     lines: Callable[[float], tuple[str | None, ...]],
     *,
     shunt: str = "100000",
-    **given: object,
+    **given: Any,
 ) -> Fault:
     def execute(folder: Path) -> RobotRunnerContext:
         context, _ = measured_by_driver(folder, lines, 10.0, {**HWMON, "shunt_resistor": shunt}, **given)
@@ -236,8 +263,13 @@ _BEHIND_THE_DRIVER = (
     _driver("no voltage on the bus", "saw no voltage", lambda at: _shown(at, volts=0.0)),
     _driver("the sensor wired the wrong way round", "are swapped", lambda at: _shown(at, watts=-7.6)),
     _driver("a current beyond the range", "the energy is at least", lambda _: ("39680000", "3200", "12400")),
-    _driver("power above the declared limits", "outside the plausible", lambda at: _shown(at, watts=33.0), plausible_w=(2, 30)),
-)  # fmt: skip
+    _driver(
+        "power above the declared limits",
+        "outside the plausible",
+        lambda at: _shown(at, watts=33.0),
+        plausible_w=(2, 30),
+    ),
+)
 
 
 def board_faults(built: Build) -> tuple[Fault, ...]:

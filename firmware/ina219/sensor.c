@@ -14,8 +14,9 @@
 #define READY 2U /* CNVR, in the bus voltage register */
 #define PATIENCE_US 100000UL /* the longest conversion takes 75 ms */
 
-#define BUS_FEWEST 16
-#define BUS_SPREAD 16
+/* Looks between two conversions of the bus voltage: by chance, so that the pauses fall on no fixed moment of a period. */
+#define BUS_FEWEST 200
+#define BUS_SPREAD 200
 
 /* Table 5 of the data sheet, typical; bits 6 to 3 choose. */
 #define SHUNT_SETTING ((SENSOR_CONFIGURATION >> 3) & 15U)
@@ -26,7 +27,7 @@ typedef struct {
     uint8_t address;
     uint8_t is_converting_bus;
     uint8_t has_bus;
-    uint8_t until_bus; /* samples */
+    uint16_t until_bus; /* looks */
     uint8_t looks;
     int32_t sum; /* of the looks, and what rounding left over */
     uint16_t bus;
@@ -122,8 +123,13 @@ void sensor_look(void)
             continue;
         sensor->sum += (int16_t) shunt;
         sensor->looks++;
-        if (sensor->is_converting_bus)
+        if (sensor->is_converting_bus) {
             look_at_bus(sensor);
+        } else if (sensor->until_bus-- == 0 || !sensor->has_bus) {
+            verify(sensor);
+            configure(sensor, CONVERTING_BUS);
+            sensor->until_bus = BUS_FEWEST + device_clock_chance(BUS_SPREAD);
+        }
     }
 }
 
@@ -131,13 +137,6 @@ uint8_t sensor_take(uint8_t number, uint16_t *shunt, uint16_t *bus)
 {
     sensor_t *sensor = &sensors[number];
     int32_t mean;
-    if (sensor->until_bus == 0 || !sensor->has_bus) {
-        verify(sensor);
-        configure(sensor, CONVERTING_BUS);
-        sensor->until_bus = BUS_FEWEST + (uint8_t) device_clock_chance(BUS_SPREAD);
-    } else {
-        sensor->until_bus--;
-    }
     if (sensor->looks == 0 || !sensor->has_bus) {
         sensor->sum = sensor->looks = 0;
         return 0;

@@ -1,8 +1,8 @@
 /* The INA219s: what is read from them, as it is (Texas Instruments, SBOS448G, section 8.6).
 
    A sensor converts the shunt's voltage without a pause, so that nothing of the current is missed, and its register is
-   looked at several times a sample. The voltage of the bus, which changes slowly, is converted in between: after 16 to 31
-   samples, by chance, so that the pauses beat in step with no load. */
+   looked at several times a sample. The voltage of the bus, which changes slowly, is converted in between: after 200 to 399
+   looks, by chance, so that the pauses beat in step with no load. */
 #ifndef SENSOR_H
 #define SENSOR_H
 

@@ -10,6 +10,7 @@ from robot_runner.core.doors import open_door
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from robot_runner.core.config.authors import Author as Author
+    from robot_runner.core.config.parameters import BadValuePolicy as BadValuePolicy
     from robot_runner.core.config.parameters import ExperimentConfig as ExperimentConfig
     from robot_runner.core.config.parameters import FailurePolicy as FailurePolicy
     from robot_runner.core.config.parameters import OperationType as OperationType

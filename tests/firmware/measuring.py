@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from robot_runner.plugins import Plugin
 
 VOLTS = 11.1
+#: A cycle of the sensor's own: eight conversions of 0.532 ms of the shunt (SBOS448G, table 5).
+OWN_HERTZ = 1 / (8 * 532e-6)
 
 
 @dataclass(frozen=True)

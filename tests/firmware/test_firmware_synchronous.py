@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from tests.firmware.measuring import VOLTS, Pulses, Sine, measure
+from tests.firmware.measuring import OWN_HERTZ, VOLTS, Pulses, Sine, measure
 
 PROMISED = 0.025  # parts of one
-#: A cycle of the sensor's own: eight conversions of 0.532 ms of the shunt (SBOS448G, table 5).
-OWN_HERTZ = 1 / (8 * 532e-6)
 
 IN_STEP_WITH_THE_SAMPLES = [
     *(Sine(0.8, 0.4, 200.0, phase) for phase in (0.0, 0.25, 0.5, 0.75)),

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 from robot_runner.testing import Chunk
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable, Collection, Sequence
 
 SHUNT_OHM = 0.1
+PERIOD_US = 5000
 #: What one step of noise adds to four samples on end; nothing on average.
 NOISE = (0, 1, 0, -1)
 
@@ -85,3 +86,22 @@ class ScriptedMeter:
         if number in self.damaged:
             sent[10] ^= 0x40
         return bytes(sent)
+
+
+def recording(
+    count: int,
+    *,
+    marks: Sequence[tuple[int, bool]] = (),
+    start_us: int = 5000,
+    first: int = 0,
+    says_hello: bool = True,
+    noise: int = 1,
+) -> bytes:
+    """A recording of so many samples of a constant power; `marks` are (before which sample, is it on)."""
+    pieces = [hello(first, start_us)] if says_hello else []
+    for number in range(count):
+        now = start_us + number * PERIOD_US
+        pieces += [mark(first + number, now, is_on=is_on) for at, is_on in marks if at == number]
+        pieces.append(sample(first + number, now, 6130 + noise * NOISE[number % 4]))
+    whole = b"".join(pieces)
+    return whole + bytes(-len(whole) % 512)

@@ -12,7 +12,7 @@ from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_host
 from robot_runner.core.links.host import LOCAL, FileHost, RemoteHost, ReportingSampler, SamplingReport
 from robot_runner.core.links.local_host import LocalHost
-from robot_runner.core.links.measured_machine import machine_clock, simulation_findings
+from robot_runner.core.links.measured_machine import Computer, machine_clock, simulation_findings
 from robot_runner.core.links.ssh_host import SshHost, ssh_findings
 from robot_runner.core.sampling.periodic import Sampling
 from robot_runner.meters.electrical import ElectricalProfiler
@@ -182,6 +182,11 @@ class PowerRails(ElectricalProfiler):
         self.bytes_per_run = round(95 * rate_hz * (20 + 40 * len(channels)))
         self._rails: Sequence[Rail] = ()
         self._report = SamplingReport(rate=rate_hz)
+
+    @property
+    def measured_computer(self) -> Computer:
+        """The computer whose rails are read."""
+        return Computer(self.host, self.ssh_config)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: the computer cannot be reached, or has no such rail."""

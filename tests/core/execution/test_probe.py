@@ -140,6 +140,11 @@ class Interrupting(Meter):
         time.sleep(60)
 
 
+class Watch(Profiler):
+    def start_measurement(self, context):
+        told("watch")
+
+
 class Early(Meter):
     """Sets something up that a probe does not."""
 
@@ -272,7 +277,7 @@ def test_one_can_go_without_a_probe(
 def test_profilers_that_tell_nothing_before_the_mission_are_left_out(
     robot_runner: Program, study: Callable[..., Path], here: Path
 ) -> None:
-    path = study("Early('A'), meter")
+    path = study("Early('A'), meter, Watch()")
     config = path.read_text(encoding="utf-8")
     unprobed = "meter = Meter('B')\nmeter.probe_s = None\n\n\nclass RobotRunner"
     path.write_text(config.replace("class RobotRunner", unprobed), encoding="utf-8")
@@ -284,6 +289,15 @@ def test_a_probe_can_be_interrupted(robot_runner: Program, study: Callable[..., 
     study("Interrupting('A')")
     assert robot_runner("study.py").code == 130
     assert "mission" not in told(here)
+
+
+def test_a_profiler_is_probed_with_the_treatments_of_the_first_run(
+    robot_runner: Program, study: Callable[..., Path], here: Path
+) -> None:
+    study("Meter('A', value=treatment('Load'))")
+    assert robot_runner("study.py").code == 0
+    [probe] = probes(here)
+    assert probe["profilers"]["A"]["measures"]["Power_A"] == "heavy"
 
 
 def test_each_execution_that_has_something_to_do_begins_with_a_probe(

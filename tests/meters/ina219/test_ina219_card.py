@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from tests.meters.scripted_meter import NOISE, frame, hello, mark, sample
+from tests.meters.scripted_meter import frame, hello, mark, recording, sample
 
 from robot_runner.core.errors import LinkError
 from robot_runner.meters.ina219.card import read_card
@@ -13,19 +13,6 @@ from robot_runner.testing import FakeClock, make_context, rehearse
 
 PERIOD = 5000
 WATTS = 0.613 * 12.4
-
-
-def recording(
-    count: int, *, marks=(), start_us: int = 5000, first: int = 0, says_hello: bool = True, noise: int = 1
-) -> bytes:
-    """A recording of so many samples of a constant power; `marks` are (before which sample, is it on)."""
-    pieces = [hello(first, start_us)] if says_hello else []
-    for number in range(count):
-        now = start_us + number * PERIOD
-        pieces += [mark(first + number, now, is_on=is_on) for at, is_on in marks if at == number]
-        pieces.append(sample(first + number, now, 6130 + noise * NOISE[number % 4]))
-    whole = b"".join(pieces)
-    return whole + bytes(-len(whole) % 512)
 
 
 def written(tmp_path, *recordings: bytes, blank: int = 10):

@@ -108,3 +108,23 @@ def test_what_a_run_takes_on_disk_is_told():
     # 95 s at 200 Hz; a row is some 50 bytes.
     assert Ina219().bytes_per_run == pytest.approx(95 * 200 * 50, rel=0.2)
     assert Ina219(rate_hz=100).bytes_per_run == pytest.approx(95 * 100 * 50, rel=0.2)
+
+
+def test_two_sensors_of_one_meter_share_its_port_and_one_sensor_has_one_profiler(port):
+    first, motors, again = Ina219(port=port), Ina219(name="m", port=port, address=0x41), Ina219(name="a", port=port)
+    plugins = (first, motors, again)
+    assert [len(found(each, plugins=plugins)) for each in plugins] == [0, 0, 1]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "problem"),
+    [({"port": "/dev/ttyUSB0", "address": 0x20}, "address is 32"), ({"sysfs": "auto", "address": 0x41}, "and sysfs")],
+)
+def test_an_address_that_no_sensor_of_a_meter_has_is_refused(parameters, problem):
+    with pytest.raises(PluginError, match=problem):
+        Ina219(**parameters)
+
+
+def test_the_meter_of_a_simulated_robot_has_one_sensor():
+    (finding,) = found(Ina219(address=0x41), robot="simulated")
+    assert "has one sensor" in finding.problem

@@ -180,7 +180,7 @@ def foreign(data: bytes) -> SampleStream:
         (b"", "no byte came in 10 s: is it the right port, and does the meter have power?"),
         (b"\x7f\x00" * 35_000, "70 kB came in 10 s, none of it frames: wrong baud rate, or another device?"),
         (b"$GPGGA,1*47\r\n" * 3, "39 bytes came in 10 s, none of it frames: wrong baud rate, or another device?"),
-        (hello(0, 0, configuration=0), "20 bytes came in 10 s, frames among it, but no sample of this sensor"),
+        (hello(0, 0), "20 bytes came in 10 s, frames among it, but no sample of this sensor"),
     ],
 )
 def test_what_came_instead_of_samples_is_said(data, told):

@@ -8,24 +8,16 @@ import json
 
 import pytest
 from tests.core.links.ssh_server import SshServer
+from tests.meters.scripted_driver import HWMON, measured
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.host import FileSample
 from robot_runner.core.links.local_host import LocalHost
 from robot_runner.meters.ina219 import sysfs
 from robot_runner.meters.ina219.sysfs import find_sensor
 from robot_runner.plugins.profilers import Ina219
-from robot_runner.testing import FakeClock, ProfilerContract, make_context, rehearse
+from robot_runner.testing import ProfilerContract, make_context, rehearse
 
-HWMON = {
-    "name": "ina219",
-    "in0_input": "61",
-    "in1_input": "12400",
-    "curr1_input": "613",
-    "power1_input": "7600000",
-    "shunt_resistor": "100000",
-}
 IIO = {
     "name": "ina219",
     "in_voltage0_raw": "6130",
@@ -125,53 +117,6 @@ def test_a_file_that_is_no_number_is_refused_when_it_is_opened(tree, host):
 def test_a_sample_that_lacks_something_is_none(tree, host, lines):
     tree("hwmon/hwmon0", HWMON)
     assert found(host).read(lines, shunt_ohm=0.1) is None
-
-
-class ScriptedFiles:
-    """A computer whose driver shows a power that is known at each moment."""
-
-    is_simulated = False
-
-    def __init__(self, clock, files, lines_at):
-        self.clock, self.files, self.lines_at = clock, files, lines_at
-        self.rate = None
-
-    def list_files(self, pattern):
-        return ["/sys/class/hwmon/hwmon0/name"] if "hwmon" in pattern else []
-
-    def read_files(self, paths):
-        return [self.files.get(path.rpartition("/")[2]) for path in paths]
-
-    def sample_files(self, rate, paths, *, is_streamed=False):
-        self.rate = rate
-        return ScriptedSampler(self, self.clock.now(), rate)
-
-    def sample_utilisation(self, rate):
-        raise NotImplementedError
-
-    def close(self):
-        pass
-
-
-class ScriptedSampler:
-    def __init__(self, host, start, rate):
-        self.host, self.start, self.rate, self.end = host, start, rate, None
-
-    def stop(self):
-        self.end = self.end or self.host.clock.now()
-        count = round((self.end - self.start) * self.rate) + 1
-        moments = [self.start + number / self.rate for number in range(count)]
-        return [FileSample(moment, self.host.lines_at(moment)) for moment in moments]
-
-
-def measured(tmp_path, lines_at, seconds=10.0, files=HWMON, **parameters):
-    clock = FakeClock(50.0)
-    profiler = Ina219(sysfs="auto", host="pi@robot", **parameters)
-    context = make_context(tmp_path, profiler, robot=None, clock=clock)
-    host = ScriptedFiles(clock, files, lines_at)
-    context.resources.open("computer pi@robot None None", lambda: host)
-    rehearse(context, profiler, mission=lambda: clock.sleep(seconds))
-    return context, host
 
 
 def watts(value):

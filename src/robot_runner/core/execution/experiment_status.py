@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding
@@ -33,8 +34,8 @@ class ExperimentStatus:
         current_run, current_event: what is being executed, or None.
         failures: why each failed run failed, one line each.
         findings: what looked odd.
-        bad_values: the runs that are done whose values are not good, by measure and quality.
         finished_at: when it ended last (UTC), or None while it is executed or if it was killed.
+        bad_values: the runs that are done whose values are not good, by measure and quality.
     """
 
     experiment_name: str
@@ -49,9 +50,9 @@ class ExperimentStatus:
     current_event: str | None
     failures: tuple[str, ...]
     findings: tuple[Finding, ...]
-    bad_values: Mapping[str, Mapping[str, Sequence[str]]]
     started_at: str | None
     finished_at: str | None
+    bad_values: Mapping[str, Mapping[str, Sequence[str]]] = field(default_factory=lambda: MappingProxyType({}))
 
 
 def read_status(folder: Path) -> ExperimentStatus:
@@ -81,9 +82,9 @@ def read_status(folder: Path) -> ExperimentStatus:
             f"{run}: {reason}" for run, reason in history.failures.items() if statuses.get(run) is RunStatus.FAILED
         ),
         findings=tuple(history.findings),
-        bad_values=history.bad_values,
         started_at=history.started_at,
         finished_at=history.finished_at,
+        bad_values=history.bad_values,
     )
 
 

@@ -20,6 +20,7 @@ from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import ExperimentLock
+from robot_runner.core.treatments import built_with, factors_of
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
@@ -124,13 +125,18 @@ def probed_profilers(experiment: Experiment) -> list[Profiler]:
     """Return the profilers that a probe tells something of.
 
     Left out are all where the robot is the embedded simulation, whose meters give nothing to doubt, and each that says
-    so (`probe_s` is None) or sets something up in `before_experiment` or `before_run`, which a probe does not call.
+    so (`probe_s` is None), has no measures, or sets something up in `before_experiment` or `before_run`, which a probe
+    does not call.
     """
     if is_simulated(experiment.parameters.robot):
         return []
     set_up = {each.owner for event in _SET_UP for each in experiment.events.subscribers(event)}
     profilers = [plugin for plugin in experiment.plugins if isinstance(plugin, Profiler)]
-    return [each for each in profilers if each.probe_s is not None and each.name not in set_up]
+    return [each for each in profilers if each.name not in set_up and (_can_tell(each) or factors_of(each))]
+
+
+def _can_tell(profiler: Profiler) -> bool:
+    return profiler.probe_s is not None and len(profiler.measures) > 0
 
 
 def probe_experiment(experiment: Experiment) -> Probe:
@@ -159,7 +165,9 @@ def probe_profilers(experiment: Experiment, task: RunTask, interruption: Interru
         interruption: the user's; it ends the probe.
     """
     started = time.monotonic()
-    left, seen = probed_profilers(experiment), []
+    # A parameter that is bound to a factor has its treatment only in a run, and so has what follows from it.
+    built = [built_with(each, task.combination) for each in probed_profilers(experiment)]
+    left, seen = list(filter(_can_tell, built)), []
     window = max((each.probe_s or 0.0 for each in left), default=0.0)
     while left:
         outcome = _tried(experiment, left, window, task, interruption)

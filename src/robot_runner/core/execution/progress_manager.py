@@ -124,7 +124,7 @@ class ProgressManager:
             runs=self.run_count,
             design=manifest["design"]["source"],
         )
-        if probed is not None:
+        if probed is not None and probed.profilers:
             self.note("probe", **probed.fields())
             self._findings += probed.findings
         return self

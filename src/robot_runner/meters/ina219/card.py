@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.serial_line import Chunk
-from robot_runner.meters.ina219.frames import FrameDecoder, Hello
+from robot_runner.meters.ina219.frames import FIRST_SENSOR, FrameDecoder, Hello
 from robot_runner.meters.ina219.registers import evaluate_registers
 from robot_runner.meters.ina219.sample_stream import SampleStream
 
@@ -84,8 +84,12 @@ class CardRecording:
             yield Window(begun, max(begun, self.times[-1]))
 
 
-def read_card(path: Path | str) -> list[CardRecording]:
+def read_card(path: Path | str, *, address: int = FIRST_SENSOR) -> list[CardRecording]:
     """Return the recordings of a file copied from the meter's card, oldest first.
+
+    Args:
+        path: of the file.
+        address: of the sensor on the meter's bus, where it has several; the first one's if left out.
 
     Raises:
         LinkError: the file cannot be read, or holds no recording.
@@ -96,7 +100,8 @@ def read_card(path: Path | str) -> list[CardRecording]:
     except OSError as error:
         problem = f"the recording cannot be read: {error.strerror or error}"
         raise LinkError(problem, where=str(file), fix="Name the file copied from the card.") from error
-    found = [CardRecording(stream) for stream in map(_stream_of, _recordings(data)) if len(stream) or stream.hello]
+    streams = [_stream_of(recorded, address) for recorded in _recordings(data)]
+    found = [CardRecording(stream) for stream in streams if len(stream) or stream.hello]
     if not found:
         fix = "Copy INA219.BIN again, and see that the lamp at D5 was lit."
         raise LinkError("the file holds no recording", where=str(file), fix=fix)
@@ -118,8 +123,8 @@ def _is_beginning(block: bytes) -> bool:
     return any(isinstance(one, Hello) and one.next_sequence == 0 and one.microseconds < _BEGINNING for one in frames)
 
 
-def _stream_of(data: bytes) -> SampleStream:
-    stream = SampleStream(has_arrivals=False)
+def _stream_of(data: bytes, address: int) -> SampleStream:
+    stream = SampleStream(has_arrivals=False, address=address)
     stream.take(Chunk(0.0, data[at : at + _BLOCK]) for at in range(0, len(data), _BLOCK))
     stream.finish()
     return stream
@@ -139,6 +144,7 @@ class CardMeter:
     Args:
         file: where the file is copied to, or appears once the card is in its reader.
         clock: the run's.
+        address: of the sensor on the meter's bus.
         patience: how long to wait for the file, s.
         shunt_ohm: resistance of the shunt, ohm; None takes what the device says.
         rate_hz: nominal rate, Hz; None takes what the device says.
@@ -151,12 +157,14 @@ class CardMeter:
         file: Path | str,
         clock: Clock,
         *,
+        address: int = FIRST_SENSOR,
         patience: float = 0.0,
         shunt_ohm: float | None = None,
         rate_hz: float | None = None,
     ) -> None:
         self._file = Path(file).expanduser()
         self._clock = clock
+        self._address = address
         self._patience = patience
         self._shunt_ohm = shunt_ohm
         self._rate_hz = rate_hz
@@ -185,7 +193,7 @@ class CardMeter:
         """
         if self._found is None:
             self._wait()
-            self._found = _newest(read_card(self._file), str(self._file))
+            self._found = _newest(read_card(self._file, address=self._address), str(self._file))
         recording, marked = self._found
         wanted = _moved(part, window, marked) if part and window else marked
         evaluation = recording.evaluate(wanted, shunt_ohm=self._shunt_ohm, rate_hz=self._rate_hz)

@@ -127,8 +127,8 @@ _KILOBYTE = 1000
 
 
 def silence(stream: SampleStream, seconds: float) -> str | None:
-    """Return what came from a meter that gave no sample for so many seconds; None where there are samples."""
-    if len(stream):
+    """Return what came from a meter that gave no sample for so many seconds; None where it gave some, or told why."""
+    if len(stream) or 0 in stream.configurations:  # the device told that its sensor did not answer
         return None
     if not stream.bytes:
         return f"no byte came in {seconds:.0f} s: is it the right port, and does the meter have power?"

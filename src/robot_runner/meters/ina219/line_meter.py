@@ -5,17 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
+from robot_runner.core.errors import LinkError
 from robot_runner.core.events.window import Window
 from robot_runner.meters.ina219.doubts import silence
+from robot_runner.meters.ina219.frames import FIRST_SENSOR
 from robot_runner.meters.ina219.registers import evaluate_registers
 from robot_runner.meters.ina219.sample_stream import SampleStream
 
 if TYPE_CHECKING:
     from robot_runner.core.events.context import Clock
-    from robot_runner.core.links.serial_line import SerialLine
+    from robot_runner.core.links.serial_line import Chunk, SerialLine
     from robot_runner.meters.ina219.registers import Evaluation
 
-__all__ = ["LineMeter", "Meter"]
+__all__ = ["LineMeter", "Meter", "SharedLine"]
 
 
 class Meter(Protocol):
@@ -66,12 +68,46 @@ _AFTERMATH = 0.03
 _LONGEST_AFTERMATH = 0.5
 
 
+class SharedLine:
+    """One line for the profilers of several sensors: what arrives is kept for each of them.
+
+    Args:
+        line: that the device sends on; it is closed by whoever opened it.
+    """
+
+    def __init__(self, line: SerialLine) -> None:
+        self._line = line
+        self._chunks: list[Chunk] = []
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether a simulated device is at the other end."""
+        return self._line.is_simulated
+
+    def since(self, count: int) -> list[Chunk]:
+        """Return what arrived behind the first `count` chunks.
+
+        Raises:
+            LinkError: the line was lost, and there is nothing more.
+        """
+        try:
+            self._chunks += self._line.drain()
+        except LinkError:
+            if count == len(self._chunks):
+                raise
+        return self._chunks[count:]
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
 class LineMeter:
     """Listens to a line that keeps what arrives, so that nothing has to be read while the mission goes on.
 
     Args:
         line: where the samples arrive.
         clock: the run's.
+        address: of the sensor on the device's bus.
         shunt_ohm: resistance of the shunt, ohm; None takes what the device says.
         rate_hz: nominal rate, Hz; None takes what the device says.
     """
@@ -79,13 +115,20 @@ class LineMeter:
     has_samples_at_once = True
 
     def __init__(
-        self, line: SerialLine, clock: Clock, *, shunt_ohm: float | None = None, rate_hz: float | None = None
+        self,
+        line: SharedLine,
+        clock: Clock,
+        *,
+        address: int = FIRST_SENSOR,
+        shunt_ohm: float | None = None,
+        rate_hz: float | None = None,
     ) -> None:
         self._line = line
         self._clock = clock
         self._shunt_ohm = shunt_ohm
         self._rate_hz = rate_hz
-        self._stream = SampleStream()
+        self._stream = SampleStream(address=address)
+        self._taken = 0  # chunks of the line
         self._start = clock.now()
         self._opened = clock.now()
         self._sampled: Window | None = None
@@ -97,10 +140,10 @@ class LineMeter:
             LinkError: the line was lost.
         """
         deadline = self._clock.now() + _PATIENCE
-        self._stream.take(self._line.drain())
+        self._take()
         while not len(self._stream) and self._clock.now() < deadline:
             self._clock.sleep(_POLL)
-            self._stream.take(self._line.drain())
+            self._take()
         self._start = self._clock.now()
 
     def end(self) -> None:
@@ -117,11 +160,16 @@ class LineMeter:
         finally:
             self._stream.finish()
 
+    def _take(self) -> None:
+        chunks = self._line.since(self._taken)
+        self._taken += len(chunks)
+        self._stream.take(chunks)
+
     def _take_the_rest(self, end: float) -> None:
         deadline = self._clock.now() + _LONGEST_AFTERMATH
         while self._clock.now() < deadline:
             self._clock.sleep(_AFTERMATH)
-            self._stream.take(self._line.drain())
+            self._take()
             times = self._stream.times()
             if times and times[-1] >= end:
                 return

@@ -17,7 +17,8 @@ from robot_runner.core.links.ssh_host import ssh_findings
 from robot_runner.core.plugin import Profiler, probe_window
 from robot_runner.core.sampling.evaluation import publish_measures
 from robot_runner.meters.ina219.card import CardMeter
-from robot_runner.meters.ina219.line_meter import LineMeter
+from robot_runner.meters.ina219.frames import FIRST_SENSOR
+from robot_runner.meters.ina219.line_meter import LineMeter, SharedLine
 from robot_runner.meters.ina219.registers import DEFAULT_RATE
 from robot_runner.meters.ina219.sysfs import DEFAULT_SYSFS_RATE, SysfsMeter, find_sensor
 
@@ -43,6 +44,7 @@ class Way:
         sysfs: the folder of a kernel driver, or `auto`.
         host: the computer that has the driver.
         ssh_config: a file to take the place of the user's ssh config.
+        address: of the sensor on the meter's bus, where the meter has several.
         namespace: whose simulated meter it is.
 
     Example:
@@ -55,6 +57,7 @@ class Way:
     sysfs: str | None = None
     host: str = LOCAL
     ssh_config: Path | None = None
+    address: int | None = None
     namespace: str = ""
 
     @property
@@ -68,14 +71,15 @@ class Way:
         return self.sysfs is None and self._source == other._source
 
     @property
-    def _source(self) -> tuple[str, str]:
+    def _source(self) -> tuple[str, str, int | None]:
         if self.port is not None:
-            return "port", os.path.realpath(self.port)  # links such as those of /dev/serial/by-id lead to one device
+            # Links such as those of /dev/serial/by-id lead to one device.
+            return "port", os.path.realpath(self.port), self.address
         if self.card is not None:
-            return "card", os.path.realpath(self.card)
+            return "card", os.path.realpath(self.card), self.address
         if self.sysfs is not None:
-            return f"sysfs {self.host}", self.sysfs
-        return "the meter of the simulated robot", self.namespace.strip("/")
+            return f"sysfs {self.host}", self.sysfs, None
+        return "the meter of the simulated robot", self.namespace.strip("/"), None
 
 
 def way_findings(where: str, way: Way, robot: str | None) -> Iterator[Finding]:
@@ -90,6 +94,9 @@ def way_findings(where: str, way: Way, robot: str | None) -> Iterator[Finding]:
         for name, value in way.given.items():
             problem = f"{name} is {value!r}, and a simulated robot has a power meter of its own"
             yield Finding.error(where, problem, f"Leave {name} out, or execute it on a real robot.")
+        if way.address is not None:
+            problem = f"address is {way.address:#x}, and the power meter of a simulated robot has one sensor"
+            yield Finding.error(where, problem, "Leave address out, or execute it on a real robot.")
     elif not way.given:
         yield Finding.error(where, "nothing says where the power meter is", _fix_without_way())
     elif way.port is not None:
@@ -131,6 +138,21 @@ def _sysfs_findings(where: str, folder: str) -> list[Finding]:
     return []
 
 
+def _check_address(way: Way, where: str) -> None:
+    if way.address is None:
+        return
+    if not _FIRST_ADDRESS <= way.address <= _LAST_ADDRESS:
+        fix = "An INA219 has one from 0x40 to 0x4f, by its solder bridges."
+        raise PluginError(f"address is {way.address!r}", where=where, fix=fix)
+    if way.sysfs is not None:
+        fix = "Name the sensor's folder with sysfs, and leave address out."
+        raise PluginError("both address and sysfs are named", where=where, fix=fix)
+
+
+#: SBOS448G, table 1.
+_FIRST_ADDRESS, _LAST_ADDRESS = 0x40, 0x4F
+
+
 def _limits(limits: Sequence[float] | None, where: str) -> tuple[float, float] | None:
     if limits is None:
         return None
@@ -165,6 +187,8 @@ class Ina219(Profiler):
         sysfs: the folder of a kernel driver, such as `/sys/class/hwmon/hwmon3`, or `auto` for the only sensor there is.
         host: the computer whose driver that is: `localhost`, or as ssh takes it (`pi@robot`).
         ssh_config: a file to take the place of your ssh config.
+        address: of the sensor on the meter's bus (0x40 to 0x4f), for a meter with several; None takes its first one.
+            Each sensor has a profiler of its own, on the same port or card.
         shunt_ohm: resistance of the shunt, ohm; None takes what the meter says (0.1 ohm if it says nothing).
         rate_hz: nominal rate of sampling, Hz; None takes what the meter says (200 Hz if it says nothing; a driver: 50).
         plausible_w: between which power is plausible, W, such as `(2, 30)`; samples outside make the values doubtful.
@@ -196,6 +220,7 @@ class Ina219(Profiler):
         sysfs: str | None = None,
         host: str = LOCAL,
         ssh_config: str | Path | None = None,
+        address: int | None = None,
         shunt_ohm: float | None = None,
         rate_hz: float | None = None,
         plausible_w: tuple[float, float] | None = None,
@@ -210,7 +235,10 @@ class Ina219(Profiler):
                     fix=f"Give {parameter} a number above 0, or leave it out.",
                 )
         config = None if ssh_config is None else Path(ssh_config).expanduser()
-        self.way = Way(port=port, card=card, sysfs=sysfs, host=host, ssh_config=config, namespace=namespace)
+        self.way = Way(
+            port=port, card=card, sysfs=sysfs, host=host, ssh_config=config, address=address, namespace=namespace
+        )
+        _check_address(self.way, self.name)
         if len(self.way.given) > 1:
             named = " and ".join(self.way.given)
             raise PluginError(f"both {named} are named", where=self.name, fix="Name one way to the sensor.")
@@ -288,8 +316,10 @@ class Ina219(Profiler):
 
     def _open_meter(self, context: RobotRunnerContext) -> Meter:
         way, clock, shunt, rate = self.way, context.clock, self.shunt_ohm, self.rate_hz
+        address = FIRST_SENSOR if way.address is None else way.address
         if way.card is not None:
-            return CardMeter(way.card, clock, patience=self.card_patience_s, shunt_ohm=shunt, rate_hz=rate)
+            patience = self.card_patience_s
+            return CardMeter(way.card, clock, address=address, patience=patience, shunt_ohm=shunt, rate_hz=rate)
         if way.sysfs is not None:
             host = connect_host(context, way.host, ssh_config=way.ssh_config)
             if not isinstance(host, FileHost):
@@ -297,7 +327,8 @@ class Ina219(Profiler):
                 raise LinkError("files of this computer cannot be read", where=self._where, fix=fix)
             return SysfsMeter(host, clock, folder=way.sysfs, shunt_ohm=shunt, rate_hz=rate, where=self._where)
         line = open_serial_line(context, way.port, namespace=way.namespace)
-        return LineMeter(line, clock, shunt_ohm=shunt, rate_hz=rate)
+        shared = context.resources.open(f"samples of {way.port} {way.namespace}", lambda: SharedLine(line))
+        return LineMeter(shared, clock, address=address, shunt_ohm=shunt, rate_hz=rate)
 
     def _clashes(self, circumstances: Circumstances) -> Iterator[Finding]:
         """Yield those that come before this one and would take the samples away from it, or it from them."""
@@ -306,4 +337,5 @@ class Ina219(Profiler):
                 return
             if isinstance(other, Ina219) and self.way.clashes_with(other.way):
                 problem = f"plugin {other.name} has the same serial line, and each would get some of the samples"
-                yield Finding.error(self._where, problem, "Give each a port of its own, or leave one of them out.")
+                fix = "Give each a port of its own (or the address of a sensor of its own), or leave one of them out."
+                yield Finding.error(self._where, problem, fix)

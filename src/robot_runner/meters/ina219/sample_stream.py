@@ -67,7 +67,7 @@ class SampleStream:
     Args:
         has_arrivals: whether the chunks say when they arrived; False for what was recorded without a clock, where the
             lives of a device that was restarted are laid end to end.
-        address: of the sensor, where it is not the device's first one.
+        address: of the sensor on the device's bus; `FIRST_SENSOR` for the first one, whatever its address is.
 
     Attributes:
         shunt_raw: the shunt voltage registers.
@@ -95,6 +95,8 @@ class SampleStream:
         self.bytes = 0
         self.bytes_since_frame = 0
         self.drift = 0.0
+        self._first_address = FIRST_SENSOR  # the first sensor's, once the device has told of it
+        self._is_behind_hello = False
         self._troubles: list[tuple[int, Trouble, int]] = []  # before which sample, what, and how often
         self._decoder = FrameDecoder()
         self._received = array("d")
@@ -178,7 +180,7 @@ class SampleStream:
     def _add(self, frames: Iterable[Frame], received_at: float) -> None:
         for frame in frames:
             if isinstance(frame, SampleFrame):
-                if frame.address == self.address:
+                if self._is_ours(frame.address):
                     self._add_sample(frame, received_at)
             elif isinstance(frame, Hello):
                 self.hello = frame
@@ -188,11 +190,16 @@ class SampleStream:
                 self._take_sensing(frame)
             else:
                 self._add_mark(frame)
+            self._is_behind_hello = isinstance(frame, Hello)
+
+    def _is_ours(self, address: int) -> bool:
+        return address == self.address or (address == FIRST_SENSOR and self.address == self._first_address)
 
     def _take_sensing(self, sensing: Sensing) -> None:
         """Take what is said of this sensor; that of the first one comes right behind the hello."""
-        is_first = self.hello is not None and self.hello.configuration == sensing.configuration
-        if self.address == sensing.address or (self.address == FIRST_SENSOR and self.sensing is None and is_first):
+        if self._is_behind_hello:
+            self._first_address = sensing.address
+        if sensing.address == self.address or (self._is_behind_hello and self.address == FIRST_SENSOR):
             self.sensing = sensing
             self.configurations.add(sensing.configuration)
 

@@ -7,7 +7,7 @@ import math
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, TextIO
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.ros.turtlebot3.motion import MAXIMUM_SPEED, MAXIMUM_TURN_RATE, TICK, Ramp
@@ -177,7 +177,7 @@ class Performer:
         self._log = log
 
     def perform(
-        self, announce: Callable[[int, Phase], None], mark: Callable[[str], AbstractContextManager[Any]] = nullcontext
+        self, announce: Callable[[int, Phase], None], mark: Callable[[str], AbstractContextManager[object]] = nullcontext
     ) -> Performance:
         """Carry out the mission; the robot is stopped whatever happens.
 
@@ -204,7 +204,7 @@ class Performer:
             fault.add_note(f"The robot could not be made safe: {error}")
 
     def _perform(
-        self, announce: Callable[[int, Phase], None], mark: Callable[[str], AbstractContextManager[Any]]
+        self, announce: Callable[[int, Phase], None], mark: Callable[[str], AbstractContextManager[object]]
     ) -> Performance:
         odometer = self._robot.odometer
         home, way_before = odometer.pose(), odometer.travelled
