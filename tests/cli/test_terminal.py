@@ -195,6 +195,22 @@ def test_a_changed_config_is_shown_and_asked_about_at_a_terminal(
     assert agreeing.finish() == 0
 
 
+def test_a_table_that_disagrees_with_the_journal_is_asked_about_at_a_terminal(
+    terminal: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_config("def populate_run_data(self, context): return {'Energy': 7}", table=TWO_RUNS)
+    assert terminal("run", "config.py").finish() == 0
+    table = tmp_path / "results" / "trial" / "run_table.csv"
+    executed = table.read_text(encoding="utf-8")
+    table.write_text(executed.replace(",7\n", ",8\n", 1), encoding="utf-8")
+    for said, code in (("", 2), ("j", 0)):
+        asked = terminal("run", "config.py")
+        asked.wait_for("What counts: what was executed")
+        asked.child.sendline(said)
+        assert asked.finish() == code
+    assert table.read_text(encoding="utf-8") == executed
+
+
 def test_ctrl_c_says_what_it_does_and_what_another_would(
     terminal: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:

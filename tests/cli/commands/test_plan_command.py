@@ -81,6 +81,25 @@ def test_an_experiment_that_has_begun_keeps_its_order(
     assert "executing it goes on in this order" in robot_runner("plan", "config.py").out
 
 
+def test_an_order_that_was_changed_by_hand_is_not_called_randomised(
+    robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_config("def populate_run_data(self, context): return {'Energy': 1}", table=DRAWN)
+    robot_runner("run", "config.py")
+    table = tmp_path / "results" / "trial" / "run_table.csv"
+    heading, *rows = table.read_text().splitlines()
+    table.write_text("\n".join([heading, *reversed(rows)]) + "\n", encoding="utf-8")
+    for _ in range(2):  # before it is noticed by an execution, and after
+        shown = robot_runner("plan", "config.py")
+        assert "randomised" not in shown.out
+        assert "as in results/trial/run_table.csv" in shown.out
+        assert "were put into another order by hand" in shown.err
+        assert robot_runner("run", "config.py").code == 0
+    place = heading.split(",").index("run_id")
+    planned = [run["run_id"] for run in robot_runner("plan", "config.py", "--json").json["runs"]]
+    assert planned == [row.split(",")[place] for row in reversed(rows)]
+
+
 def test_a_table_made_by_hand_is_the_plan(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:

@@ -70,7 +70,9 @@ def test_a_doubt_stands_beside_the_value_in_journal_and_schema(execute: Execute)
 
 
 def test_the_run_table_tells_the_quality_on_request(execute: Execute) -> None:
-    table = execute(DOUBTING, quality_columns=True).table
+    executed = execute(DOUBTING, quality_columns=True)
+    table = executed.table
+    assert list(executed.notices[0].columns) == ["Energy"]
     assert [row["Energy.quality"] for row in table] == [
         "doubtful: the sensor was hot: 81 degC",
         "good",

@@ -41,7 +41,7 @@ class ExperimentStarted:
 
     Attributes:
         run_count: all runs of the table; `done_count` of them were done before.
-        columns: the measure columns with their units.
+        columns: the measure columns with their units, without those that tell of others' quality.
     """
 
     experiment_name: str

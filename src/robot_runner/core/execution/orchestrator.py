@@ -340,7 +340,7 @@ class _Orchestrator:
             run_count=self._progress.run_count,
             done_count=self._progress.done_count,
             seed=self._progress.seed,
-            columns={column.name: column.measure.unit for column in columns},
+            columns={column.name: column.measure.unit for column in columns if not column.tells_of},
             overrides=self._experiment.overrides,
             findings=(*findings, *self._progress.findings),
         )
