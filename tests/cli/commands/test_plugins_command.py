@@ -30,7 +30,7 @@ def test_every_built_in_plugin_is_listed_with_all_there_is_to_know(robot_runner:
 
 def test_json_has_the_same(robot_runner: Callable) -> None:
     found = robot_runner("plugins", "--json").json
-    assert [plugin["name"] for plugin in found["systems"]] == ["BasicTurtlebot3"]
+    assert [plugin["name"] for plugin in found["systems"]] == ["BasicTurtlebot3", "Tune"]
     assert {"Ina219", "PsUtil"} <= {plugin["name"] for plugin in found["profilers"]}
     (psutil,) = (plugin for plugin in found["profilers"] if plugin["name"] == "PsUtil")
     assert psutil["package"] == "robot-runner"

@@ -144,6 +144,7 @@ def test_a_robot_that_does_not_come_back_leaves_word_where_the_samples_are(tmp_p
     assert Path(path).parent == tmp_path / "tmp"
     assert Path(path).exists()
     link.close()
+    Path(path).unlink()  # the loop on board goes on for as long as it keeps samples: not beyond this test
 
 
 def test_a_robot_that_falls_silent_is_told_of(
