@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -207,3 +209,22 @@ class TestPrometheus(ProfilerContract):
 
     def make_plugin(self) -> Prometheus:
         return Prometheus(self.url, ["supply_energy_joules_total", "supply_power_watts"])
+
+
+@pytest.mark.parametrize("told", [True, False], ids=["with its length", "without its length"])
+def test_a_page_that_breaks_off_within_a_number_is_no_reading(told):
+    page = b"supply_power_watts 75.25\n"
+    head = b"HTTP/1.0 200 OK\r\n" + (b"Content-Length: %d\r\n" % len(page) if told else b"") + b"\r\n"
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def answer() -> None:
+            connection, _ = server.accept()
+            with connection:
+                connection.recv(4096)
+                connection.sendall(head + page[:-5])  # it would be 7 watts
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        (finding,) = findings(f"http://127.0.0.1:{server.getsockname()[1]}/metrics", "supply_power_watts")
+        thread.join(10.0)
+    assert "breaks off" in finding.problem

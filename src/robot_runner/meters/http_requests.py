@@ -157,6 +157,10 @@ class HttpDevice:
         if len(body) > _MOST_BYTES:
             fix = "Look whether the address is right."
             raise LinkError(f"{self.url} sends more than {_MOST_BYTES >> 20} MiB", where=self._where, fix=fix)
+        if answer.length:  # what is missing of the length that was told; a read of so many bytes says nothing of it
+            fix = "Look whether the device was restarted, and at the network."
+            problem = f"the answer of {self.url} breaks off {answer.length} bytes before its end"
+            raise LinkError(problem, where=self._where, fix=fix)
         return body
 
     def _refused(self, code: int, reason: str) -> LinkError:

@@ -150,6 +150,10 @@ class _Exporter:
             LinkError: it does not answer, or shows something else.
         """
         text = self._page.get(Accept=_TEXT_FORMAT).decode("utf-8", errors="replace")
+        if text and not text.endswith("\n"):
+            # The format demands a line feed behind the last line; without it, half a number would pass for one.
+            fix = "Look whether the exporter was restarted, and that the address is its page, as a rule /metrics."
+            raise LinkError(f"the page of {self._page.url} breaks off within a line", where=self._where, fix=fix)
         try:
             return list(self._families(text))
         except (ValueError, IndexError, KeyError) as error:

@@ -102,3 +102,12 @@ def test_the_next_mission_begins_with_nothing(times, clock):
     times.end()
     assert times.window() == Window(101.0, 108.0)
     assert times.phases() == ()
+
+
+def test_readings_at_the_end_hold_up_nobody_after_a_mission_that_failed(times):
+    looks = []
+    times.at_edges(lambda: looks.append("look"))
+    times.begin()
+    times.end(has_failed=True)
+    assert looks == ["look"]
+    assert times.window() is not None

@@ -61,7 +61,7 @@ class WatchedCombination(Mapping[str, Any]):
         return str(self._combination)
 
     def __reduce__(self) -> tuple[type[dict[str, Any]], tuple[dict[str, Any]]]:
-        """Have a copy, as another process gets it, be a plain mapping: nobody sees who reads that."""
+        """Have a copy, as another process gets it, be a plain mapping: reads in that process are not recorded."""
         return dict, (dict(self),)
 
     @property

@@ -139,13 +139,17 @@ class MissionTimes:
         self._begun, self._ended = self._now(), None
         self._narrowed, self._phases = [None, None], []
 
-    def end(self) -> None:
-        """End the mission, and with it the window; a second call does nothing."""
+    def end(self, *, has_failed: bool = False) -> None:
+        """End the mission, and with it the window; a second call does nothing.
+
+        Args:
+            has_failed: no readings are taken at the end then: meters that hang must not hold up the robot's stop.
+        """
         if self._begun is None or self._ended is not None:
             return
         self._ended = self._now()
         window = self.window()
-        for look in self._at_edges:
+        for look in () if has_failed else self._at_edges:
             look()
         self._at_edges.clear()
         if window is not None:

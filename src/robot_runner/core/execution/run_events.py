@@ -114,7 +114,7 @@ class _Run:
         try:
             self._emit(RobotRunnerEvents.LAUNCH_MISSION)
         finally:
-            times.end()
+            times.end(has_failed=self._failed)
 
     @contextmanager
     def _between(self, opening: RobotRunnerEvents) -> Iterator[None]:

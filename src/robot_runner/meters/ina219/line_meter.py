@@ -72,7 +72,7 @@ class SharedLine:
     """One line for the profilers of several sensors: what arrives is kept for each of them.
 
     Args:
-        line: that the device sends on; it is closed by whoever opened it.
+        line: that the device sends on; the caller closes it.
     """
 
     def __init__(self, line: SerialLine) -> None:

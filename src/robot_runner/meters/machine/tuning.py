@@ -1,4 +1,4 @@
-"""Sets up a Linux machine for measuring, and puts back what was there before, also after whoever set it was killed."""
+"""Sets up a Linux machine for measuring, and puts back what was there before, also after the experiment was killed."""
 
 from __future__ import annotations
 
