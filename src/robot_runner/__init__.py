@@ -20,7 +20,10 @@ if TYPE_CHECKING:
     from robot_runner.core.design.analysis_plan import Hypothesis as Hypothesis
     from robot_runner.core.design.factor import Factor as Factor
     from robot_runner.core.design.run_table_model import RunTableModel as RunTableModel
+    from robot_runner.core.errors import ConditionError as ConditionError
     from robot_runner.core.errors import RobotRunnerError as RobotRunnerError
+    from robot_runner.core.events.condition import Condition as Condition
+    from robot_runner.core.events.condition import Look as Look
     from robot_runner.core.events.context import ExperimentContext as ExperimentContext
     from robot_runner.core.events.context import RobotRunnerContext as RobotRunnerContext
     from robot_runner.core.events.manager import EventSubscriptionController as EventSubscriptionController

@@ -145,6 +145,10 @@ class ExecutionError(RobotRunnerError):
     """An experiment that cannot start or go on."""
 
 
+class ConditionError(RobotRunnerError):
+    """Something that was awaited and did not come in time."""
+
+
 class AnalysisError(RobotRunnerError):
     """Results that cannot be read, adopted or analysed."""
 

@@ -115,8 +115,8 @@ class RunBroker(Protocol):
         """Record a warning finding that makes values of this run doubtful."""
         ...
 
-    def note_clock(self, owner: str, facts: Mapping[str, object]) -> None:
-        """Keep how another computer's clock stood to the run's."""
+    def note(self, owner: str, kind: str, facts: Mapping[str, object]) -> None:
+        """Report something else that happened in this run, as a record of this kind."""
         ...
 
     @property
@@ -284,4 +284,4 @@ class RobotRunnerContext(ExperimentContext):
 
         It is kept in the journal, run by run, and summed up for each computer in the manifest.
         """
-        self.broker.note_clock(self.owner, facts)
+        self.broker.note(self.owner, "clock", facts)

@@ -100,7 +100,7 @@ class MeasureBroker:
             self._findings.append(Finding.warning(f"{self._run_id}, {owner}", problem, fix))
             self._report("finding", {"owner": owner, "problem": problem, "fix": fix, **more})
 
-    def note_clock(self, owner: str, facts: Mapping[str, object]) -> None:
-        """Keep how another computer's clock stood to the run's."""
+    def note(self, owner: str, kind: str, facts: Mapping[str, object]) -> None:
+        """Report something else that happened in this run, as a record of this kind."""
         with self._lock:
-            self._report("clock", {"owner": owner, **facts})
+            self._report(kind, {"owner": owner, **facts})

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import gc
 import logging
-import os
-import select
 import time
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from robot_runner.core.config.parameters import FailurePolicy, OperationType
-from robot_runner.core.errors import ExecutionError, StorageError
-from robot_runner.core.events.context import ExperimentContext, Resources, SystemClock
-from robot_runner.core.events.manager import CallbackFailure, Emission, RobotRunnerEvents
+from robot_runner.core.config.parameters import FailurePolicy
+from robot_runner.core.errors import StorageError
+from robot_runner.core.events.manager import RobotRunnerEvents
+from robot_runner.core.execution.between_runs import BetweenRuns, Patience
 from robot_runner.core.execution.executor import Watch, executor_for
-from robot_runner.core.execution.interruption import InterruptGate, Interruption, RunInterrupted
+from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.notices import (
     AttemptFinished,
     AttemptStarted,
@@ -28,75 +25,25 @@ from robot_runner.core.execution.notices import (
     Observer,
     ProbeStarted,
     RunRecord,
-    WaitingForUser,
 )
+from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
 from robot_runner.core.execution.probe import Probe, probe_profilers, probed_profilers
 from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
 from robot_runner.core.execution.recovery import Resumption
-from robot_runner.core.execution.run_events import failure_fields, run_contexts
+from robot_runner.core.execution.run_events import failure_fields
 from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder, RunOutcome, RunTask
-from robot_runner.core.storage.journal import utc_now
-from robot_runner.core.storage.lock import Command, forget_command, take_command
 from robot_runner.core.treatments import bind, factors_of, values_of
 from robot_runner.core.words import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
+    from collections.abc import Sequence
     from typing import Any
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.errors import Finding
     from robot_runner.core.execution.task import Report
 
-__all__ = ["Patience", "execute_experiment", "rest", "wait_for_user"]
-
-
-# Between two runs: the robot rests, or the user swaps its battery and says to go on.
-
-#: How often a second terminal is listened to, in seconds.
-_LISTEN = 0.2
-
-
-@dataclass(frozen=True, slots=True)
-class Patience:
-    """What goes on while the orchestrator waits.
-
-    Attributes:
-        refresh: called every `refresh_interval` seconds; never where that is None.
-    """
-
-    interruption: Interruption
-    refresh: Callable[[], None]
-    refresh_interval: float | None
-
-    def wait(self, seconds: float, user_input: int | None = None) -> bytes | None:
-        """Wait this long at most, for the user's interruption or input; return the latter, or None."""
-        descriptors = [self.interruption.descriptor, *([] if user_input is None else [user_input])]
-        readable, _, _ = select.select(descriptors, [], [], min(seconds, self.refresh_interval or seconds))
-        if self.interruption.descriptor in readable:
-            self.interruption.forget_wakeups()
-        if self.refresh_interval is not None:
-            self.refresh()
-        return os.read(user_input, 4096) if user_input is not None and user_input in readable else None
-
-
-def rest(seconds: float, patience: Patience) -> None:
-    """Let this much real time go by, or less if the user interrupts."""
-    end = time.monotonic() + seconds
-    while not patience.interruption.is_requested and (left := end - time.monotonic()) > 0:
-        patience.wait(left)
-
-
-def wait_for_user(control: Path, user_input: int | None, patience: Patience) -> None:
-    """Wait for a line on `user_input`, for `robot-runner continue` from elsewhere, or for an interruption."""
-    forget_command(control)
-    while not patience.interruption.is_requested:
-        said = patience.wait(_LISTEN, user_input)
-        if said == b"":  # the end of the input
-            user_input = None
-        elif said is not None or take_command(control) is Command.CONTINUE:
-            return
+__all__ = ["execute_experiment"]
 
 
 _log = logging.getLogger(__name__)
@@ -162,6 +109,9 @@ class _Orchestrator:
         self._interruption = interruption
         self._observer = observer
         self._executor = executor_for(experiment)
+        self._events = OrchestratorEvents(experiment, progress, interruption)
+        patience = Patience(interruption, self._refresh, observer.refresh_interval)
+        self._between_runs = BetweenRuns(experiment, progress, self._events, observer, self._notice, patience)
         self._started = time.monotonic()
         self._stopped_by_policy = False
 
@@ -169,12 +119,12 @@ class _Orchestrator:
         """Execute the runs between `before_experiment` and `after_experiment`; the latter comes whatever happens."""
         self._notice(self._start_notice(findings))
         try:
-            self._emit_to_experiment(RobotRunnerEvents.BEFORE_EXPERIMENT)
+            self._events.emit_to_experiment(RobotRunnerEvents.BEFORE_EXPERIMENT)
             self._execute_runs()
         finally:
             with suppress(StorageError):  # said again when everything is brought up to date
                 self._progress.bring_table_up_to_date()
-            self._emit_to_experiment(RobotRunnerEvents.AFTER_EXPERIMENT)
+            self._events.emit_to_experiment(RobotRunnerEvents.AFTER_EXPERIMENT)
         finished = self._finish_notice(findings)
         self._progress.finish(interrupted=finished.interrupted)
         self._notice(finished)
@@ -184,12 +134,12 @@ class _Orchestrator:
         gc.collect()
         gc.freeze()  # what a forked run does not collect it does not have to copy
         try:
-            pending = list(self._progress.pending())
-            for place, run in enumerate(pending):
+            finished = None
+            for run in self._progress.pending():
+                self._between_runs.prepare(run, finished)
                 if self._interruption.is_requested or not self._execute_run(run):
                     return
-                if place + 1 < len(pending):
-                    self._pause(run, pending[place + 1])
+                finished = run
         finally:
             gc.unfreeze()
 
@@ -229,7 +179,7 @@ class _Orchestrator:
 
         self._bind_plugins(task, report_own)
         if not builder.has_failed:
-            self._emit_to_run(RobotRunnerEvents.BEFORE_RUN, task, report_own)
+            self._events.emit_to_run(RobotRunnerEvents.BEFORE_RUN, task, report_own)
         if builder.has_failed or self._interruption.is_requested:
             return builder.outcome(interrupted=self._interruption.is_requested)
         watch = Watch(
@@ -254,83 +204,6 @@ class _Orchestrator:
                 bind(plugin, task.combination)
             except Exception as error:  # noqa: BLE001 - a stranger's code
                 report("failure", {"event": "", "owner": plugin.name, **failure_fields(error)})
-
-    def _pause(self, finished: PendingRun, following: PendingRun) -> None:
-        if self._parameters.operation_type is OperationType.SEMI and not self._user_has_continued(finished):
-            folder = self._experiment.folder
-            self._progress.note("waiting", next_run=following.run_id)
-            self._notice(WaitingForUser(folder.root, following.number, self._progress.run_count))
-            wait_for_user(folder.control, self._observer.user_input, self._patience())
-            self._progress.note("continued")
-        rest(self._parameters.time_between_runs_in_ms / 1000, self._patience())
-
-    def _patience(self) -> Patience:
-        return Patience(self._interruption, self._refresh, self._observer.refresh_interval)
-
-    def _user_has_continued(self, finished: PendingRun) -> bool:
-        """Emit `continue`; a callback that returns True has asked the user itself."""
-        task = self._progress.task_of(finished)
-        returned: list[object] = []
-
-        def report(kind: str, fields: dict[str, Any]) -> None:
-            self._progress.record(task, kind, fields)
-            if kind == "failure" and not self._interruption.is_requested:
-                raise ExecutionError(
-                    fields["problem"], where=f"continue of {fields['owner']}", fix="Mend this callback, and resume."
-                )
-
-        returned += self._emit_to_run(RobotRunnerEvents.CONTINUE, task, report)
-        return any(value is True for value in returned)
-
-    def _emit_to_run(self, event: RobotRunnerEvents, task: RunTask, report: Any) -> list[object]:
-        """Emit an event of a run in this process; a callback that raises is reported as a failure of the run."""
-        report("event", {"event": event.value, "at": utc_now(), "clock": time.monotonic()})
-        if not self._experiment.events.subscribers(event):
-            return []
-        resources = Resources()
-        context_for = run_contexts(self._experiment, task, clock=SystemClock(), resources=resources, report=report)
-        try:
-            emission = self._emit(event, context_for)
-            for failure in emission.failures:
-                report("failure", {"event": event.value, "owner": failure.owner, **failure_fields(failure.error)})
-            return [returned for _, returned in emission.returned]
-        finally:
-            resources.close()
-
-    def _emit(self, event: RobotRunnerEvents, context_for: Callable[[str], object]) -> Emission:
-        """Emit an event in this process; Ctrl-C ends the callback that is being executed."""
-        gate = InterruptGate()
-        try:
-            with self._interruption.passed_on(gate):
-                if event is not RobotRunnerEvents.AFTER_EXPERIMENT:
-                    gate.arm()
-                return self._experiment.events.emit(event, context_for)
-        except RunInterrupted as error:  # between two callbacks
-            return Emission((), (), (CallbackFailure(event, "", error),))
-
-    def _emit_to_experiment(self, event: RobotRunnerEvents) -> None:
-        """Emit an event of the whole experiment.
-
-        Raises:
-            ExecutionError: a callback raised.
-        """
-        context = ExperimentContext(
-            experiment_name=self._parameters.experiment_name,
-            experiment_folder=self._experiment.folder.root,
-            robot=self._parameters.robot,
-            seed=self._progress.seed,
-        )
-        self._progress.note("event", event=event.value)
-        for failure in self._emit(event, lambda _: context).failures:
-            if isinstance(failure.error, RunInterrupted):
-                return
-            fields = failure_fields(failure.error)
-            self._progress.note("failure", event=event.value, owner=failure.owner, problem=fields["problem"])
-            raise ExecutionError(
-                fields["problem"],
-                where=f"{event.value} of {failure.owner}",
-                fix="Mend this callback and start the experiment again: it resumes.",
-            ) from failure.error
 
     def _start_notice(self, findings: Sequence[Finding]) -> ExperimentStarted:
         columns = self._experiment.columns.in_table

@@ -46,7 +46,7 @@ __all__ = ["PendingRun", "ProgressManager"]
 _SHARE_FOR_TABLE = 1 / 50
 
 #: What a run reports that is kept in the journal; measures are kept with the end of the attempt.
-_KEPT = frozenset({"event", "window", "phase", "shared", "finding", "refused", "failure", "clock", "bound"})
+_KEPT = frozenset({"event", "window", "phase", "shared", "finding", "refused", "failure", "clock", "bound", "waited"})
 
 
 @dataclass(frozen=True, slots=True)
