@@ -88,7 +88,7 @@ def test_what_is_outside_a_simulation_is_awaited_in_real_time(tmp_path: Path) ->
     clock = FakeClock()
     context = make_context(tmp_path, clock=clock, robot=None)
     began = time.monotonic()
-    with pytest.raises(ConditionError, match="there.txt cannot be read: No such file"):
+    with pytest.raises(ConditionError, match=r"there\.txt cannot be read: No such file"):
         text_in(tmp_path / "there.txt", "ready").wait(context, timeout_s=0.3)
     assert time.monotonic() - began >= 0.3
     assert clock.now() == 0.0
@@ -129,7 +129,7 @@ def test_what_can_hold_is_not_refused() -> None:
 @pytest.mark.parametrize(
     ("make", "problem"),
     [
-        (lambda: all_of(), "there is no condition"),
+        (all_of, "there is no condition"),
         (lambda: any_of("port 8080"), "'port 8080' is no condition"),
         (lambda: Between(1.0).held_for(0), "nothing can hold for 0 s"),
         (lambda: load_below(float("nan")), "nan is no limit"),

@@ -19,7 +19,6 @@ from robot_runner import (
     clock_offset_below,
     host_answers,
     load_above,
-    load_below,
     process_running,
     temperature_above,
     temperature_below,
@@ -91,10 +90,13 @@ def test_a_process_is_there_until_it_has_ended_even_if_nobody_reaps_it(
 def test_a_busy_processor_is_a_load(place: dict[str, object], context: RobotRunnerContext) -> None:
     busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(os.cpu_count() or 1)]
     try:
-        look = seen(context, load_above(60, **place), looks=3)
+        with ExitStack() as opened:
+            look_again = load_above(60, **place).watch(context, opened)
+            assert look_again().seen == "the second look tells"
+            time.sleep(0.5)
+            look = look_again()
         assert look.holds
         assert 60 < look.value <= 100
-        assert not seen(context, load_below(60, **place)).holds  # one look tells nothing yet
     finally:
         for process in busy:
             process.kill()
@@ -105,15 +107,17 @@ def test_a_temperature_is_read_from_the_sensor_that_is_named(
     tmp_path: Path, place: dict[str, object], context: RobotRunnerContext
 ) -> None:
     sensor = tmp_path / "temperature"
-    below, above = (make(50, sensor=str(sensor), **place) for make in (temperature_below, temperature_above))
-    assert "does not tell" in seen(context, below).seen
-    for text, is_below, is_above in (("47500\n", True, False), ("50000\n", False, False), ("51000", False, True)):
-        sensor.write_text(text)
-        assert (seen(context, below).holds, seen(context, above).holds) == (is_below, is_above)
-    assert seen(context, above).seen.endswith(": 51 °C")
-    for broken in ("", "hot", "999999999", "-273000"):
-        sensor.write_text(broken)
-        assert not seen(context, below).holds
+    with ExitStack() as opened:
+        below = temperature_below(50, sensor=str(sensor), **place).watch(context, opened)
+        above = temperature_above(50, sensor=str(sensor), **place).watch(context, opened)
+        assert "does not tell" in below().seen
+        for text, is_below, is_above in (("47500\n", True, False), ("50000\n", False, False), ("51000", False, True)):
+            sensor.write_text(text)
+            assert (below().holds, above().holds) == (is_below, is_above)
+        assert above().seen.endswith(": 51 °C")
+        for broken in ("", "hot", "999999999", "-273000"):
+            sensor.write_text(broken)
+            assert not below().holds
 
 
 def test_a_computer_without_the_sensor_says_so(place: dict[str, object], context: RobotRunnerContext) -> None:
