@@ -21,6 +21,7 @@ __all__ = [
     "InterruptionNoticed",
     "Notice",
     "Observer",
+    "Paused",
     "ProbeStarted",
     "RunRecord",
     "SilentObserver",
@@ -96,6 +97,15 @@ class WaitingForUser:
 
 
 @dataclass(frozen=True, slots=True)
+class Paused:
+    """Somebody asked for a pause: the next run starts once it is ended."""
+
+    folder: Path
+    next_run_number: int
+    run_count: int
+
+
+@dataclass(frozen=True, slots=True)
 class InterruptionNoticed:
     """The user asked for the end: the run is being closed; asked once more, it is killed."""
 
@@ -107,12 +117,14 @@ class ExperimentFinished:
     """The experiment has ended.
 
     Attributes:
-        done_count, failed_count, todo_count: the state of the run table.
+        done_count, failed_count, todo_count: the state of the run table; runs that are excluded are neither failed nor
+            to do.
         failed: the ids of the runs that failed.
         interrupted: whether the user asked for the end.
         stopped_by_policy: whether a failed run ended it (`on_failure` STOP).
         findings: what looked odd.
         seconds: real time.
+        excluded: the ids of the runs that are left out.
     """
 
     folder: Path
@@ -126,6 +138,7 @@ class ExperimentFinished:
     failures: Sequence[str] = ()
     findings: Sequence[Finding] = field(default_factory=tuple)
     seconds: float = 0.0
+    excluded: Sequence[str] = ()
 
 
 Notice = (
@@ -136,6 +149,7 @@ Notice = (
     | AttemptFinished
     | FindingsNoticed
     | WaitingForUser
+    | Paused
     | InterruptionNoticed
     | ExperimentFinished
 )

@@ -225,13 +225,14 @@ class _Orchestrator:
             run_table=self._experiment.folder.run_table,
             done_count=progress.done_count,
             failed_count=len(progress.failed),
-            todo_count=progress.run_count - progress.done_count - len(progress.failed),
+            todo_count=progress.todo_count,
             failed=progress.failed,
             failures=progress.failures,
             interrupted=self._interruption.is_requested,
             stopped_by_policy=self._stopped_by_policy,
             findings=(*findings, *progress.findings),
             seconds=time.monotonic() - self._started,
+            excluded=progress.excluded,
         )
 
     def _notice(self, notice: Notice) -> None:

@@ -26,7 +26,7 @@ from robot_runner.core.execution.task import AttemptStatus, RunOutcome, RunTask,
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import Journal, utc_now
 from robot_runner.core.storage.layout import keep_log, keep_refused, put_earlier_attempt_away
-from robot_runner.core.storage.lock import ExperimentLock
+from robot_runner.core.storage.lock import ExperimentLock, forget_pause
 from robot_runner.core.storage.manifest import read_manifest, write_manifest
 from robot_runner.core.storage.run_table_rows import write_run_table
 from robot_runner.core.storage.safe_write import fsync_folder, storage_error
@@ -94,7 +94,11 @@ class ProgressManager:
         with ExitStack() as opened:
             self._make_folder()
             opened.enter_context(ExperimentLock(self._folder.lock))
+            opened.callback(forget_pause, self._folder.pause)  # of no use to the next session
+            forget_pause(self._folder.pause)  # of one that was killed
             self._manifest = self._load_manifest()
+            if self._resumption.selection:
+                self._manifest["executions"][-1]["selection"] = self._resumption.selection
             started = time.monotonic()
             recovered = recover_table(self._experiment, self._manifest, self._resumption)
             self._selected = selected_places(recovered.rows, self._resumption)
@@ -123,6 +127,7 @@ class ProgressManager:
             seed=self.seed,
             runs=self.run_count,
             design=manifest["design"]["source"],
+            **({"selection": chosen} if (chosen := self._resumption.selection) else {}),
         )
         if probed is not None and probed.profilers:
             self.note("probe", **probed.fields())
@@ -148,6 +153,21 @@ class ProgressManager:
     def done_count(self) -> int:
         """How many runs are done."""
         return self._rows.count(RunStatus.DONE)
+
+    @property
+    def todo_count(self) -> int:
+        """How many runs are left to be executed: neither done nor failed, nor excluded."""
+        left = self.run_count - self.done_count - len(self._failed)
+        rows = self._rows
+        return left - sum(rows.status(rows.index_of(run)) is not RunStatus.DONE for run in self.excluded)
+
+    @property
+    def excluded(self) -> tuple[str, ...]:
+        """The ids of the runs that are left out."""
+        if not self._rows.layout.has_exclusions:
+            return ()
+        rows = self._rows
+        return tuple(rows.run_id(place) for place in range(len(rows)) if rows.excluded(place) is not None)
 
     @property
     def failed(self) -> tuple[str, ...]:
@@ -190,6 +210,9 @@ class ProgressManager:
             put_earlier_attempt_away(self._folder, run.run_id, earlier)
         if self._rows.status(run.place) is not RunStatus.TODO:
             self._rows.clear(run.run_id)
+        if self._rows.excluded(run.place) is not None:  # why it was left out is about what is put away here
+            self._rows.exclude(run.run_id, None)
+            self.note("included", run=run.run_id, reason="the run is executed again")
         self._left_behind.add(run.run_id)
         self._rows.record(run.run_id, status=RunStatus.RUNNING)
         self._failed.pop(run.run_id, None)
@@ -301,7 +324,8 @@ class ProgressManager:
         self._table = recovered
         self._rows = recovered.rows
         self._attempts = Counter(recovered.attempts)
-        self._failed.update(recovered.failed)
+        out = set(self.excluded)
+        self._failed.update((run, reason) for run, reason in recovered.failed.items() if run not in out)
         self._findings += recovered.findings
 
     def _probed(self) -> Probe | None:

@@ -115,6 +115,11 @@ class ExperimentFolder:
         """What a second terminal tells the orchestrator."""
         return self.root / ".control"
 
+    @property
+    def pause(self) -> Path:
+        """There while the experiment is to pause between two runs."""
+        return self.root / ".pause"
+
     def run(self, run_id: str) -> Path:
         """Return the folder of a run: its log, and a folder for each plugin's raw data."""
         return self.runs / run_id
