@@ -19,7 +19,7 @@ from robot_runner.core.events.measure import resolve_columns, with_phases
 from robot_runner.core.execution.table_recovery import is_reordered
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.excluded_runs import ExcludedRuns
-from robot_runner.core.storage.executed_order import executed_order, moved_in_words, moved_runs
+from robot_runner.core.storage.executed_runs import executed_order, moved_in_words, moved_runs
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table

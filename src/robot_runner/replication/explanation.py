@@ -10,7 +10,7 @@ from robot_runner.core.errors import StorageError, did_you_mean
 from robot_runner.core.events.measure import quality_text
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.excluded_runs import EXCLUSION_KINDS, ExcludedRuns
-from robot_runner.core.storage.executed_order import executed_order, moved_runs
+from robot_runner.core.storage.executed_runs import executed_order, moved_runs
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest

@@ -6,6 +6,7 @@ import hashlib
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.config.checks import runs_listed_in
 from robot_runner.core.config.dialects import prepare
 from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.recovery import table_differences
@@ -173,7 +174,8 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
     _refuse_missing(root, manifest)
     settings = {**original_settings(manifest), **deviations, _PATH: str(target)}
     _refuse_redacted(settings)
-    preparation = prepare(config, settings)
+    with runs_listed_in(files.run_table):
+        preparation = prepare(config, settings)
     if preparation.experiment is None:
         raise ConfigError.of_findings(preparation.findings)
     facts = _facts(files, manifest, deviations)

@@ -9,7 +9,7 @@ from robot_runner.analysis.report.charts import points_chart
 from robot_runner.analysis.report.material import correction_in_words
 from robot_runner.analysis.report.tables import build_table, field, interval, number, text
 from robot_runner.analysis.wording import ALPHA, MINUS, listed, sentence, with_unit
-from robot_runner.core.storage.executed_order import moved_in_words
+from robot_runner.core.storage.executed_runs import moved_in_words
 from robot_runner.core.words import counted, shown_duration
 
 if TYPE_CHECKING:

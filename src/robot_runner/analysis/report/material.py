@@ -14,7 +14,7 @@ from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.events.measure import Quality
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.executed_order import moved_runs
+from robot_runner.core.storage.executed_runs import moved_runs
 from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:

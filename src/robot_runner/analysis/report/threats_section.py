@@ -14,7 +14,7 @@ from robot_runner.analysis.wording import NUMBER, listed, sentence, shown_number
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID
 from robot_runner.core.events.measure import Quality
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.executed_order import moved_in_words
+from robot_runner.core.storage.executed_runs import moved_in_words
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import counted
 

@@ -11,7 +11,7 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import Quality, quality_of_value
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.excluded_runs import ExcludedRuns
-from robot_runner.core.storage.executed_order import moved_in_words, moved_runs
+from robot_runner.core.storage.executed_runs import moved_in_words, moved_runs
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import Holder, holder_of, pause_is_requested

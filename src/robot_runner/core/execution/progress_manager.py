@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.config.plugin_checks import check_treatments
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.watched_combination import unread
-from robot_runner.core.errors import ExecutionError, Finding
+from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.events.manager import RUN_EVENTS, RobotRunnerEvents
 from robot_runner.core.execution.circumstances import (
     keep_config,
@@ -25,7 +25,7 @@ from robot_runner.core.execution.table_recovery import recover_table, texts_of
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome, RunTask, seed_of_run
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import Journal, utc_now
-from robot_runner.core.storage.layout import keep_log, keep_refused, put_earlier_attempt_away
+from robot_runner.core.storage.layout import drop_empty_log, keep_log, keep_refused, put_earlier_attempt_away
 from robot_runner.core.storage.lock import ExperimentLock, forget_pause
 from robot_runner.core.storage.manifest import read_manifest, write_manifest
 from robot_runner.core.storage.run_table_rows import write_run_table
@@ -44,6 +44,9 @@ __all__ = ["PendingRun", "ProgressManager"]
 #: The run table is brought up to date at most so often that this share of the time goes into writing it, so that
 #: the cost of recording a run does not grow with the number of runs. The journal has every run at once.
 _SHARE_FOR_TABLE = 1 / 50
+#: A table that takes longer to write than this, in seconds, is not written while a run is executed: that would disturb
+#: what is measured on this machine. A hundred thousand rows take so long.
+_MOST_COST_IN_RUN = 0.25
 
 #: What a run reports that is kept in the journal; measures are kept with the end of the attempt.
 _KEPT = frozenset({"event", "window", "phase", "shared", "finding", "refused", "failure", "clock", "bound", "waited"})
@@ -136,6 +139,7 @@ class ProgressManager:
 
     def __exit__(self, *raised: object) -> None:
         with self._resources:
+            drop_empty_log(self._folder)
             if self._table_is_stale:
                 self._write_table()
 
@@ -261,6 +265,21 @@ class ProgressManager:
     def note(self, kind: str, *, flush: bool = False, **fields: Any) -> None:
         """Keep something that is not about a run."""
         self._journal.append(kind, flush=flush, **fields)
+
+    def tend_table(self) -> float | None:
+        """Write the run table where it is stale and the time has come, while a run or a wait lasts.
+
+        Returns:
+            in how many seconds the time comes; None where there is nothing to write.
+        """
+        if not self._table_is_stale or self._table_cost > _MOST_COST_IN_RUN:
+            return None
+        due = self._table_written + self._table_cost / _SHARE_FOR_TABLE - time.monotonic()
+        if due > 0:
+            return due
+        with suppress(StorageError):  # said when the run has ended: it is not to fail for this
+            self._write_table()
+        return None
 
     def bring_table_up_to_date(self) -> None:
         """Write the run table as it stands: a callback of `after_experiment` may read it."""

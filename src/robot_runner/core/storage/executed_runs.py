@@ -1,4 +1,4 @@
-"""In which order runs were executed, as the journal tells it, and which of them were out of the table's order."""
+"""Which runs were executed, and in which order, as the journal tells it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,17 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-__all__ = ["executed_order", "moved_in_words", "moved_runs"]
+__all__ = ["done_runs", "executed_order", "moved_in_words", "moved_runs"]
+
+
+def done_runs(journal: Path) -> set[str]:
+    """Return the ids of the runs whose last attempt was done.
+
+    Raises:
+        StorageError: the journal cannot be read.
+    """
+    last = {record["run"]: record["status"] for record in read_journal(journal, kinds={"attempt_finished"})}
+    return {run_id for run_id, status in last.items() if status == "done"}
 
 
 def executed_order(journal: Path) -> list[str]:
