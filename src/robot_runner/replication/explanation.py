@@ -9,6 +9,8 @@ from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.errors import StorageError, did_you_mean
 from robot_runner.core.events.measure import quality_text
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.excluded_runs import EXCLUSION_KINDS, ExcludedRuns
+from robot_runner.core.storage.executed_runs import executed_order, moved_runs
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
@@ -27,7 +29,16 @@ if TYPE_CHECKING:
 __all__ = ["Explanation", "RunExplanation", "explain_run"]
 
 _ORCHESTRATED = frozenset({"before_run", "continue"})
-_KINDS = ("attempt_started", "attempt_finished", "event", "finding", "clock", "bound", "mission_stopped")
+_KINDS = (
+    "attempt_started",
+    "attempt_finished",
+    "event",
+    "finding",
+    "clock",
+    "bound",
+    "mission_stopped",
+    *EXCLUSION_KINDS,
+)
 _UNMEASURED = {"simulated": "simulated, not measured", "estimated": "estimated by a model, not measured"}
 
 
@@ -93,6 +104,8 @@ class _RunHistory:
         bound: plugin, parameter, factor and value of each parameter that was bound to a factor.
         readers: who read the treatment of each factor.
         stopped: who stopped the mission, and why; empty where nobody did.
+        excluded: whether, when and why the run was left out.
+        corrections: each time that it was excluded or included.
     """
 
     attempt: int = 0
@@ -106,6 +119,8 @@ class _RunHistory:
     bound: list[tuple[str, str, str, Any]] = field(default_factory=list)
     readers: dict[str, list[str]] | None = None
     stopped: str = ""
+    excluded: ExcludedRuns = field(default_factory=ExcludedRuns)
+    corrections: list[str] = field(default_factory=list)
 
     @classmethod
     def read(cls, journal: Path, run_id: str) -> Self:
@@ -132,6 +147,9 @@ class _RunHistory:
                     self.failures[self.attempt] = str(record["failure"])
             case "event" if isinstance(record.get("clock"), int | float):
                 self.clocks[str(record["event"])] = float(record["clock"])
+            case "excluded" | "included" | "deviation":
+                self.excluded.take(record)
+                self._take_correction(record)
             case "finding":
                 self.doubts.setdefault(str(record.get("owner")), []).append(str(record["problem"]))
             case "mission_stopped":
@@ -143,6 +161,13 @@ class _RunHistory:
                 offset = (record.get("before") or record.get("after") or {}).get("wall_offset")
                 told = f", its clock {offset:+.6f} s to ours" if isinstance(offset, int | float) else ""
                 self.hosts.append(f"{record.get('host')} (measured by {record.get('owner')}{told})")
+
+    def _take_correction(self, record: dict[str, Any]) -> None:
+        if record["kind"] == "deviation":
+            told = f"{record['column']} was changed by hand from {record['was']!r} to {record['is']!r}"
+        else:
+            told = f"{record['kind']}{f': {reason}' if (reason := record.get('reason')) else ''}"
+        self.corrections.append(f"{record['at']}, {told}")
 
     def _begin(self, record: dict[str, Any]) -> None:
         self.attempt, self.started_at, self.finished_at = int(record["attempt"]), record["at"], None
@@ -162,6 +187,7 @@ class _Explaining:
             raise StorageError(f"there is no run {run_id!r}", where=str(root), fix=did_you_mean(run_id, known))
         self._run_id = run_id
         self._number, self._count = place + 1, len(rows)
+        self._run_ids = [rows.run_id(each) for each in range(len(rows))]
         self._row = rows.row(place)
         self._history = _RunHistory.read(self._files.journal, run_id)
         try:
@@ -179,7 +205,7 @@ class _Explaining:
         return RunExplanation(
             str(self._manifest.get("experiment_name", self._files.root.name)),
             self._run_id,
-            tuple(self._run_facts()),
+            tuple(fact for fact in self._run_facts() if fact[1]),
             tuple(map(self._explained, names or known)),
         )
 
@@ -201,7 +227,13 @@ class _Explaining:
     def _run_facts(self) -> Iterator[tuple[str, str]]:
         history = self._history
         yield "Status", _plain(self._row[STATUS])
+        excluded = history.excluded.present.get(self._run_id)
+        if excluded is not None:
+            yield "Excluded", f"{excluded.reason} ({excluded.at}): not in the statistics"
+        if len(history.corrections) > (excluded is not None):
+            yield from (("Correction", told) for told in history.corrections)
         yield "Place", f"run {self._number} of {self._count}, {self._order()}"
+        yield "Executed", self._executed()
         if history.attempt:
             yield "Attempt", f"{history.attempt}, {history.started_at} to {history.finished_at or 'no end'}"
         for number, failure in history.failures.items():
@@ -225,6 +257,13 @@ class _Explaining:
             f"randomised{blocks} from seed {seed}" if design.get("shuffle") else f"in the order of the config{blocks}"
         )
         return f"changed by hand in run_table.csv; planned: {planned}" if design.get("is_reordered") else planned
+
+    def _executed(self) -> str:
+        """Return where the run came in the order that was executed, where that is another than the table's."""
+        executed = executed_order(self._files.journal)
+        if self._run_id not in moved_runs(self._run_ids, executed):
+            return ""
+        return f"as number {executed.index(self._run_id) + 1} of the {len(executed)} runs so far: not in its place"
 
     def _host(self) -> str:
         host = self._manifest.get("host") or {}

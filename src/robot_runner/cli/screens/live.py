@@ -17,6 +17,7 @@ from robot_runner.cli.screens.plain import (
     closing,
     forget_typed,
     opening,
+    pausing,
     probing,
     request,
     terminal_input,
@@ -30,9 +31,11 @@ from robot_runner.core.execution.notices import (
     FindingsNoticed,
     InterruptionNoticed,
     Notice,
+    Paused,
     ProbeStarted,
     WaitingForUser,
 )
+from robot_runner.core.storage.lock import pause_is_requested
 from robot_runner.core.words import counted, one_line, shown_duration
 
 if TYPE_CHECKING:
@@ -113,7 +116,9 @@ class LiveScreen:
                 self._print_finished()
                 self._print_lines([Text(closing(run_id), style="bold yellow")])
             case WaitingForUser():
-                self._ask(notice)
+                self._ask(request(notice, by_key=self.user_input is not None))
+            case Paused():
+                self._ask(pausing(notice, by_key=self.user_input is not None))
 
     def refresh(self) -> None:
         """Draw what is new, unless it was drawn a moment ago: records come faster than anybody reads."""
@@ -144,12 +149,11 @@ class LiveScreen:
             self._live.stop()
             self._live = None  # a new one next time: this one would draw over what was printed meanwhile
 
-    def _ask(self, waiting: WaitingForUser) -> None:
+    def _ask(self, asked: str) -> None:
         # The live part is taken away while it waits: the ENTER that the terminal echoes would tear it.
         self._print_finished()
         self._take_live_part_away()
         forget_typed(self.user_input)
-        asked = request(waiting, by_key=self.user_input is not None)
         self._console.print(Text(asked, style="bold cyan"), soft_wrap=True)
 
     def _print_finished(self) -> None:
@@ -197,7 +201,7 @@ class LiveScreen:
     def _current(self) -> tuple[Text, Text]:
         current = self.progress.current
         if current is None:
-            return Text("  between two runs", style="dim"), Text("")
+            return Text(f"  between two runs{self._pause()}", style="dim"), Text("")
         task = current.task
         attempt = f", attempt {task.attempt}" if task.attempt > 1 else ""
         treatments = treatments_in_words(task, self._experiment.model)
@@ -207,6 +211,9 @@ class LiveScreen:
         )
         return run, self._event()
 
+    def _pause(self) -> str:
+        return ", pauses after this run" if pause_is_requested(self._experiment.folder.pause) else ""
+
     def _event(self) -> Text:
         current = self.progress.current
         line = Text("    ", no_wrap=True, overflow="ellipsis")
@@ -215,7 +222,7 @@ class LiveScreen:
         line.append(current.event or "starting")
         if current.shared:
             line.append(f": {one_line(current.shared)}", style="cyan")
-        line.append(f"   {shown_duration(self.progress.elapsed_in_run)}", style="dim")
+        line.append(f"   {shown_duration(self.progress.elapsed_in_run)}{self._pause()}", style="dim")
         if current.failure:
             line.append(f"   ✗ {one_line(current.failure)}; closing what is open", style="red")
         return line

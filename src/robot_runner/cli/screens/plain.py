@@ -24,6 +24,7 @@ from robot_runner.core.execution.notices import (
     FindingsNoticed,
     InterruptionNoticed,
     Notice,
+    Paused,
     ProbeStarted,
     WaitingForUser,
 )
@@ -47,6 +48,7 @@ __all__ = [
     "forget_typed",
     "heading_of",
     "opening",
+    "pausing",
     "probing",
     "request",
     "shown_measure",
@@ -182,6 +184,13 @@ def request(waiting: WaitingForUser, *, by_key: bool) -> str:
     return f"Waiting before {run}. To go on: {command}"
 
 
+def pausing(paused: Paused, *, by_key: bool) -> str:
+    """Return what is said while the experiment is paused."""
+    key = "press ENTER, or in another terminal: " if by_key else ""
+    run = f"run {paused.next_run_number} of {paused.run_count}"
+    return f"Paused before {run}. To go on: {key}robot-runner continue {shlex.quote(shown_path(paused.folder))}"
+
+
 class PlainScreen:
     """An observer that prints a line when a run starts and when it ends.
 
@@ -231,6 +240,9 @@ class PlainScreen:
             case WaitingForUser():
                 forget_typed(self.user_input)
                 self._print(request(notice, by_key=self.user_input is not None))
+            case Paused():
+                forget_typed(self.user_input)
+                self._print(pausing(notice, by_key=self.user_input is not None))
 
     def refresh(self) -> None:
         """Do nothing: a line that was printed stays as it is."""

@@ -11,6 +11,7 @@ from robot_runner.core.execution.notices import (
     AttemptStarted,
     ExperimentFinished,
     ExperimentStarted,
+    Paused,
     RunRecord,
     WaitingForUser,
 )
@@ -58,7 +59,7 @@ class Progress:
         run_ids: the runs that were executed in this session.
         origins: where the values of the run table came from, with the measures of each origin.
         bad_values: the runs of this session whose values are not good, by measure and quality.
-        is_waiting: whether the user is asked to go on.
+        is_waiting: whether the user is asked to go on, or the experiment is paused.
         has_begun: whether any run was begun in this session.
     """
 
@@ -116,7 +117,7 @@ class Progress:
             case AttemptFinished():
                 self._take_end(notice)
                 self._take_left(notice.left)
-            case WaitingForUser():
+            case WaitingForUser() | Paused():
                 self.is_waiting = True
             case ExperimentFinished():
                 self.done, self.failed = notice.done_count, notice.failed_count

@@ -22,6 +22,7 @@ __all__ = [
     "InterruptionNoticed",
     "Notice",
     "Observer",
+    "Paused",
     "ProbeStarted",
     "RunRecord",
     "SilentObserver",
@@ -101,6 +102,15 @@ class WaitingForUser:
 
 
 @dataclass(frozen=True, slots=True)
+class Paused:
+    """Somebody asked for a pause: the next run starts once it is ended."""
+
+    folder: Path
+    next_run_number: int
+    run_count: int
+
+
+@dataclass(frozen=True, slots=True)
 class InterruptionNoticed:
     """The user asked for the end: the run is being closed; asked once more, it is killed."""
 
@@ -112,12 +122,14 @@ class ExperimentFinished:
     """The experiment has ended.
 
     Attributes:
-        done_count, failed_count, todo_count: the state of the run table.
+        done_count, failed_count, todo_count: the state of the run table; runs that are excluded are neither failed nor
+            to do.
         failed: the ids of the runs that failed.
         interrupted: whether the user asked for the end.
         stopped_by_policy: whether a failed run ended it (`on_failure` STOP).
         findings: what looked odd.
         seconds: real time.
+        excluded: the ids of the runs that are left out.
     """
 
     folder: Path
@@ -131,6 +143,7 @@ class ExperimentFinished:
     failures: Sequence[str] = ()
     findings: Sequence[Finding] = field(default_factory=tuple)
     seconds: float = 0.0
+    excluded: Sequence[str] = ()
 
 
 Notice = (
@@ -141,6 +154,7 @@ Notice = (
     | AttemptFinished
     | FindingsNoticed
     | WaitingForUser
+    | Paused
     | InterruptionNoticed
     | ExperimentFinished
 )

@@ -46,6 +46,9 @@ if TYPE_CHECKING:
 __all__ = ["execute_experiment"]
 
 
+#: How often the run table is looked after between two runs, in seconds.
+_LOOK_AT_TABLE = 1.0
+
 _log = logging.getLogger(__name__)
 
 
@@ -110,7 +113,7 @@ class _Orchestrator:
         self._observer = observer
         self._executor = executor_for(experiment)
         self._events = OrchestratorEvents(experiment, progress, interruption)
-        patience = Patience(interruption, self._refresh, observer.refresh_interval)
+        patience = Patience(interruption, self._while_waiting, observer.refresh_interval or _LOOK_AT_TABLE)
         self._between_runs = BetweenRuns(experiment, progress, self._events, observer, self._notice, patience)
         self._started = time.monotonic()
         self._stopped_by_policy = False
@@ -188,6 +191,7 @@ class _Orchestrator:
             refresh=self._refresh,
             refresh_interval=self._observer.refresh_interval,
             noticed_interruption=lambda: self._notice(InterruptionNoticed(task.run_id)),
+            tend=self._progress.tend_table,
         )
         return self._executor.execute(task, builder, watch)
 
@@ -226,17 +230,23 @@ class _Orchestrator:
             run_table=self._experiment.folder.run_table,
             done_count=progress.done_count,
             failed_count=len(progress.failed),
-            todo_count=progress.run_count - progress.done_count - len(progress.failed),
+            todo_count=progress.todo_count,
             failed=progress.failed,
             failures=progress.failures,
             interrupted=self._interruption.is_requested,
             stopped_by_policy=self._stopped_by_policy,
             findings=(*findings, *progress.findings),
             seconds=time.monotonic() - self._started,
+            excluded=progress.excluded,
         )
 
     def _notice(self, notice: Notice) -> None:
         _tell(self._observer, notice)
+
+    def _while_waiting(self) -> None:
+        if self._observer.refresh_interval is not None:
+            self._refresh()
+        self._progress.tend_table()
 
     def _refresh(self) -> None:
         try:
