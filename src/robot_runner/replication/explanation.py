@@ -16,6 +16,7 @@ from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.core.storage.table_columns import ColumnRole, TableLayout
 from robot_runner.core.storage.table_schema import ColumnDescription, read_schema
+from robot_runner.core.words import shown_duration
 from robot_runner.replication.config_lines import ConfigLine, ConfigLines
 from robot_runner.replication.contents import CONFIG_OWNER
 
@@ -27,7 +28,18 @@ if TYPE_CHECKING:
 __all__ = ["Explanation", "RunExplanation", "explain_run"]
 
 _ORCHESTRATED = frozenset({"before_run", "continue"})
-_KINDS = ("attempt_started", "attempt_finished", "event", "finding", "clock", "bound", "mission_stopped")
+_KINDS = (
+    "attempt_started",
+    "attempt_finished",
+    "event",
+    "finding",
+    "clock",
+    "bound",
+    "mission_stopped",
+    "gate",
+    "waited",
+    "guard",
+)
 _UNMEASURED = {"simulated": "simulated, not measured", "estimated": "estimated by a model, not measured"}
 
 
@@ -93,6 +105,9 @@ class _RunHistory:
         bound: plugin, parameter, factor and value of each parameter that was bound to a factor.
         readers: who read the treatment of each factor.
         stopped: who stopped the mission, and why; empty where nobody did.
+        waits: what was awaited before and in the last attempt, and which guards came true in it.
+        waited: how long that took in all, s.
+        gate_of: the attempt before which a gate was awaited last.
     """
 
     attempt: int = 0
@@ -106,6 +121,9 @@ class _RunHistory:
     bound: list[tuple[str, str, str, Any]] = field(default_factory=list)
     readers: dict[str, list[str]] | None = None
     stopped: str = ""
+    waits: list[tuple[str, str]] = field(default_factory=list)
+    waited: float = 0.0
+    gate_of: int = 0
 
     @classmethod
     def read(cls, journal: Path, run_id: str) -> Self:
@@ -136,6 +154,8 @@ class _RunHistory:
                 self.doubts.setdefault(str(record.get("owner")), []).append(str(record["problem"]))
             case "mission_stopped":
                 self.stopped = f"stopped by {record.get('owner')}: {record.get('reason')}"
+            case "gate" | "waited" | "guard":
+                self._take_wait(record)
             case "bound":
                 each = record["parameters"].items()
                 self.bound += [(record["owner"], name, bound["factor"], bound["value"]) for name, bound in each]
@@ -144,7 +164,25 @@ class _RunHistory:
                 told = f", its clock {offset:+.6f} s to ours" if isinstance(offset, int | float) else ""
                 self.hosts.append(f"{record.get('host')} (measured by {record.get('owner')}{told})")
 
+    def _take_wait(self, record: dict[str, Any]) -> None:
+        if record["kind"] == "guard":
+            self.waits.append(("Guard", f"{record['action']}: {record['problem']}"))
+            return
+        state = record.get("state") or ("open" if record["holds"] else "timed out")
+        if record["kind"] == "gate" and self.gate_of != record["attempt"]:
+            self.gate_of, self.waits, self.waited = record["attempt"], [], 0.0
+        if state == "waiting":
+            return
+        self.waited += float(record["seconds"])
+        seen = f": {record['seen']}" if record["seen"] else ""
+        who = "gate" if record["kind"] == "gate" else f"{record['owner']}"
+        how = "" if state == "open" else f", {state}"
+        lasted = shown_duration(float(record["seconds"]))
+        self.waits.append(("Waited", f"{who}, {lasted} until {record['condition']}{how}{seen}"))
+
     def _begin(self, record: dict[str, Any]) -> None:
+        if self.gate_of != record["attempt"]:  # else the gates before it belong to it
+            self.waits, self.waited = [], 0.0
         self.attempt, self.started_at, self.finished_at = int(record["attempt"]), record["at"], None
         self.measures, self.clocks, self.doubts, self.hosts = {}, {}, {}, []
         self.bound, self.readers, self.stopped = [], None, ""
@@ -208,6 +246,9 @@ class _Explaining:
             yield f"Attempt {number}", f"failed: {failure}"
         if history.stopped:
             yield "Mission", history.stopped
+        yield from history.waits
+        if history.waited:
+            yield "Waited in all", shown_duration(history.waited)
         yield "Robot", str(self._manifest.get("robot") or "as the config says")
         yield "Host", self._host()
         for host in history.hosts:

@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import ConditionError
+from robot_runner.core.errors import ConditionError, ConditionTimeout
 from robot_runner.core.events.context import SystemClock
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ class Condition(ABC):
             the look that found it to hold.
 
         Raises:
-            ConditionError: it did not hold in time; what was seen last is told.
+            ConditionTimeout: it did not hold in time; what was seen last is told.
         """
         clock = self.clock(context)
         started, told = clock.now(), 0.0
@@ -148,7 +148,7 @@ class Condition(ABC):
         if look.holds:
             return look
         seen = f": {look.seen}" if look.seen else ""
-        raise ConditionError(
+        raise ConditionTimeout(
             f"after {timeout_s:g} s it still did not hold that {self}{seen}",
             where=context.owner,
             fix="Look at what is awaited, or allow it more time (timeout_s).",

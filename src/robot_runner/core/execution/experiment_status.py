@@ -35,6 +35,9 @@ class ExperimentStatus:
         failures: why each failed run failed, one line each.
         findings: what looked odd.
         finished_at: when it ended last (UTC), or None while it is executed or if it was killed.
+        gate: the gate that is awaited at this moment, or None: its run, condition, what was `seen` of it at the time
+            `at` (at most a minute ago), and for how many `seconds` it had been awaited then.
+        gate_seconds: how long gates were awaited in all, s of their clocks.
         bad_values: the runs that are done whose values are not good, by measure and quality.
     """
 
@@ -53,6 +56,8 @@ class ExperimentStatus:
     started_at: str | None
     finished_at: str | None
     bad_values: Mapping[str, Mapping[str, Sequence[str]]] = field(default_factory=lambda: MappingProxyType({}))
+    gate: Mapping[str, Any] | None = None
+    gate_seconds: float = 0.0
 
 
 def read_status(folder: Path) -> ExperimentStatus:
@@ -85,6 +90,8 @@ def read_status(folder: Path) -> ExperimentStatus:
         started_at=history.started_at,
         finished_at=history.finished_at,
         bad_values=history.bad_values,
+        gate=history.gate if holder else None,
+        gate_seconds=history.gate_seconds,
     )
 
 
@@ -100,6 +107,8 @@ class _History:
         self.failures: dict[str, str] = {}
         self.findings: list[Finding] = []
         self.is_waiting = False
+        self.gate: dict[str, Any] | None = None
+        self.gate_seconds = 0.0
         self.current_run: str | None = None
         self.current_event: str | None = None
         self.started_at: str | None = None
@@ -138,6 +147,7 @@ class _History:
     def _take_experiment_started(self, record: Mapping[str, Any]) -> None:
         self.started_at = record["at"]
         self.finished_at = None
+        self.gate = None
         self.is_waiting = False
 
     def _take_experiment_finished(self, record: Mapping[str, Any]) -> None:
@@ -170,6 +180,13 @@ class _History:
     def _take_finding(self, record: Mapping[str, Any]) -> None:
         where = f"{record['run']}, {record['owner']}"
         self.findings.append(Finding.warning(where, record["problem"], record["fix"]))
+
+    def _take_gate(self, record: Mapping[str, Any]) -> None:
+        self.gate = None
+        if record["state"] == "waiting":
+            self.gate = {name: record[name] for name in ("run", "condition", "seen", "seconds", "at")}
+        else:
+            self.gate_seconds += record["seconds"]
 
     def _take_waiting(self, record: Mapping[str, Any]) -> None:
         del record

@@ -58,6 +58,7 @@ _KEPT = frozenset(
         "clock",
         "bound",
         "waited",
+        "guard",
         "mission_stopped",
     }
 )
@@ -252,6 +253,10 @@ class ProgressManager:
     def note(self, kind: str, *, flush: bool = False, **fields: Any) -> None:
         """Keep something that is not about a run."""
         self._journal.append(kind, flush=flush, **fields)
+
+    def find(self, finding: Finding) -> None:
+        """Take down what is to be told at the end."""
+        self._findings.append(finding)
 
     def bring_table_up_to_date(self) -> None:
         """Write the run table as it stands: a callback of `after_experiment` may read it."""
