@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Condition", "Look", "LookAgain"]
 
+#: What is left of a wait is not slept, s: on a clock whose steps are longer than that it would never be over.
+_RESOLUTION = 1e-6
 #: How often a screen is told of what was seen, s of real time.
 _TOLD_EVERY = 0.5
 
@@ -138,7 +140,7 @@ class Condition(ABC):
             while True:
                 look = look_again()
                 waited = clock.now() - started
-                if look.holds or waited >= timeout_s:
+                if look.holds or timeout_s - waited < _RESOLUTION:
                     break
                 if time.monotonic() - told >= _TOLD_EVERY:
                     told = time.monotonic()
