@@ -64,6 +64,7 @@ _KEPT = frozenset(
         "clock",
         "bound",
         "waited",
+        "guard",
         "mission_stopped",
     }
 )
@@ -312,6 +313,10 @@ class ProgressManager:
         with suppress(StorageError):  # said when the run has ended: it is not to fail for this
             self._write_table()
         return None
+
+    def find(self, finding: Finding) -> None:
+        """Take down what is to be told at the end."""
+        self._findings.append(finding)
 
     def bring_table_up_to_date(self) -> None:
         """Write the run table as it stands: a callback of `after_experiment` may read it."""
