@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["Explanation", "RunExplanation", "explain_run"]
 
 _ORCHESTRATED = frozenset({"before_run", "continue"})
-_KINDS = ("attempt_started", "attempt_finished", "event", "finding", "clock", "bound")
+_KINDS = ("attempt_started", "attempt_finished", "event", "finding", "clock", "bound", "mission_stopped")
 _UNMEASURED = {"simulated": "simulated, not measured", "estimated": "estimated by a model, not measured"}
 
 
@@ -92,6 +92,7 @@ class _RunHistory:
         failures: why earlier attempts failed, by number.
         bound: plugin, parameter, factor and value of each parameter that was bound to a factor.
         readers: who read the treatment of each factor.
+        stopped: who stopped the mission, and why; empty where nobody did.
     """
 
     attempt: int = 0
@@ -104,6 +105,7 @@ class _RunHistory:
     failures: dict[int, str] = field(default_factory=dict)
     bound: list[tuple[str, str, str, Any]] = field(default_factory=list)
     readers: dict[str, list[str]] | None = None
+    stopped: str = ""
 
     @classmethod
     def read(cls, journal: Path, run_id: str) -> Self:
@@ -132,6 +134,8 @@ class _RunHistory:
                 self.clocks[str(record["event"])] = float(record["clock"])
             case "finding":
                 self.doubts.setdefault(str(record.get("owner")), []).append(str(record["problem"]))
+            case "mission_stopped":
+                self.stopped = f"stopped by {record.get('owner')}: {record.get('reason')}"
             case "bound":
                 each = record["parameters"].items()
                 self.bound += [(record["owner"], name, bound["factor"], bound["value"]) for name, bound in each]
@@ -143,7 +147,7 @@ class _RunHistory:
     def _begin(self, record: dict[str, Any]) -> None:
         self.attempt, self.started_at, self.finished_at = int(record["attempt"]), record["at"], None
         self.measures, self.clocks, self.doubts, self.hosts = {}, {}, {}, []
-        self.bound, self.readers = [], None
+        self.bound, self.readers, self.stopped = [], None, ""
 
 
 class _Explaining:
@@ -202,6 +206,8 @@ class _Explaining:
             yield "Attempt", f"{history.attempt}, {history.started_at} to {history.finished_at or 'no end'}"
         for number, failure in history.failures.items():
             yield f"Attempt {number}", f"failed: {failure}"
+        if history.stopped:
+            yield "Mission", history.stopped
         yield "Robot", str(self._manifest.get("robot") or "as the config says")
         yield "Host", self._host()
         for host in history.hosts:

@@ -30,7 +30,7 @@ from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
 from robot_runner.core.execution.probe import Probe, probe_profilers, probed_profilers
 from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
 from robot_runner.core.execution.recovery import Resumption
-from robot_runner.core.execution.run_events import failure_fields
+from robot_runner.core.execution.run_ending import failure_fields
 from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.treatments import bind, factors_of, values_of
 from robot_runner.core.words import plain

@@ -46,7 +46,21 @@ __all__ = ["PendingRun", "ProgressManager"]
 _SHARE_FOR_TABLE = 1 / 50
 
 #: What a run reports that is kept in the journal; measures are kept with the end of the attempt.
-_KEPT = frozenset({"event", "window", "phase", "shared", "finding", "refused", "failure", "clock", "bound", "waited"})
+_KEPT = frozenset(
+    {
+        "event",
+        "window",
+        "phase",
+        "shared",
+        "finding",
+        "refused",
+        "failure",
+        "clock",
+        "bound",
+        "waited",
+        "mission_stopped",
+    }
+)
 
 
 @dataclass(frozen=True, slots=True)
