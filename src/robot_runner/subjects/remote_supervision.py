@@ -13,7 +13,6 @@ import os
 import select
 import signal
 import subprocess
-import sys
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -126,7 +125,8 @@ def _say(**event: object) -> None:
 
 def main() -> None:
     """Read the task and relay what the supervisor over there says of it."""
-    task = json.loads(sys.stdin.buffer.raw.readline())  # type: ignore[attr-defined] # unbuffered: not a byte more
+    with os.fdopen(0, "rb", buffering=0, closefd=False) as unbuffered:  # it reads not a byte more
+        task = json.loads(unbuffered.readline())
     fcntl.flock(1, fcntl.LOCK_EX | fcntl.LOCK_NB)
     _Relay(task).relay()
 

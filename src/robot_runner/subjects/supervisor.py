@@ -14,7 +14,7 @@ removes containers), `last_seconds`, `lease` (s or None).
 """
 
 # Importing pathlib would double the time that Python needs to start on a small computer.
-# ruff: noqa: PTH113, PTH208, PTH123
+# ruff: noqa: PTH112, PTH208, PTH123
 
 import ctypes
 import fcntl
@@ -307,12 +307,10 @@ def read_line() -> bytes:
 def main() -> None:
     """Read the task and supervise its program; a lock on the output tells others that we are there."""
     task = json.loads(read_line().decode())
-    try:
-        fcntl.flock(1, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        pass  # a pipe, at the other end of ssh
     if task["stdout"] is None:
         os.set_blocking(1, False)
+    else:
+        fcntl.flock(1, fcntl.LOCK_EX | fcntl.LOCK_NB)
     supervisor = Supervisor(task)
     supervisor.supervise()
     supervisor.leave()

@@ -58,6 +58,7 @@ _KEPT = frozenset(
         "clock",
         "bound",
         "waited",
+        "subject",
         "mission_stopped",
     }
 )

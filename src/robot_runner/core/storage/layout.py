@@ -101,6 +101,11 @@ class ExperimentFolder:
         return self.root / "earlier_attempts"
 
     @property
+    def subjects(self) -> Path:
+        """What software under test writes that goes on through all runs: a folder for each start of each subject."""
+        return self.root / "subjects"
+
+    @property
     def report(self) -> Path:
         """The report, with its tables and figures; made anew whenever it is asked for."""
         return self.root / "report"
