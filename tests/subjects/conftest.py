@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import subprocess
 import time
 import uuid
 from pathlib import Path
@@ -69,3 +70,37 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SshServer]:
     started = SshServer(tmp_path_factory.mktemp("sshd"))
     yield started
     started.stop()
+
+
+class Repository:
+    """A git repository with two versions of a planner: the tag `v1.0`, which is old, and the branch `main`."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        folder.mkdir()
+        self.git("init", "--quiet", "--initial-branch=main")
+        self.commit("old")
+        self.git("tag", "-a", "v1.0", "-m", "the first")
+        self.commit("new")
+
+    def commit(self, word: str) -> None:
+        planner = self.folder / "planner.sh"
+        planner.write_text(f"#!/bin/sh\necho {word} plans $1; exec sleep 100\n")
+        planner.chmod(0o755)
+        self.git("add", "planner.sh")
+        self.git("commit", "--quiet", "-m", word)
+
+    def commit_of(self, name: str) -> str:
+        return self.git("rev-parse", f"{name}^{{commit}}").strip()
+
+    def git(self, *words: str) -> str:
+        identity = ["-c", "user.name=Ada", "-c", "user.email=ada@example.org"]
+        done = subprocess.run(["git", *identity, *words], cwd=self.folder, check=True, capture_output=True, text=True)
+        return done.stdout
+
+
+@pytest.fixture
+def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Repository:
+    """Return a repository; work trees are kept in a cache of the test's own."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return Repository(tmp_path / "repository")

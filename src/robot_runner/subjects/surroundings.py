@@ -14,6 +14,7 @@ from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.links.host import LOCAL
 from robot_runner.core.links.ssh_host import checked_destination, execute, ssh_command, ssh_findings
+from robot_runner.core.storage.git_repository import repository_state
 from robot_runner.subjects.supervised_program import shell_words
 
 if TYPE_CHECKING:
@@ -172,8 +173,8 @@ class Surroundings:
     def facts(self) -> dict[str, Any]:
         """Return what is to be known of them, as plain data; what is as usual is left out."""
         facts = {"host": self.host, "folder": self.path, "setup": self.setup, "environment": dict(self.environment)}
-        if isinstance(self.folder, Revision):
-            facts["commit"] = self.folder.commit
+        state = repository_state(self.path) if self.path is not None and self.host is None else None
+        facts |= {"repository": state.facts()} if state is not None else {}
         return {name: value for name, value in facts.items() if value}
 
     def _entered(self) -> str:

@@ -30,6 +30,7 @@ from robot_runner.core.execution.notices import (
     FindingsNoticed,
     InterruptionNoticed,
     Notice,
+    PreparationStarted,
     ProbeStarted,
     WaitingForUser,
 )
@@ -95,6 +96,8 @@ class LiveScreen:
         """Take a notice; what is permanent is printed above the live part, the rest is shown at the next refresh."""
         self.progress.take(notice)
         match notice:
+            case PreparationStarted(what):
+                self._console.print(Text(f"{what} ...", style="dim"))
             case ProbeStarted():
                 self._console.print(Text(probing(notice), style="dim"))
             case ExperimentStarted():

@@ -24,6 +24,7 @@ from robot_runner.core.execution.notices import (
     FindingsNoticed,
     InterruptionNoticed,
     Notice,
+    PreparationStarted,
     ProbeStarted,
     WaitingForUser,
 )
@@ -209,6 +210,8 @@ class PlainScreen:
         """Print what is worth a line."""
         self.progress.take(notice)
         match notice:
+            case PreparationStarted(what):
+                self._print(f"{what} ...")
             case ProbeStarted():
                 self._print(probing(notice))
             case ExperimentStarted():

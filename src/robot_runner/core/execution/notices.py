@@ -21,11 +21,19 @@ __all__ = [
     "InterruptionNoticed",
     "Notice",
     "Observer",
+    "PreparationStarted",
     "ProbeStarted",
     "RunRecord",
     "SilentObserver",
     "WaitingForUser",
 ]
+
+
+@dataclass(frozen=True, slots=True)
+class PreparationStarted:
+    """Something that the runs need is being made, before anything else happens, and may take its time."""
+
+    what: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +137,8 @@ class ExperimentFinished:
 
 
 Notice = (
-    ProbeStarted
+    PreparationStarted
+    | ProbeStarted
     | ExperimentStarted
     | AttemptStarted
     | RunRecord

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.config.plugin_checks import check_treatments
+from robot_runner.core.config.treatment_makers import PREPARED, known_treatments
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.watched_combination import unread
 from robot_runner.core.errors import ExecutionError, Finding
@@ -32,7 +33,7 @@ from robot_runner.core.storage.run_table_rows import write_run_table
 from robot_runner.core.storage.safe_write import fsync_folder, storage_error
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.probe import Probe
@@ -84,6 +85,7 @@ class ProgressManager:
         experiment: what is executed.
         resumption: which runs, and what may differ from before.
         probe: tries the profilers once nobody else can use them and before anything is written; gets the first run.
+        prepare: makes treatments that have to be made; gets the facts that it returned first.
 
     Raises:
         RobotRunnerError: on entering: somebody else executes the experiment, the folder cannot be written, the run
@@ -91,12 +93,17 @@ class ProgressManager:
     """
 
     def __init__(
-        self, experiment: Experiment, resumption: Resumption, probe: Callable[[RunTask], Probe] | None = None
+        self,
+        experiment: Experiment,
+        resumption: Resumption,
+        probe: Callable[[RunTask], Probe] | None = None,
+        prepare: Callable[[Mapping[str, Any]], dict[str, Any]] = lambda _: {},
     ) -> None:
         self._experiment = experiment
         self._folder = experiment.folder
         self._resumption = resumption
         self._probe = probe
+        self._prepare = prepare
         self._failed: dict[str, str] = {}
         self._findings: list[Finding] = []
         self._unread: dict[str, Finding] | None = None
@@ -115,13 +122,17 @@ class ProgressManager:
             self._selected = selected_places(recovered.rows, self._resumption)
             self._refuse_unfit_treatments(recovered)
             self._take(recovered)
+            prepared = self._prepare(known_treatments(self._folder))
+            self._manifest |= prepared
             probed = self._probed()
             if recovered.unfinished is not None:  # the orchestrator died: what the run printed is still its log
                 keep_log(self._folder, recovered.unfinished)
                 self._left_behind.add(recovered.unfinished)
             self._journal = opened.enter_context(Journal(self._folder.journal))
             self._keep_deviations(recovered)
-            keep_config(self._experiment)
+            if prepared:
+                self._journal.append(PREPARED, flush=True, treatments=prepared)
+            keep_config(self._experiment, self._manifest)
             write_manifest(self._folder.manifest, self._manifest)
             if recovered.is_on_disk:  # reading it took longer than writing it will
                 self._table_written = time.monotonic()
@@ -138,6 +149,7 @@ class ProgressManager:
             seed=self.seed,
             runs=self.run_count,
             design=manifest["design"]["source"],
+            repository=manifest["executions"][-1].get("repository"),
         )
         if probed is not None and probed.profilers:
             self.note("probe", **probed.fields())

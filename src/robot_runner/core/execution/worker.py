@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from robot_runner.core.config.dialects import prepare_or_refuse
 from robot_runner.core.execution.interruption import STOP_SIGNALS, InterruptGate
+from robot_runner.core.execution.prepared_treatments import describe_revisions, restore_revisions
 from robot_runner.core.execution.processes import leave_after, settle_streams
 from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.task import FINISHED, RecordWriter, RunTask
@@ -50,6 +51,7 @@ def become_interpreter(experiment: Experiment, task: RunTask, report: RecordWrit
         "config": str(experiment.config_path),
         "set": dict(experiment.overrides),
         "task": _described(experiment, task),
+        "revisions": describe_revisions(experiment.model.factors),
         "records": report.descriptor,
     }
     os.execv(sys.executable, [sys.executable, "-m", _MODULE, json.dumps(description)])  # noqa: S606 - our own program
@@ -71,6 +73,7 @@ def _print_to_log(experiment: Experiment) -> None:
 
 def _execute_described(description: Mapping[str, Any], report: RecordWriter) -> None:
     experiment = prepare_or_refuse(Path(description["config"]), description["set"])
+    restore_revisions(experiment.model.factors, description["revisions"])
     task = _task_of(experiment, description["task"])
     for plugin in experiment.plugins:  # a forked run finds this done
         bind(plugin, task.combination)

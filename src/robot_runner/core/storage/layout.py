@@ -85,6 +85,10 @@ class ExperimentFolder:
         """The config file and the local modules that it imports, as executed."""
         return self.root / "config"
 
+    def uncommitted(self, digest: str) -> Path:
+        """Return the file of changes that were not committed to the config's repository, by their SHA-256."""
+        return self.config / f"uncommitted-{digest[:12]}.diff"
+
     @property
     def earlier_configs(self) -> Path:
         """Configs that were executed before the config changed, numbered."""
@@ -99,6 +103,11 @@ class ExperimentFolder:
     def earlier_attempts(self) -> Path:
         """What attempts before the last one left behind."""
         return self.root / "earlier_attempts"
+
+    @property
+    def revisions(self) -> Path:
+        """What was printed while revisions of a repository were built."""
+        return self.root / "revisions"
 
     @property
     def subjects(self) -> Path:
