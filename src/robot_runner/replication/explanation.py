@@ -16,6 +16,7 @@ from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.core.storage.table_columns import ColumnRole, TableLayout
 from robot_runner.core.storage.table_schema import ColumnDescription, read_schema
+from robot_runner.core.words import shown_commit
 from robot_runner.replication.config_lines import ConfigLine, ConfigLines
 from robot_runner.replication.contents import CONFIG_OWNER
 
@@ -27,7 +28,9 @@ if TYPE_CHECKING:
 __all__ = ["Explanation", "RunExplanation", "explain_run"]
 
 _ORCHESTRATED = frozenset({"before_run", "continue"})
-_KINDS = ("attempt_started", "attempt_finished", "event", "finding", "clock", "bound", "mission_stopped")
+_KINDS = ("attempt_started", "attempt_finished", "event", "finding", "clock", "bound", "mission_stopped", "subject")
+#: What the runs that follow have in common.
+_OF_EXECUTION = "experiment_started"
 _UNMEASURED = {"simulated": "simulated, not measured", "estimated": "estimated by a model, not measured"}
 
 
@@ -93,6 +96,8 @@ class _RunHistory:
         bound: plugin, parameter, factor and value of each parameter that was bound to a factor.
         readers: who read the treatment of each factor.
         stopped: who stopped the mission, and why; empty where nobody did.
+        commit: of the config's repository.
+        subjects: software under test, with its command and where its output is.
     """
 
     attempt: int = 0
@@ -106,6 +111,8 @@ class _RunHistory:
     bound: list[tuple[str, str, str, Any]] = field(default_factory=list)
     readers: dict[str, list[str]] | None = None
     stopped: str = ""
+    commit: str = ""
+    subjects: list[str] = field(default_factory=list)
 
     @classmethod
     def read(cls, journal: Path, run_id: str) -> Self:
@@ -115,9 +122,13 @@ class _RunHistory:
             StorageError: it cannot be read.
         """
         history = cls()
-        for record in read_journal(journal, kinds=_KINDS):
-            if record.get("run") == run_id:
+        commit = ""
+        for record in read_journal(journal, kinds={*_KINDS, _OF_EXECUTION}):
+            if record["kind"] == _OF_EXECUTION:
+                commit = shown_commit(record.get("repository"))
+            elif record.get("run") == run_id:
                 history._take(record)
+                history.commit = commit
         return history
 
     def _take(self, record: dict[str, Any]) -> None:
@@ -136,6 +147,10 @@ class _RunHistory:
                 self.doubts.setdefault(str(record.get("owner")), []).append(str(record["problem"]))
             case "mission_stopped":
                 self.stopped = f"stopped by {record.get('owner')}: {record.get('reason')}"
+            case "subject" if "command" in record:
+                command = " ".join(map(str, record["command"]))
+                on = f" on {record['host']}" if record.get("host") else ""
+                self.subjects.append(f"{record.get('owner')}{on}: {command} (output in {record.get('output')})")
             case "bound":
                 each = record["parameters"].items()
                 self.bound += [(record["owner"], name, bound["factor"], bound["value"]) for name, bound in each]
@@ -147,7 +162,7 @@ class _RunHistory:
     def _begin(self, record: dict[str, Any]) -> None:
         self.attempt, self.started_at, self.finished_at = int(record["attempt"]), record["at"], None
         self.measures, self.clocks, self.doubts, self.hosts = {}, {}, {}, []
-        self.bound, self.readers, self.stopped = [], None, ""
+        self.bound, self.readers, self.stopped, self.subjects = [], None, "", []
 
 
 class _Explaining:
@@ -179,7 +194,7 @@ class _Explaining:
         return RunExplanation(
             str(self._manifest.get("experiment_name", self._files.root.name)),
             self._run_id,
-            tuple(self._run_facts()),
+            tuple(fact for fact in self._run_facts() if fact[1]),
             tuple(map(self._explained, names or known)),
         )
 
@@ -210,8 +225,11 @@ class _Explaining:
             yield "Mission", history.stopped
         yield "Robot", str(self._manifest.get("robot") or "as the config says")
         yield "Host", self._host()
+        yield "Commit", history.commit
         for host in history.hosts:
             yield "Other host", host
+        for subject in history.subjects:
+            yield "Subject", subject
         for owner, name, factor, value in history.bound:
             yield "Parameter", f"{name} of {owner} = {value}, bound to the factor {factor}"
 
@@ -292,6 +310,8 @@ class _Explaining:
             yield "From", f"{design['source']}, which was written by hand before the first run"
         if column.role is ColumnRole.FACTOR:
             bound = [f"{name} of {owner}" for owner, name, factor, _ in self._history.bound if factor == column.name]
+            for name, facts in ((self._manifest.get("revisions") or {}).get(column.name) or {}).items():
+                yield "Revision", f"{name} is {shown_commit(facts)}"
             yield "Bound to", ", ".join(bound)
             yield "Read by", self._read_by(column.name)
         found = self._lines.of_factor(column.name)
