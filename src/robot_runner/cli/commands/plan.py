@@ -6,6 +6,7 @@ It has every run in its order, and tells what the order comes from.
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -75,6 +76,7 @@ def execute(arguments: Namespace) -> int:
             ("Measures", measures_in_words(plan.columns)),
             ("Order", plan.order),
             ("To repeat", plan.how_to_repeat),
+            ("Duration", str(plan.duration)),
         ],
     )
     return 0
@@ -118,5 +120,6 @@ def _as_json(plan: Plan) -> dict[str, object]:
         "is_begun": plan.is_recorded,
         "run_table": str(plan.source) if plan.source else None,
         "measures": columns_as_json(plan.columns),
+        "duration": asdict(plan.duration),
         "runs": list(map(run_as_json, plan.runs)),
     }

@@ -15,7 +15,7 @@ from robot_runner.cli.findings import as_json, print_odd, quality_in_words
 from robot_runner.cli.parser import add_json, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
 from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status
-from robot_runner.core.words import counted
+from robot_runner.core.words import counted, shown_duration
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -52,6 +52,7 @@ def _print(console: UserConsole, status: ExperimentStatus) -> None:
             ("State", _state(status)),
             ("Runs", _counts(status)),
             ("Now", _now(status)),
+            ("Left", _left(status)),
             ("Quality", quality_in_words(status.bad_values)),
             ("Started", status.started_at or ""),
             ("Ended", status.finished_at or ""),
@@ -74,6 +75,12 @@ def _now(status: ExperimentStatus) -> str:
     if status.current_run is None:
         return ""
     return f"{status.current_run}, {status.current_event or 'about to start'}"
+
+
+def _left(status: ExperimentStatus) -> str:
+    if status.seconds_left is None:
+        return ""
+    return f"{'at least' if status.left_is_least else 'about'} {shown_duration(status.seconds_left)}"
 
 
 def _counts(status: ExperimentStatus) -> str:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field
+from datetime import datetime
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import Quality, quality_of_value
+from robot_runner.core.execution.durations import Durations, TimeLeft
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -35,6 +38,9 @@ class ExperimentStatus:
         failures: why each failed run failed, one line each.
         findings: what looked odd.
         finished_at: when it ended last (UTC), or None while it is executed or if it was killed.
+        seconds_left: how long the runs take that are still to be executed, as it was estimated last; None where that is
+            not known, or nothing is left.
+        left_is_least: whether something comes on top of that of which nobody knew how long it takes.
         bad_values: the runs that are done whose values are not good, by measure and quality.
     """
 
@@ -52,6 +58,8 @@ class ExperimentStatus:
     findings: tuple[Finding, ...]
     started_at: str | None
     finished_at: str | None
+    seconds_left: float | None = None
+    left_is_least: bool = False
     bad_values: Mapping[str, Mapping[str, Sequence[str]]] = field(default_factory=lambda: MappingProxyType({}))
 
 
@@ -67,6 +75,7 @@ def read_status(folder: Path) -> ExperimentStatus:
     history.read(files)
     statuses = history.statuses
     holder = holder_of(files.lock)
+    left = _time_left(files, history, is_executed=holder is not None)
     return ExperimentStatus(
         experiment_name=manifest["experiment_name"],
         folder=folder,
@@ -84,12 +93,27 @@ def read_status(folder: Path) -> ExperimentStatus:
         findings=tuple(history.findings),
         started_at=history.started_at,
         finished_at=history.finished_at,
+        seconds_left=left.after(history.since_left if holder else 0.0) if left is not None else None,
+        left_is_least=left is not None and left.is_least,
         bad_values=history.bad_values,
     )
 
 
 def _count(statuses: Mapping[str, RunStatus], *wanted: RunStatus) -> int:
     return sum(status in wanted for status in statuses.values())
+
+
+def _time_left(files: ExperimentFolder, history: _History, *, is_executed: bool) -> TimeLeft | None:
+    """Return what is left: as the orchestrator estimated it last, or of all runs that are not done."""
+    if is_executed:
+        return history.left
+    unfinished = [run for run, status in history.statuses.items() if status is not RunStatus.DONE]
+    if not unfinished:
+        return None
+    durations = Durations()
+    durations.learn_from(files.journal)
+    durations.plan(history.combinations[run] for run in unfinished if run in history.combinations)
+    return durations.left()
 
 
 class _History:
@@ -104,6 +128,9 @@ class _History:
         self.current_event: str | None = None
         self.started_at: str | None = None
         self.finished_at: str | None = None
+        self.combinations: dict[str, Mapping[str, Any]] = {}
+        self.left: TimeLeft | None = None
+        self._left_at = ""
         self._since_table: dict[str, RunStatus] = {}
         self._ends: dict[str, RunStatus] = {}
         self._measures: Collection[str] = ()
@@ -120,11 +147,17 @@ class _History:
             self._measures = layout.measures
             rows = read_run_table(files.run_table, layout)
             self.statuses = {rows.run_id(place): rows.status(place) for place in range(len(rows))}
+            self.combinations = {run.run_id: run.combination for run in rows.planned}
             if not layout.spelling.tells_apart(RunStatus.TODO, RunStatus.FAILED):
                 todo = {run for run, status in self.statuses.items() if status is RunStatus.TODO}
                 failed = {run for run, end in self._ends.items() if end is RunStatus.FAILED}
                 self.statuses |= dict.fromkeys(todo & failed, RunStatus.FAILED)
         self.statuses |= self._since_table
+
+    @property
+    def since_left(self) -> float:
+        """How long ago the time left was estimated, s."""
+        return max(0.0, time.time() - datetime.fromisoformat(self._left_at).timestamp())
 
     @property
     def bad_values(self) -> dict[str, dict[str, list[str]]]:
@@ -145,6 +178,7 @@ class _History:
 
     def _take_attempt_started(self, record: Mapping[str, Any]) -> None:
         self.current_run, self.current_event = record["run"], None
+        self._take_left(record)
 
     def _take_event(self, record: Mapping[str, Any]) -> None:
         self.current_event = record["event"]
@@ -158,6 +192,12 @@ class _History:
         }
         self._qualities[record["run"]] = {name: each for name, each in told.items() if each is not Quality.GOOD}
         self.current_run = self.current_event = None
+        self._take_left(record)
+
+    def _take_left(self, record: Mapping[str, Any]) -> None:
+        if record.get("status") != "interrupted":  # then the run is to do again, and what was left at its beginning is
+            self.left = TimeLeft.of_facts(record.get("left"))
+            self._left_at = record["at"]
 
     def _take_table_written(self, record: Mapping[str, Any]) -> None:
         del record

@@ -154,11 +154,11 @@ class _Orchestrator:
         """Try to execute a run as often as the config allows; return whether the experiment goes on."""
         for attempts_left in reversed(range(self._parameters.attempts)):
             task = self._progress.begin(run)
-            self._notice(AttemptStarted(task))
+            self._notice(AttemptStarted(task, self._progress.time_left))
             outcome = self._attempt(task, has_attempts_left=attempts_left > 0)
             is_last = attempts_left == 0 or outcome.status is not AttemptStatus.FAILED
             noticed = self._progress.record_outcome(task, outcome, is_last=is_last)
-            self._notice(AttemptFinished(task, outcome, is_last))
+            self._notice(AttemptFinished(task, outcome, is_last, self._progress.time_left))
             if noticed:
                 self._notice(FindingsNoticed(noticed))
             if is_last:
@@ -223,6 +223,7 @@ class _Orchestrator:
             columns={column.name: column.measure.unit for column in columns if not column.tells_of},
             overrides=self._experiment.overrides,
             findings=(*findings, *self._progress.findings),
+            left=self._progress.time_left,
         )
 
     def _finish_notice(self, findings: Sequence[Finding]) -> ExperimentFinished:

@@ -21,6 +21,8 @@ from robot_runner.core.execution.circumstances import (
     restored_manifest,
     resumed_manifest,
 )
+from robot_runner.core.execution.durations import durations_of
+from robot_runner.core.execution.mission_knowledge import combination_key
 from robot_runner.core.execution.recovery import config_changes, selected_places
 from robot_runner.core.execution.table_recovery import recover_table, texts_of
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome, RunTask, seed_of_run
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.execution.durations import Durations, TimeLeft
     from robot_runner.core.execution.probe import Probe
     from robot_runner.core.execution.recovered_table import RecoveredTable
     from robot_runner.core.execution.recovery import Resumption
@@ -124,6 +127,7 @@ class ProgressManager:
             self._take(recovered)
             prepared = self._prepare(known_treatments(self._folder))
             self._manifest |= prepared
+            self._durations = self._expected_durations()
             probed = self._probed()
             if recovered.unfinished is not None:  # the orchestrator died: what the run printed is still its log
                 keep_log(self._folder, recovered.unfinished)
@@ -187,6 +191,11 @@ class ProgressManager:
         return tuple(f"{run_id}: {reason}" for run_id, reason in self._failed.items())
 
     @property
+    def time_left(self) -> TimeLeft | None:
+        """How long the run that has begun and those to come take; None where that is not known."""
+        return self._durations.left()
+
+    @property
     def findings(self) -> tuple[Finding, ...]:
         """What looked odd in the table on disk and in the runs."""
         return (*self._findings, *(self._unread or {}).values())
@@ -221,12 +230,14 @@ class ProgressManager:
         self._rows.record(run.run_id, status=RunStatus.RUNNING)
         self._failed.pop(run.run_id, None)
         task = self.task_of(run)
+        self._durations.begin(combination_key(task.combination), time.monotonic())
         self.note(
             "attempt_started",
             run=run.run_id,
             attempt=task.attempt,
             combination=texts_of(task.combination),
             repetition=task.repetition,
+            **self._left(),
         )
         self._refresh_table()
         return task
@@ -250,8 +261,15 @@ class ProgressManager:
             what it shows about the runs that follow.
         """
         keep_log(self._folder, task.run_id)
+        self._durations.end(time.monotonic(), outcome.status.value, is_last=is_last)
         self._journal.append(
-            "attempt_finished", flush=True, run=task.run_id, attempt=task.attempt, is_last=is_last, **_plain(outcome)
+            "attempt_finished",
+            flush=True,
+            run=task.run_id,
+            attempt=task.attempt,
+            is_last=is_last,
+            **_plain(outcome),
+            **self._left(),
         )
         self._findings += [*outcome.findings, *self._missing_measures(task, outcome)]
         if outcome.status is AttemptStatus.FAILED and is_last:
@@ -334,6 +352,18 @@ class ProgressManager:
     def _probed(self) -> Probe | None:
         first = next(self.pending(), None)
         return self._probe(self.task_of(first)) if self._probe is not None and first is not None else None
+
+    def _expected_durations(self) -> Durations:
+        each = self._experiment
+        combinations = [run.combination for run in self._rows.planned]
+        journal = self._folder.journal
+        durations = durations_of(each.config, each.plugins, each.events, each.parameters, combinations, journal)
+        durations.plan(combinations[place] for place in self._selected)
+        return durations
+
+    def _left(self) -> dict[str, Any]:
+        left = self.time_left
+        return {} if left is None else {"left": left.facts()}
 
     def _look_for_readers(self, task: RunTask, outcome: RunOutcome) -> tuple[Finding, ...]:
         """Return what nobody read in the first run that is done; what a later run reads is not told at the end."""
