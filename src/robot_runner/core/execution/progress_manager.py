@@ -20,6 +20,7 @@ from robot_runner.core.execution.circumstances import (
     restored_manifest,
     resumed_manifest,
 )
+from robot_runner.core.execution.left_over import await_left_over
 from robot_runner.core.execution.recovery import config_changes, selected_places
 from robot_runner.core.execution.table_recovery import recover_table, texts_of
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome, RunTask, seed_of_run
@@ -59,6 +60,7 @@ _KEPT = frozenset(
         "bound",
         "waited",
         "mission_stopped",
+        "outlives",
     }
 )
 
@@ -108,6 +110,8 @@ class ProgressManager:
         with ExitStack() as opened:
             self._make_folder()
             opened.enter_context(ExperimentLock(self._folder.lock))
+            left_over = await_left_over(self._folder, self._experiment.parameters.grace_in_s)
+            self._findings += [left_over] if left_over is not None else []
             self._manifest = self._load_manifest()
             started = time.monotonic()
             recovered = recover_table(self._experiment, self._manifest, self._resumption)
