@@ -22,6 +22,7 @@ from robot_runner.core.execution.circumstances import (
     resumed_manifest,
 )
 from robot_runner.core.execution.durations import durations_of
+from robot_runner.core.execution.left_over import await_left_over
 from robot_runner.core.execution.mission_knowledge import combination_key
 from robot_runner.core.execution.recovery import config_changes, selected_places
 from robot_runner.core.execution.table_recovery import recover_table, texts_of
@@ -64,6 +65,7 @@ _KEPT = frozenset(
         "waited",
         "subject",
         "mission_stopped",
+        "outlives",
     }
 )
 
@@ -119,6 +121,8 @@ class ProgressManager:
         with ExitStack() as opened:
             self._make_folder()
             opened.enter_context(ExperimentLock(self._folder.lock))
+            left_over = await_left_over(self._folder, self._experiment.parameters.grace_in_s)
+            self._findings += [left_over] if left_over is not None else []
             self._manifest = self._load_manifest()
             started = time.monotonic()
             recovered = recover_table(self._experiment, self._manifest, self._resumption)

@@ -125,6 +125,16 @@ class ExperimentFolder:
         return self.root / ".lock"
 
     @property
+    def alive(self) -> Path:
+        """Locked by each process of a run, as long as it lives."""
+        return self.root / ".alive"
+
+    @property
+    def outliving(self) -> Path:
+        """The processes that may outlive the run that started them."""
+        return self.root / ".outliving"
+
+    @property
     def control(self) -> Path:
         """What a second terminal tells the orchestrator."""
         return self.root / ".control"
