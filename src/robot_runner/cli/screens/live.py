@@ -19,7 +19,7 @@ from robot_runner.cli.screens.plain import (
     gate_passed,
     opening,
     pausing,
-    probing,
+    preparing,
     request,
     terminal_input,
     treatments_in_words,
@@ -36,6 +36,7 @@ from robot_runner.core.execution.notices import (
     InterruptionNoticed,
     Notice,
     Paused,
+    PreparationStarted,
     ProbeStarted,
     WaitingForUser,
 )
@@ -102,8 +103,8 @@ class LiveScreen:
         """Take a notice; what is permanent is printed above the live part, the rest is shown at the next refresh."""
         self.progress.take(notice)
         match notice:
-            case ProbeStarted():
-                self._console.print(Text(probing(notice), style="dim"))
+            case PreparationStarted() | ProbeStarted():
+                self._console.print(Text(preparing(notice), style="dim"))
             case ExperimentStarted():
                 self._begin(notice)
             case AttemptStarted():

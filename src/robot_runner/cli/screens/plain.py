@@ -27,6 +27,7 @@ from robot_runner.core.execution.notices import (
     InterruptionNoticed,
     Notice,
     Paused,
+    PreparationStarted,
     ProbeStarted,
     WaitingForUser,
 )
@@ -52,7 +53,7 @@ __all__ = [
     "heading_of",
     "opening",
     "pausing",
-    "probing",
+    "preparing",
     "request",
     "shown_measure",
     "terminal_input",
@@ -161,8 +162,10 @@ def forget_typed(descriptor: int | None) -> None:
             termios.tcflush(descriptor, termios.TCIFLUSH)
 
 
-def probing(started: ProbeStarted) -> str:
-    """Return what is said while the profilers are tried."""
+def preparing(started: PreparationStarted | ProbeStarted) -> str:
+    """Return what is said while something is made that the runs need, or the profilers are tried."""
+    if isinstance(started, PreparationStarted):
+        return f"{started.what} ..."
     return f"Trying {enumerated(started.plugins)} for a moment, before anything moves ..."
 
 
@@ -254,8 +257,8 @@ class PlainScreen:
         """Print what is worth a line."""
         self.progress.take(notice)
         match notice:
-            case ProbeStarted():
-                self._print(probing(notice))
+            case PreparationStarted() | ProbeStarted():
+                self._print(preparing(notice))
             case ExperimentStarted():
                 self._units = notice.columns
                 self._print(*opening(notice))

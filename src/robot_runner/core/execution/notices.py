@@ -25,11 +25,19 @@ __all__ = [
     "Notice",
     "Observer",
     "Paused",
+    "PreparationStarted",
     "ProbeStarted",
     "RunRecord",
     "SilentObserver",
     "WaitingForUser",
 ]
+
+
+@dataclass(frozen=True, slots=True)
+class PreparationStarted:
+    """Something that the runs need is being made, before anything else happens, and may take its time."""
+
+    what: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +197,8 @@ class ExperimentFinished:
 
 
 Notice = (
-    ProbeStarted
+    PreparationStarted
+    | ProbeStarted
     | ExperimentStarted
     | AttemptStarted
     | RunRecord
