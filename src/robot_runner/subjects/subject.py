@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.condition import Condition
 from robot_runner.core.events.measure import Measure
+from robot_runner.core.links.host import LOCAL, SUBJECT_VARIABLE
 from robot_runner.core.links.measured_machine import machine_clock
 from robot_runner.core.plugin import System
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -173,7 +174,7 @@ class Subject(System):
             self._end()
             raise
         self._startup_time = time.monotonic() - begun_at
-        context.share(pid=start.pid)
+        context.share(pid=start.pid, host=self.surroundings.host or LOCAL)
         context.broker.note(self.name, "subject", self._facts(context, start))
         self._is_ending = threading.Event()
         watch = threading.Thread(
@@ -222,7 +223,7 @@ class Subject(System):
         around = self.surroundings
         task = Task(
             command=around.wrapped(self.words()),
-            environment={**self.variables(start), **around.environment},
+            environment={**self.variables(start), **around.environment, SUBJECT_VARIABLE: self.name},
             folder=around.path,
             stop_signal=self.stop_signal,
             grace_s=self.grace_s,
