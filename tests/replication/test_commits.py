@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 
 from tests.command_line import robot_runner
-from tests.subjects.conftest import Repository, repository
+from tests.subjects.conftest import Repository, own_cache, repository
 
 from robot_runner.replication.opening import open_package, unpack
 from robot_runner.replication.packing import pack
 
-__all__ = ["repository", "robot_runner"]
+__all__ = ["own_cache", "repository", "robot_runner"]
 
 CONFIG = """\
 from robot_runner import *

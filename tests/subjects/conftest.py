@@ -40,6 +40,12 @@ def gone(token: str, *, within: float = 20.0) -> bool:
     return True
 
 
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep work trees and locks in a cache of the test's own."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
 @pytest.fixture
 def token() -> str:
     """Return a word that stands on the command lines of this test's processes, and on no other."""
@@ -100,7 +106,7 @@ class Repository:
 
 
 @pytest.fixture
-def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Repository:
-    """Return a repository; work trees are kept in a cache of the test's own."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+def repository(tmp_path: Path, own_cache: None) -> Repository:
+    """Return a repository."""
+    del own_cache
     return Repository(tmp_path / "repository")

@@ -127,6 +127,22 @@ def test_nothing_is_left_when_the_orchestrator_is_killed(tmp_path: Path, docker:
         time.sleep(0.05)
 
 
+def test_the_containers_of_a_run_that_was_killed_are_gone_before_the_next_begins(
+    execute: Callable[..., Executed], docker: Path
+) -> None:
+    mission = """
+def launch_mission(self, context):
+    import os, signal
+    if context.combination["Algorithm"] == "dwa":
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+    done = execute(body_of(docker, mission))
+    assert [row["status"] for row in done.table] == ["Failed", "Done"]
+    calls = [line.split("compose.yaml ")[-1].split()[0] for line in (docker / "state/calls").read_text().splitlines()]
+    assert [call for call in calls if call in {"up", "down"}] == ["up", "down"] * 2
+    assert containers(docker) == []
+
+
 def test_what_docker_would_refuse_is_found_before_anything_moves(tmp_path: Path, docker: Path) -> None:
     def problems() -> list[str]:
         config = written_config(tmp_path, body_of(docker), head=OURS, table=TABLE)

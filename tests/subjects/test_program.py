@@ -146,11 +146,13 @@ def test_a_subject_of_the_experiment_that_died_is_started_again_for_the_next_run
     execute: Callable[..., Executed], tmp_path: Path
 ) -> None:
     mark = tmp_path / "first"
-    command = ["sh", "-c", f"echo up; [ -e {mark} ] || {{ touch {mark}; sleep 0.3; exit 9; }}; exec sleep 100"]
+    fatal = f"while [ ! -e {mark} ]; do sleep 0.1; done; exit 9"
+    command = ["sh", "-c", f"echo up; [ -e {mark} ] && exec sleep 100; {fatal}"]
     body = f"""
     plugins = [Program({command!r}, name="World", per="experiment", ready="up")]
 
     def launch_mission(self, context):
+        Path({str(mark)!r}).touch()
         context.clock.sleep(3)
     """
     done = execute(body, table=TWO_RUNS)

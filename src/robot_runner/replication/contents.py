@@ -132,7 +132,9 @@ ALL, NONE = "all", "none"
 CONFIG_OWNER = "config"
 
 _RUN_FILES = frozenset({"log.txt", "refused.jsonl"})
-_TRANSIENT = re.compile(r"\.lock|\.control|current_log\.txt|.*\.tmp|.*\.pyc|\.DS_Store|Thumbs\.db|.*~")
+_TRANSIENT = re.compile(
+    r"\.(?:lock|control|alive|outliving)|current_log\.txt|.*\.tmp|.*\.pyc|\.DS_Store|Thumbs\.db|.*~"
+)
 _TRANSIENT_FOLDERS = frozenset({"__pycache__", ".git", ".ipynb_checkpoints", ".venv"})
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import signal
 import threading
@@ -13,12 +14,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.condition import Condition
 from robot_runner.core.events.measure import Measure
+from robot_runner.core.links.host import LOCAL, SUBJECT_VARIABLE
 from robot_runner.core.links.measured_machine import machine_clock
 from robot_runner.core.plugin import System
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.treatments import factors_of
 from robot_runner.subjects.readiness import Ready, TextInOutput
-from robot_runner.subjects.supervised_program import Start, SupervisedProgram, Task
+from robot_runner.subjects.supervised_program import Start, SupervisedProgram, Task, user_cache
 from robot_runner.subjects.surroundings import Surroundings
 
 if TYPE_CHECKING:
@@ -144,7 +146,7 @@ class Subject(System):
     def before_experiment(self, context: ExperimentContext) -> None:
         """Start it, where it goes on through all runs."""
         if self.per == "experiment":
-            self._begin(_free(self._shared_folder(context)))
+            self._begin(context, _free(self._shared_folder(context)))
 
     def before_run(self, context: RobotRunnerContext) -> None:
         """Start it again where it should go on through all runs and has died since."""
@@ -152,7 +154,7 @@ class Subject(System):
             return
         context.warn(f"{self._death(self._program, ended)}; it was started again before this run")
         self._program.stop()
-        self._begin(_free(self._shared_folder(context)))
+        self._begin(context, _free(self._shared_folder(context)))
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Start it, wait until it is ready, and watch over it from then on.
@@ -163,14 +165,16 @@ class Subject(System):
         """
         self._startup_time = self._ended = None
         begun_at = time.monotonic()
-        start = self._begin(context.raw_data_folder) if self.per == "run" else self._attached(context)
+        start = self._begin(context, context.raw_data_folder) if self.per == "run" else self._attached(context)
         try:
+            if self._program is not None and self.per == "run" and self.last_words() is not None:
+                context.outlives(self._program.supervisor_pid)  # should the run be killed, its supervisor cleans up
             self._await_ready(context, start)
         except BaseException:
             self._end()
             raise
         self._startup_time = time.monotonic() - begun_at
-        context.share(pid=start.pid)
+        context.share(pid=start.pid, host=self.surroundings.host or LOCAL)
         context.broker.note(self.name, "subject", self._facts(context, start))
         self._is_ending = threading.Event()
         watch = threading.Thread(
@@ -214,21 +218,27 @@ class Subject(System):
         if self.per == "run":
             context.publish("Startup_time", self._startup_time)
 
-    def _begin(self, folder: Path) -> SupervisedProgram:
+    def _begin(self, context: ExperimentContext, folder: Path) -> SupervisedProgram:
         start = Start(folder)
         around = self.surroundings
         task = Task(
             command=around.wrapped(self.words()),
-            environment={**self.variables(start), **around.environment},
+            environment={**self.variables(start), **around.environment, SUBJECT_VARIABLE: self.name},
             folder=around.path,
             stop_signal=self.stop_signal,
             grace_s=self.grace_s,
             last=around.wrapped(last) if (last := self.last_words()) else None,
             host=around.host,
             ssh_config=around.ssh_config,
+            lock=self._lock(context),
         )
         self._program = SupervisedProgram(folder, task, name=self.name)
         return self._program
+
+    def _lock(self, context: ExperimentContext) -> Path:
+        """Return the file that is locked from each start of this subject until all of it has ended."""
+        key = hashlib.sha256(f"{context.experiment_folder.absolute()}\0{self.name}".encode()).hexdigest()[:16]
+        return user_cache() / "subjects" / f"{key}.lock"
 
     def _attached(self, context: RobotRunnerContext) -> Start:
         """Return the start of a subject that goes on through all runs; another process has started it."""

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,9 +20,9 @@ from robot_runner.core.words import listed, one_line
 from robot_runner.subjects.remote_supervision import BOOTSTRAP, LEASE
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
-__all__ = ["Ended", "Start", "SupervisedProgram", "Task"]
+__all__ = ["Ended", "Start", "SupervisedProgram", "Task", "shell_words", "tail", "user_cache"]
 
 #: How long a supervisor may take to start its program, s: here, and over a network.
 _PATIENCE, _FAR_PATIENCE = 20.0, 40.0
@@ -48,6 +48,7 @@ class Task:
         last_s: how long that may take, s.
         host: the computer as ssh takes it; None for this one.
         ssh_config: a file to take the place of the user's ssh config.
+        lock: a file that is locked until everything has ended: the next start waits for the end of this one.
     """
 
     command: tuple[str, ...]
@@ -59,6 +60,12 @@ class Task:
     last_s: float = 60.0
     host: str | None = None
     ssh_config: Path | None = None
+    lock: Path | None = None
+
+    @property
+    def ending_s(self) -> float:
+        """How long its end may take, s."""
+        return self.grace_s + (self.last_s if self.last else 0.0) + 2 * _LAST_PATIENCE
 
     def line(self, stdout: Path, stderr: Path) -> bytes:
         """Return the line that tells the supervisor its task."""
@@ -198,9 +205,14 @@ class SupervisedProgram(Start):
         module = "supervisor.py" if task.host is None else "remote_supervision.py"
         # Unbuffered, and isolated from what lies around in the folder it is started in.
         words = [sys.executable, "-I", str(Path(__file__).with_name(module))]
-        with self.events.open("wb") as events:
+        with self._turn() as turn, self.events.open("wb") as events:
             self._supervisor = subprocess.Popen(  # noqa: S603 - our own program
-                words, stdin=subprocess.PIPE, stdout=events, stderr=subprocess.DEVNULL, start_new_session=True
+                words,
+                stdin=subprocess.PIPE,
+                stdout=events,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+                pass_fds=turn,
             )
         self._say(task.line(self.stdout, self.stderr))
         self._await_start()
@@ -216,13 +228,35 @@ class SupervisedProgram(Start):
             self._say(b"stop\n")
             with suppress(OSError):
                 self._supervisor.stdin.close()
-        patience = self._task.grace_s + (self._task.last_s if self._task.last else 0.0) + 2 * _LAST_PATIENCE
         try:
-            self._supervisor.wait(patience)
+            self._supervisor.wait(self._task.ending_s)
         except subprocess.TimeoutExpired:
             self._supervisor.kill()
             self._supervisor.wait()
         return self.ended() or Ended(None, "nobody knows how")
+
+    @contextmanager
+    def _turn(self) -> Iterator[tuple[int, ...]]:
+        """Wait until an earlier start has ended, and yield what the supervisor has to inherit to keep a later one off.
+
+        Where a run was killed, its supervisor may still be at work.
+        """
+        if self._task.lock is None:
+            yield ()
+            return
+        deadline = time.monotonic() + self._task.ending_s
+        self._task.lock.parent.mkdir(parents=True, exist_ok=True)
+        with self._task.lock.open("w") as lock:
+            while True:
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    break
+                except BlockingIOError:
+                    if time.monotonic() > deadline:
+                        fix = f"Look who has this file open, and end it: lsof {lock.name}"
+                        raise PluginError("an earlier start of it goes on", where=self._name, fix=fix) from None
+                    time.sleep(_LOOK)
+            yield (lock.fileno(),)
 
     def _say(self, data: bytes) -> None:
         pipe = self._supervisor.stdin
@@ -252,6 +286,12 @@ class SupervisedProgram(Start):
             return PluginError(f"{host} cannot be reached: {gist(lost)}", where=self._name, fix=remedy(host, lost))
         problem = f"{self._task.command[0]!r} was not started: {ended.how if ended else 'its supervisor is silent'}"
         return PluginError(problem, where=self._name, fix="Execute it by hand to see why.")
+
+
+def user_cache() -> Path:
+    """Return our folder among the user's caches (XDG_CACHE_HOME)."""
+    home = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    return Path(home).expanduser() / "robot-runner"
 
 
 def tail(path: Path, size: int = _TAIL_BYTES) -> str:

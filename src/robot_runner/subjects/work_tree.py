@@ -18,7 +18,7 @@ from robot_runner.core.errors import ExecutionError
 from robot_runner.core.storage.git_repository import git, repository_state, uncommitted_changes, without_login
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.words import one_line
-from robot_runner.subjects.supervised_program import tail
+from robot_runner.subjects.supervised_program import tail, user_cache
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,9 +35,8 @@ _SHORT = 12  # digits of a hash that a person reads
 
 
 def cache_folder() -> Path:
-    """Return where work trees are kept: in the user's folder of caches (XDG_CACHE_HOME). It may be emptied at will."""
-    home = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    return Path(home).expanduser() / "robot-runner" / "revisions"
+    """Return where work trees are kept: in the user's folder of caches. It may be emptied at will."""
+    return user_cache() / "revisions"
 
 
 class WorkTree:
