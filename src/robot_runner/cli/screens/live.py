@@ -18,6 +18,7 @@ from robot_runner.cli.screens.plain import (
     forget_typed,
     gate_passed,
     opening,
+    pausing,
     probing,
     request,
     terminal_input,
@@ -34,9 +35,11 @@ from robot_runner.core.execution.notices import (
     GatePassed,
     InterruptionNoticed,
     Notice,
+    Paused,
     ProbeStarted,
     WaitingForUser,
 )
+from robot_runner.core.storage.lock import pause_is_requested
 from robot_runner.core.words import counted, one_line, shown_duration
 
 if TYPE_CHECKING:
@@ -115,7 +118,9 @@ class LiveScreen:
                 self._print_finished()
                 self._print_lines([Text(closing(run_id), style="bold yellow")])
             case WaitingForUser():
-                self._ask(notice)
+                self._ask(request(notice, by_key=self.user_input is not None))
+            case Paused():
+                self._ask(pausing(notice, by_key=self.user_input is not None))
             case GatePassed(problem=problem) if problem:
                 self._print_finished()
                 self._print_lines([Text(f"  {gate_passed(notice)}", style="yellow")])
@@ -154,12 +159,11 @@ class LiveScreen:
             self._live.stop()
             self._live = None  # a new one next time: this one would draw over what was printed meanwhile
 
-    def _ask(self, waiting: WaitingForUser) -> None:
+    def _ask(self, asked: str) -> None:
         # The live part is taken away while it waits: the ENTER that the terminal echoes would tear it.
         self._print_finished()
         self._take_live_part_away()
         forget_typed(self.user_input)
-        asked = request(waiting, by_key=self.user_input is not None)
         self._console.print(Text(asked, style="bold cyan"), soft_wrap=True)
 
     def _print_finished(self) -> None:
@@ -200,9 +204,8 @@ class LiveScreen:
         if progress.failed:
             counts.append(f", {progress.failed:,} failed", style="bold red")
         counts.append(f"   {shown_duration(progress.elapsed)}", style="dim")
-        left = progress.seconds_left
-        if left is not None:
-            counts.append(f", about {shown_duration(left)} left", style="dim")
+        if left := progress.left_in_words:
+            counts.append(f", {left}", style="dim")
         return counts
 
     def _current(self) -> tuple[Text, Text]:
@@ -218,10 +221,13 @@ class LiveScreen:
         )
         return run, self._event()
 
+    def _pause(self) -> str:
+        return ", pauses after this run" if pause_is_requested(self._experiment.folder.pause) else ""
+
     def _between_runs(self) -> tuple[Text, Text]:
         waiting = self.progress.gate
         if waiting is None:
-            return Text("  between two runs", style="dim"), Text("")
+            return Text(f"  between two runs{self._pause()}", style="dim"), Text("")
         line = Text(f"  ▷ {waiting_at_gate(waiting)}", style="cyan", no_wrap=True, overflow="ellipsis")
         return line, Text(f"    {waited_so_far(waiting)}", no_wrap=True, overflow="ellipsis")
 
@@ -233,7 +239,7 @@ class LiveScreen:
         line.append(current.event or "starting")
         if current.shared:
             line.append(f": {one_line(current.shared)}", style="cyan")
-        line.append(f"   {shown_duration(self.progress.elapsed_in_run)}", style="dim")
+        line.append(f"   {shown_duration(self.progress.elapsed_in_run)}{self._pause()}", style="dim")
         if current.failure:
             line.append(f"   ✗ {one_line(current.failure)}; closing what is open", style="red")
         return line

@@ -26,6 +26,7 @@ from robot_runner.core.execution.notices import (
     GateWaiting,
     InterruptionNoticed,
     Notice,
+    Paused,
     ProbeStarted,
     WaitingForUser,
 )
@@ -50,6 +51,7 @@ __all__ = [
     "gate_passed",
     "heading_of",
     "opening",
+    "pausing",
     "probing",
     "request",
     "shown_measure",
@@ -66,6 +68,8 @@ __all__ = [
 _MEASURE = 10
 _TOOK = 11
 _INDENT = "  "
+#: A shorter experiment is over before its duration is read, s.
+_WORTH_TELLING = 60.0
 
 
 def heading_of(measure: str, unit: str) -> str:
@@ -167,6 +171,8 @@ def opening(started: ExperimentStarted) -> list[str]:
     before = f", {started.done_count:,} of them done before" if started.done_count else ""
     runs = f"{counted(started.run_count, 'run')}{before}, seed {started.seed}"
     lines = [f"{started.experiment_name}: {runs}, results in {shown_path(started.folder)}"]
+    if started.left is not None and started.left.others >= _WORTH_TELLING:
+        lines.append(started.left.in_words())
     if started.overrides:
         parts = ", ".join(f"{name}={value}" for name, value in started.overrides.items())
         lines.append(f"set by hand, and recorded as a deviation from the config: {parts}")
@@ -185,6 +191,13 @@ def request(waiting: WaitingForUser, *, by_key: bool) -> str:
     if by_key:
         return f"Press ENTER to start {run}, or in another terminal: {command}"
     return f"Waiting before {run}. To go on: {command}"
+
+
+def pausing(paused: Paused, *, by_key: bool) -> str:
+    """Return what is said while the experiment is paused."""
+    key = "press ENTER, or in another terminal: " if by_key else ""
+    run = f"run {paused.next_run_number} of {paused.run_count}"
+    return f"Paused before {run}. To go on: {key}robot-runner continue {shlex.quote(shown_path(paused.folder))}"
 
 
 def waiting_at_gate(waiting: GateWaiting) -> str:
@@ -259,6 +272,9 @@ class PlainScreen:
             case WaitingForUser():
                 forget_typed(self.user_input)
                 self._print(request(notice, by_key=self.user_input is not None))
+            case Paused():
+                forget_typed(self.user_input)
+                self._print(pausing(notice, by_key=self.user_input is not None))
             case GateWaiting() | GatePassed():
                 self._tell_of_gate(notice)
 

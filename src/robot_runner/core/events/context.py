@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast, runtime_checkable
 
-from robot_runner.core.events.ending import EndingInPlace
+from robot_runner.core.events.early_end import EndingInPlace
 from robot_runner.core.events.measure import MeasureValue, Origin, PublishedMeasure
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.errors import Finding
-    from robot_runner.core.events.ending import Ending
+    from robot_runner.core.events.early_end import Ending
     from robot_runner.core.events.window import MissionTimes, Phase, Window
 
 __all__ = ["Clock", "Closable", "ExperimentContext", "Resources", "RobotRunnerContext", "RunBroker", "SystemClock"]

@@ -48,6 +48,9 @@ if TYPE_CHECKING:
 __all__ = ["execute_experiment"]
 
 
+#: How often the run table is looked after between two runs, in seconds.
+_LOOK_AT_TABLE = 1.0
+
 _log = logging.getLogger(__name__)
 
 
@@ -112,7 +115,7 @@ class _Orchestrator:
         self._observer = observer
         self._executor = executor_for(experiment)
         self._events = OrchestratorEvents(experiment, progress, interruption)
-        patience = Patience(interruption, self._refresh, observer.refresh_interval)
+        patience = Patience(interruption, self._while_waiting, observer.refresh_interval or _LOOK_AT_TABLE)
         self._between_runs = BetweenRuns(experiment, progress, self._events, observer, self._notice, patience)
         self._gates = Gates(experiment, progress, self._notice, patience)
         self._started = time.monotonic()
@@ -153,11 +156,11 @@ class _Orchestrator:
             if self._interruption.is_requested or self._is_stopped_by(passage.stop, run):
                 return False
             task = replace(self._progress.begin(run), attempts_left=attempts_left)
-            self._notice(AttemptStarted(task))
+            self._notice(AttemptStarted(task, self._progress.time_left))
             outcome = self._attempt(task, passage, has_attempts_left=attempts_left > 0)
             is_last = attempts_left == 0 or outcome.status is not AttemptStatus.FAILED or bool(self._stopped_by)
             noticed = self._progress.record_outcome(task, outcome, is_last=is_last)
-            self._notice(AttemptFinished(task, outcome, is_last))
+            self._notice(AttemptFinished(task, outcome, is_last, self._progress.time_left))
             if noticed:
                 self._notice(FindingsNoticed(noticed))
             if is_last:
@@ -204,6 +207,7 @@ class _Orchestrator:
             refresh=self._refresh,
             refresh_interval=self._observer.refresh_interval,
             noticed_interruption=lambda: self._notice(InterruptionNoticed(task.run_id)),
+            tend=self._progress.tend_table,
         )
         return self._executor.execute(task, builder, watch)
 
@@ -232,6 +236,7 @@ class _Orchestrator:
             columns={column.name: column.measure.unit for column in columns if not column.tells_of},
             overrides=self._experiment.overrides,
             findings=(*findings, *self._progress.findings),
+            left=self._progress.time_left,
         )
 
     def _finish_notice(self, findings: Sequence[Finding]) -> ExperimentFinished:
@@ -241,7 +246,7 @@ class _Orchestrator:
             run_table=self._experiment.folder.run_table,
             done_count=progress.done_count,
             failed_count=len(progress.failed),
-            todo_count=progress.run_count - progress.done_count - len(progress.failed),
+            todo_count=progress.todo_count,
             failed=progress.failed,
             failures=progress.failures,
             interrupted=self._interruption.is_requested,
@@ -249,10 +254,16 @@ class _Orchestrator:
             stopped_by=self._stopped_by,
             findings=(*findings, *progress.findings),
             seconds=time.monotonic() - self._started,
+            excluded=progress.excluded,
         )
 
     def _notice(self, notice: Notice) -> None:
         _tell(self._observer, notice)
+
+    def _while_waiting(self) -> None:
+        if self._observer.refresh_interval is not None:
+            self._refresh()
+        self._progress.tend_table()
 
     def _refresh(self) -> None:
         try:

@@ -40,7 +40,7 @@ class EndingInPlace:
     Example:
         >>> EndingInPlace().fail("Guard", "too warm")
         Traceback (most recent call last):
-        robot_runner.core.events.ending.RunFailed: too warm
+        robot_runner.core.events.early_end.RunFailed: too warm
     """
 
     def fail(self, owner: str, reason: str) -> None:
