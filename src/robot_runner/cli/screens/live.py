@@ -19,6 +19,7 @@ from robot_runner.cli.screens.plain import (
     opening,
     probing,
     request,
+    restarting,
     terminal_input,
     treatments_in_words,
 )
@@ -28,6 +29,7 @@ from robot_runner.core.execution.notices import (
     AttemptStarted,
     ExperimentStarted,
     FindingsNoticed,
+    HostRestarts,
     InterruptionNoticed,
     Notice,
     ProbeStarted,
@@ -109,6 +111,9 @@ class LiveScreen:
             case FindingsNoticed(findings):
                 self._print_finished()
                 print_findings(self._console, findings)
+            case HostRestarts(host, next_run):
+                self._print_finished()
+                self._print_lines([Text(restarting(host, next_run), style="dim")])
             case InterruptionNoticed(run_id):
                 self._print_finished()
                 self._print_lines([Text(closing(run_id), style="bold yellow")])

@@ -22,6 +22,7 @@ from robot_runner.core.execution.notices import (
     AttemptStarted,
     ExperimentStarted,
     FindingsNoticed,
+    HostRestarts,
     InterruptionNoticed,
     Notice,
     ProbeStarted,
@@ -49,6 +50,7 @@ __all__ = [
     "opening",
     "probing",
     "request",
+    "restarting",
     "shown_measure",
     "terminal_input",
     "treatments_in_words",
@@ -168,6 +170,11 @@ def opening(started: ExperimentStarted) -> list[str]:
     return lines
 
 
+def restarting(host: str, next_run: str) -> str:
+    """Return what is said while a host is started anew."""
+    return f"Starting {host} anew before {next_run}, and waiting until it is ready ..."
+
+
 def closing(run_id: str) -> str:
     """Return what is said once the user has interrupted."""
     return f"Interrupted: closing {run_id} (its robot is stopped, its profilers too). Ctrl-C again kills it at once."
@@ -226,6 +233,8 @@ class PlainScreen:
                 self._print(f"{_named(task)} {self._ended(outcome, is_last=is_last)}")
             case FindingsNoticed(findings):
                 print_findings(self._console, findings)
+            case HostRestarts(host, next_run):
+                self._print(restarting(host, next_run))
             case InterruptionNoticed(run_id):
                 self._print(closing(run_id))
             case WaitingForUser():

@@ -19,6 +19,7 @@ __all__ = [
     "ExperimentFinished",
     "ExperimentStarted",
     "FindingsNoticed",
+    "HostRestarts",
     "InterruptionNoticed",
     "Notice",
     "Observer",
@@ -101,6 +102,14 @@ class WaitingForUser:
 
 
 @dataclass(frozen=True, slots=True)
+class HostRestarts:
+    """A host is started anew before the next run, and awaited."""
+
+    host: str
+    next_run: str
+
+
+@dataclass(frozen=True, slots=True)
 class InterruptionNoticed:
     """The user asked for the end: the run is being closed; asked once more, it is killed."""
 
@@ -141,6 +150,7 @@ Notice = (
     | AttemptFinished
     | FindingsNoticed
     | WaitingForUser
+    | HostRestarts
     | InterruptionNoticed
     | ExperimentFinished
 )
