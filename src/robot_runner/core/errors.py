@@ -9,7 +9,8 @@ RobotRunnerError
 ├── StorageError       a file or folder that cannot be read or written
 ├── LinkError          a robot, host or device that cannot be reached
 │   └── CommandError   a command on a host that failed, or did not end in time
-├── ConditionError     something that cannot be awaited, or did not come in time
+├── ConditionError     something that cannot be awaited
+│   └── ConditionTimeout   ... or that did not come in time
 ├── ExecutionError     an experiment that cannot start or go on
 ├── AnalysisError      results that cannot be read, adopted or analysed
 └── PackageError       a replication package that cannot be made, or must not be used
@@ -31,6 +32,7 @@ __all__ = [
     "AnalysisError",
     "CommandError",
     "ConditionError",
+    "ConditionTimeout",
     "ConfigError",
     "DesignError",
     "ExecutionError",
@@ -155,6 +157,10 @@ class ExecutionError(RobotRunnerError):
 
 class ConditionError(RobotRunnerError):
     """Something that cannot be awaited, or that was awaited and did not come in time."""
+
+
+class ConditionTimeout(ConditionError):  # noqa: N818 - it is named like Python's own TimeoutError is caught
+    """Something that was awaited and did not come in time."""
 
 
 class AnalysisError(RobotRunnerError):

@@ -22,9 +22,12 @@ from robot_runner.core.execution.notices import (
     AttemptStarted,
     ExperimentStarted,
     FindingsNoticed,
+    GatePassed,
+    GateWaiting,
     HostRestarts,
     InterruptionNoticed,
     Notice,
+    Paused,
     ProbeStarted,
     WaitingForUser,
 )
@@ -44,16 +47,20 @@ if TYPE_CHECKING:
 __all__ = [
     "PlainScreen",
     "RunRows",
+    "announced",
     "closing",
     "forget_typed",
+    "gate_passed",
     "heading_of",
     "opening",
+    "pausing",
     "probing",
     "request",
-    "restarting",
     "shown_measure",
     "terminal_input",
     "treatments_in_words",
+    "waited_so_far",
+    "waiting_at_gate",
 ]
 
 
@@ -137,6 +144,10 @@ class RunRows:
 # What a screen says beside its rows: how an experiment begins, and what SEMI asks of the user.
 
 
+#: How often a log is told of a gate that is awaited, s.
+_GATE_EVERY = 60.0
+
+
 def terminal_input() -> int | None:
     """Return the descriptor on which somebody can press ENTER, or None where nobody sits."""
     with suppress(AttributeError, OSError, ValueError):
@@ -170,9 +181,11 @@ def opening(started: ExperimentStarted) -> list[str]:
     return lines
 
 
-def restarting(host: str, next_run: str) -> str:
-    """Return what is said while a host is started anew."""
-    return f"Starting {host} anew before {next_run}, and waiting until it is ready ..."
+def announced(notice: ProbeStarted | HostRestarts) -> str:
+    """Return what is said of something that takes a while and shows nothing meanwhile."""
+    if isinstance(notice, ProbeStarted):
+        return probing(notice)
+    return f"Starting {notice.host} anew before {notice.next_run}, and waiting until it is ready ..."
 
 
 def closing(run_id: str) -> str:
@@ -187,6 +200,35 @@ def request(waiting: WaitingForUser, *, by_key: bool) -> str:
     if by_key:
         return f"Press ENTER to start {run}, or in another terminal: {command}"
     return f"Waiting before {run}. To go on: {command}"
+
+
+def pausing(paused: Paused, *, by_key: bool) -> str:
+    """Return what is said while the experiment is paused."""
+    key = "press ENTER, or in another terminal: " if by_key else ""
+    run = f"run {paused.next_run_number} of {paused.run_count}"
+    return f"Paused before {run}. To go on: {key}robot-runner continue {shlex.quote(shown_path(paused.folder))}"
+
+
+def waiting_at_gate(waiting: GateWaiting) -> str:
+    """Return what is said once a run has to wait for a gate."""
+    return (
+        f"run {waiting.run_number} of {waiting.run_count} ({waiting.run_id}) waits until {one_line(waiting.condition)}"
+    )
+
+
+def waited_so_far(waiting: GateWaiting) -> str:
+    """Return what was seen last while a gate is awaited, and for how long it has been."""
+    most = f" of {shown_duration(waiting.timeout_s)}" if waiting.timeout_s is not None else ""
+    seen = f"{one_line(waiting.seen)}   " if waiting.seen else ""
+    return f"{seen}{shown_duration(waiting.seconds)}{most}"
+
+
+def gate_passed(passed: GatePassed) -> str:
+    """Return what is said once the wait for a gate is over."""
+    waited = f"{passed.run_id} waited {shown_duration(passed.seconds)} until {one_line(passed.condition)}"
+    if passed.state == "open":
+        return f"{waited}: {one_line(passed.seen)}" if passed.seen else waited
+    return f"{waited}, which {passed.state}: {one_line(passed.problem)}"
 
 
 class PlainScreen:
@@ -209,6 +251,7 @@ class PlainScreen:
         self._console = console
         self._model = experiment.model
         self._units: Mapping[str, str] = {}
+        self._gate_told: float | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -220,8 +263,8 @@ class PlainScreen:
         """Print what is worth a line."""
         self.progress.take(notice)
         match notice:
-            case ProbeStarted():
-                self._print(probing(notice))
+            case ProbeStarted() | HostRestarts():
+                self._print(announced(notice))
             case ExperimentStarted():
                 self._units = notice.columns
                 self._print(*opening(notice))
@@ -233,13 +276,28 @@ class PlainScreen:
                 self._print(f"{_named(task)} {self._ended(outcome, is_last=is_last)}")
             case FindingsNoticed(findings):
                 print_findings(self._console, findings)
-            case HostRestarts(host, next_run):
-                self._print(restarting(host, next_run))
             case InterruptionNoticed(run_id):
                 self._print(closing(run_id))
             case WaitingForUser():
                 forget_typed(self.user_input)
                 self._print(request(notice, by_key=self.user_input is not None))
+            case Paused():
+                forget_typed(self.user_input)
+                self._print(pausing(notice, by_key=self.user_input is not None))
+            case GateWaiting() | GatePassed():
+                self._tell_of_gate(notice)
+
+    def _tell_of_gate(self, notice: GateWaiting | GatePassed) -> None:
+        if isinstance(notice, GatePassed):
+            if self._gate_told is not None or notice.problem:
+                self._print(gate_passed(notice))
+            self._gate_told = None
+            return
+        if self._gate_told is None:
+            self._print(waiting_at_gate(notice))
+        if self._gate_told is None or notice.seconds - self._gate_told >= _GATE_EVERY:
+            self._gate_told = notice.seconds
+            self._print(f"  {waited_so_far(notice)}")
 
     def refresh(self) -> None:
         """Do nothing: a line that was printed stays as it is."""

@@ -9,7 +9,7 @@ import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Self
 
-from robot_runner.core.events.ending import RunInterrupted
+from robot_runner.core.events.early_end import RunInterrupted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.events.context import ExperimentContext, Resources, SystemClock
-from robot_runner.core.events.ending import RunInterrupted
+from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.events.manager import CallbackFailure, Emission, RobotRunnerEvents
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.run_ending import failure_fields

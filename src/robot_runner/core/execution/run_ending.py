@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import RobotRunnerError
-from robot_runner.core.events.ending import MissionStopped, RunFailed, RunInterrupted
+from robot_runner.core.events.early_end import MissionStopped, RunFailed, RunInterrupted
 from robot_runner.core.events.unhandled import fails_run
 
 if TYPE_CHECKING:
@@ -70,19 +70,9 @@ class RunEnding:
         self._gate.end_mission(MissionStopped(reason))
 
     def fail_for(self, error: BaseException, where: str) -> None:
-        """Fail the run for what was raised in a thread where nobody else handles it, and end what it is doing.
-
-        Once the measurement is being stopped, what a thread raises makes the run doubtful and no more: it may trip
-        over what was closed already.
-        """
-        fields = failure_fields(error)
+        """Fail the run for what was raised where nobody else handles it, and end what it is doing."""
         problem = f"{where} raised {type(error).__name__}: {error}"
-        if self._is_closing:
-            sys.stderr.write(f"{problem}\n{fields['traceback']}")
-            fix = "Look at its traceback in the run's log, and end it before what it uses is closed."
-            self._report("finding", {"owner": where, "problem": problem, "fix": fix})
-            return
-        self._fail("", {**fields, "problem": problem})
+        self._fail("", {**failure_fields(error), "problem": problem})
         self._gate.end_run(RunFailed(problem))
 
     def record(self, event: str, owner: str, error: BaseException) -> None:
@@ -107,7 +97,18 @@ class RunEnding:
         if os.getpid() != self._process:  # a process that the run forked
             self._earlier_hook(raised)
         elif raised.exc_value is not None and not isinstance(raised.exc_value, SystemExit | RunInterrupted):
-            self.fail_for(raised.exc_value, f"thread {raised.thread.name if raised.thread else '(ended)'}")
+            where = f"thread {raised.thread.name if raised.thread else '(ended)'}"
+            if self._is_closing:
+                self._find(raised.exc_value, where)
+            else:
+                self.fail_for(raised.exc_value, where)
+
+    def _find(self, error: BaseException, where: str) -> None:
+        """Record that a thread raised something while things are closed: it may have tripped over one of them."""
+        problem = f"{where} raised {type(error).__name__}: {error}"
+        sys.stderr.write(f"{problem}\n{failure_fields(error)['traceback']}")
+        fix = "Look at its traceback in the run's log, and end the thread before what it uses is closed."
+        self._report("finding", {"owner": where, "problem": problem, "fix": fix})
 
 
 def failure_fields(error: BaseException) -> dict[str, str]:

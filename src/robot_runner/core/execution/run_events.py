@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.watched_combination import WatchedCombination
 from robot_runner.core.errors import MeasureError, did_you_mean
 from robot_runner.core.events.context import Resources, RobotRunnerContext
-from robot_runner.core.events.ending import EndingInPlace, MissionStopped, RunInterrupted
+from robot_runner.core.events.early_end import EndingInPlace, MissionStopped, RunInterrupted
 from robot_runner.core.events.manager import CLOSED_BY, CallbackFailure, Emission, RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER, Origin
 from robot_runner.core.events.measure_broker import MeasureBroker
@@ -23,7 +23,7 @@ from robot_runner.core.storage.journal import utc_now
 if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.events.context import Clock
-    from robot_runner.core.events.ending import Ending
+    from robot_runner.core.events.early_end import Ending
     from robot_runner.core.execution.task import Report, RunTask
 
 __all__ = ["execute_run", "publish_returned", "run_contexts"]
@@ -74,6 +74,7 @@ def run_contexts(
                 run_number=task.run_number,
                 run_count=task.run_count,
                 attempt=task.attempt,
+                attempts_left=task.attempts_left,
                 combination=WatchedCombination(
                     task.combination, lambda factor: report("read", {"owner": owner, "factor": factor})
                 ),

@@ -13,7 +13,7 @@ import pytest
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.events.ending import MissionStopped, RunFailed
+from robot_runner.core.events.early_end import MissionStopped, RunFailed
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.notices import AttemptFinished, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment

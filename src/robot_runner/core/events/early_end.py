@@ -45,7 +45,7 @@ class EndingInPlace:
     Example:
         >>> EndingInPlace().fail("Guard", "too warm")
         Traceback (most recent call last):
-        robot_runner.core.events.ending.RunFailed: too warm
+        robot_runner.core.events.early_end.RunFailed: too warm
     """
 
     has_failed = False
