@@ -21,6 +21,7 @@ __all__ = [
     "FindingsNoticed",
     "GatePassed",
     "GateWaiting",
+    "HostRestarts",
     "InterruptionNoticed",
     "Notice",
     "Observer",
@@ -109,6 +110,14 @@ class WaitingForUser:
     folder: Path
     next_run_number: int
     run_count: int
+
+
+@dataclass(frozen=True, slots=True)
+class HostRestarts:
+    """A host is started anew before the next run, and awaited."""
+
+    host: str
+    next_run: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,6 +214,7 @@ Notice = (
     | AttemptFinished
     | FindingsNoticed
     | WaitingForUser
+    | HostRestarts
     | Paused
     | GateWaiting
     | GatePassed
