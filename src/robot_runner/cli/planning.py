@@ -10,12 +10,14 @@ from robot_runner.cli.console import quiet_loading, shown_path
 from robot_runner.cli.parser import UsageError
 from robot_runner.core.config.checks import create_model, read_parameters
 from robot_runner.core.config.dialects import load_config
-from robot_runner.core.config.experiment import experiment_folder
+from robot_runner.core.config.experiment import event_manager_for, experiment_folder
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.plugin_checks import gather_plugins
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.errors import ConfigError, Finding, StorageError, did_you_mean
 from robot_runner.core.events.measure import resolve_columns, with_phases
+from robot_runner.core.execution.durations import Estimate, durations_of
+from robot_runner.core.execution.probe import probe_window_of, probed_plugins
 from robot_runner.core.execution.table_recovery import is_reordered
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.excluded_runs import ExcludedRuns
@@ -30,9 +32,12 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from robot_runner.core.config.loader import LoadedConfig
+    from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.events.measure import MeasureColumns
+    from robot_runner.core.plugin import Plugin
+    from robot_runner.core.storage.run_table_rows import RunTableRows
     from robot_runner.core.storage.table_columns import TableSpelling
 
 __all__ = ["Plan", "folder_of", "folder_of_target", "plan_of"]
@@ -52,6 +57,7 @@ class Plan:
             this order.
         executed: the runs that were begun, in the order in which they were.
         excluded: why runs are left out, by id.
+        duration: how long the runs take that are still to be executed.
     """
 
     model: RunTableModel
@@ -63,6 +69,7 @@ class Plan:
     findings: tuple[Finding, ...]
     executed: Sequence[str] = ()
     excluded: Mapping[str, str] = field(default_factory=dict)
+    duration: Estimate = field(default_factory=lambda: Estimate(None))
 
     @property
     def order(self) -> str:
@@ -118,10 +125,50 @@ def plan_of(config: Path, overrides: Mapping[str, str]) -> Plan:
         raise ConfigError.of_findings(refused)
     warnings = (*loaded.findings, *findings, *column_findings)
     folder = folder_of(loaded)
+    plan, rows = _planned(folder, model, columns, warnings, loaded.spelling)
+    if parameters is None or folder is None:
+        return plan
+    return _with_duration(plan, rows, loaded, plugins, parameters, folder)
+
+
+def _with_duration(
+    plan: Plan,
+    rows: RunTableRows | None,
+    loaded: LoadedConfig,
+    plugins: tuple[Plugin, ...],
+    parameters: Parameters,
+    folder: ExperimentFolder,
+) -> Plan:
+    """Add how long the runs take that are still to be executed."""
+    try:
+        events = event_manager_for(loaded, plugins)
+    except ConfigError as error:
+        return replace(plan, duration=Estimate(None, unknown=(f"the config is refused: {error.problem}",)))
+    combinations = [run.combination for run in plan.runs]
+    durations = durations_of(loaded.config, plugins, events, parameters, combinations, folder.journal)
+    durations.plan(
+        run.combination
+        for place, run in enumerate(plan.runs)
+        if rows is None or (rows.status(place) is not RunStatus.DONE and rows.excluded(place) is None)
+    )
+    is_probed = parameters.probe
+    probed = probe_window_of(probed_plugins(plugins, events, parameters.robot)) if is_probed else 0.0
+    estimate = durations.estimate(probe_s=probed)
+    return replace(plan, duration=estimate, findings=(*plan.findings, *durations.knowledge.findings))
+
+
+def _planned(
+    folder: ExperimentFolder | None,
+    model: RunTableModel,
+    columns: MeasureColumns,
+    warnings: tuple[Finding, ...],
+    spelling: TableSpelling,
+) -> tuple[Plan, RunTableRows | None]:
+    """Return the plan, and the rows on disk where there are any, in the same order."""
     if folder is not None and folder.run_table.exists():
-        return _plan_on_disk(folder, model, columns, warnings, loaded.spelling)
+        return _plan_on_disk(folder, model, columns, warnings, spelling)
     table = model.plan()
-    return Plan(model, columns, table, None, table.seed, is_recorded=False, findings=warnings)
+    return Plan(model, columns, table, None, table.seed, is_recorded=False, findings=warnings), None
 
 
 def folder_of(loaded: LoadedConfig) -> ExperimentFolder | None:
@@ -138,7 +185,7 @@ def _plan_on_disk(
     columns: MeasureColumns,
     warnings: tuple[Finding, ...],
     spelling: TableSpelling,
-) -> Plan:
+) -> tuple[Plan, RunTableRows]:
     try:
         manifest = read_manifest(folder.manifest)
     except StorageError:  # a table that was made by hand, before anything was executed
@@ -153,13 +200,13 @@ def _plan_on_disk(
         table = model.plan(manifest["seed"])
         rows = read_run_table(folder.run_table, layout, table)
         if not is_reordered(table, rows):
-            return Plan(model, columns, table, None, table.seed, is_recorded=True, findings=warnings, **told)
+            return Plan(model, columns, table, None, table.seed, is_recorded=True, findings=warnings, **told), rows
         problem = "the rows were put into another order by hand: runs are executed in that order"
         warnings = (*warnings, Finding.warning(str(folder.run_table), problem))
     rows = read_run_table(folder.run_table, layout)
     runs = list(rows.planned)
     findings = (*warnings, *rows.warnings)
-    return Plan(model, columns, runs, folder.run_table, None, is_recorded=False, findings=findings, **told)
+    return Plan(model, columns, runs, folder.run_table, None, is_recorded=False, findings=findings, **told), rows
 
 
 def folder_of_target(target: str, assignments: Sequence[str], *, takes_older: bool = False) -> ExperimentFolder:

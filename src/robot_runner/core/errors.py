@@ -8,6 +8,7 @@ RobotRunnerError
 ├── MeasureError       a value that the run table must not take
 ├── StorageError       a file or folder that cannot be read or written
 ├── LinkError          a robot, host or device that cannot be reached
+├── ConditionError     something that cannot be awaited, or did not come in time
 ├── ExecutionError     an experiment that cannot start or go on
 ├── AnalysisError      results that cannot be read, adopted or analysed
 └── PackageError       a replication package that cannot be made, or must not be used
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AnalysisError",
+    "ConditionError",
     "ConfigError",
     "DesignError",
     "ExecutionError",
@@ -146,7 +148,7 @@ class ExecutionError(RobotRunnerError):
 
 
 class ConditionError(RobotRunnerError):
-    """Something that was awaited and did not come in time."""
+    """Something that cannot be awaited, or that was awaited and did not come in time."""
 
 
 class AnalysisError(RobotRunnerError):

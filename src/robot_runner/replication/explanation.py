@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 __all__ = ["Explanation", "RunExplanation", "explain_run"]
 
 _ORCHESTRATED = frozenset({"before_run", "continue"})
-_KINDS = ("attempt_started", "attempt_finished", "event", "finding", "clock", "bound", *EXCLUSION_KINDS)
+_OF_ATTEMPTS = ("attempt_started", "attempt_finished", "event", "finding", "clock", "bound", "mission_stopped")
+_KINDS = (*_OF_ATTEMPTS, *EXCLUSION_KINDS)
 _UNMEASURED = {"simulated": "simulated, not measured", "estimated": "estimated by a model, not measured"}
 
 
@@ -96,6 +97,7 @@ class _RunHistory:
         readers: who read the treatment of each factor.
         excluded: whether, when and why the run was left out.
         corrections: each time that it was excluded or included.
+        stopped: who stopped the mission, and why; empty where nobody did.
     """
 
     attempt: int = 0
@@ -110,6 +112,7 @@ class _RunHistory:
     readers: dict[str, list[str]] | None = None
     excluded: ExcludedRuns = field(default_factory=ExcludedRuns)
     corrections: list[str] = field(default_factory=list)
+    stopped: str = ""
 
     @classmethod
     def read(cls, journal: Path, run_id: str) -> Self:
@@ -141,6 +144,8 @@ class _RunHistory:
                 self._take_correction(record)
             case "finding":
                 self.doubts.setdefault(str(record.get("owner")), []).append(str(record["problem"]))
+            case "mission_stopped":
+                self.stopped = f"stopped by {record.get('owner')}: {record.get('reason')}"
             case "bound":
                 each = record["parameters"].items()
                 self.bound += [(record["owner"], name, bound["factor"], bound["value"]) for name, bound in each]
@@ -159,7 +164,7 @@ class _RunHistory:
     def _begin(self, record: dict[str, Any]) -> None:
         self.attempt, self.started_at, self.finished_at = int(record["attempt"]), record["at"], None
         self.measures, self.clocks, self.doubts, self.hosts = {}, {}, {}, []
-        self.bound, self.readers = [], None
+        self.bound, self.readers, self.stopped = [], None, ""
 
 
 class _Explaining:
@@ -225,6 +230,8 @@ class _Explaining:
             yield "Attempt", f"{history.attempt}, {history.started_at} to {history.finished_at or 'no end'}"
         for number, failure in history.failures.items():
             yield f"Attempt {number}", f"failed: {failure}"
+        if history.stopped:
+            yield "Mission", history.stopped
         yield "Robot", str(self._manifest.get("robot") or "as the config says")
         yield "Host", self._host()
         for host in history.hosts:

@@ -8,6 +8,7 @@ import time
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from robot_runner.core.events.unhandled import fails_run
 from robot_runner.core.links.robot import Encoding, Qos, RawMessage
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.watchdog import TWIST, TWIST_STAMPED, velocity_command, velocity_of
@@ -137,6 +138,26 @@ class GraphLinkContract(RobotLinkContract):
             finally:
                 error = refusal(link.close)
             require("a fault of the callback" in error.problem, f"the fault is not named: {error}")
+
+    def test_a_fault_in_a_thread_of_the_link_fails_the_run_at_once(self) -> None:
+        """Hold that the run is told once, by whichever thread calls the callback, and that closing raises no more."""
+        told: list[str] = []
+        received: list[Message] = []
+
+        def receive(message: Message) -> None:
+            received.append(message)
+            raise ValueError("a fault of the callback")
+
+        run = fails_run(lambda fault, where: told.append(f"{where}: {fault}"))
+        with self.opened() as robot, run, self.opened() as link:
+            link.subscribe("chatter", _STRING, receive)
+
+            def has_published() -> bool:
+                robot.publish("chatter", _STRING, {"data": "a"})
+                return len(received) > 1
+
+            self.until(has_published, "nothing is received after a fault", timeout=self.discovery)
+            require(told == ["the callback of /chatter: a fault of the callback"], f"the run was told {told}")
 
     def test_a_closed_link_receives_no_more(self) -> None:
         """Hold that the end of a link is that of its subscriptions, and not of another link's."""

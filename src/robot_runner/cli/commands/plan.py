@@ -6,6 +6,7 @@ It has every run in its order, and tells what the order comes from.
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -76,6 +77,7 @@ def execute(arguments: Namespace) -> int:
             ("Order", plan.order),
             ("Excluded", listed(f"{run}: {reason}" for run, reason in plan.excluded.items())),
             ("To repeat", plan.how_to_repeat),
+            ("Duration", str(plan.duration)),
         ],
     )
     return 0
@@ -121,5 +123,6 @@ def _as_json(plan: Plan) -> dict[str, object]:
         "excluded": dict(plan.excluded),
         "run_table": str(plan.source) if plan.source else None,
         "measures": columns_as_json(plan.columns),
+        "duration": asdict(plan.duration),
         "runs": list(map(run_as_json, plan.runs)),
     }

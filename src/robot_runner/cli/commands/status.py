@@ -52,6 +52,7 @@ def _print(console: UserConsole, status: ExperimentStatus) -> None:
             ("State", _state(status)),
             ("Runs", _counts(status)),
             ("Now", _now(status)),
+            ("Left", _left(status)),
             ("Quality", quality_in_words(status.bad_values)),
             ("Excluded", _excluded(status)),
             ("Order", status.order),
@@ -78,6 +79,12 @@ def _now(status: ExperimentStatus) -> str:
     if status.current_run is None:
         return ""
     return f"{status.current_run}, {status.current_event or 'about to start'}"
+
+
+def _left(status: ExperimentStatus) -> str:
+    if status.seconds_left is None:
+        return ""
+    return f"{'at least' if status.left_is_least else 'about'} {shown_duration(status.seconds_left)}"
 
 
 def _counts(status: ExperimentStatus) -> str:

@@ -194,9 +194,8 @@ class LiveScreen:
         if progress.failed:
             counts.append(f", {progress.failed:,} failed", style="bold red")
         counts.append(f"   {shown_duration(progress.elapsed)}", style="dim")
-        left = progress.seconds_left
-        if left is not None:
-            counts.append(f", about {shown_duration(left)} left", style="dim")
+        if left := progress.left_in_words:
+            counts.append(f", {left}", style="dim")
         return counts
 
     def _current(self) -> tuple[Text, Text]:

@@ -63,6 +63,8 @@ __all__ = [
 _MEASURE = 10
 _TOOK = 11
 _INDENT = "  "
+#: A shorter experiment is over before its duration is read, s.
+_WORTH_TELLING = 60.0
 
 
 def heading_of(measure: str, unit: str) -> str:
@@ -160,6 +162,8 @@ def opening(started: ExperimentStarted) -> list[str]:
     before = f", {started.done_count:,} of them done before" if started.done_count else ""
     runs = f"{counted(started.run_count, 'run')}{before}, seed {started.seed}"
     lines = [f"{started.experiment_name}: {runs}, results in {shown_path(started.folder)}"]
+    if started.left is not None and started.left.others >= _WORTH_TELLING:
+        lines.append(started.left.in_words())
     if started.overrides:
         parts = ", ".join(f"{name}={value}" for name, value in started.overrides.items())
         lines.append(f"set by hand, and recorded as a deviation from the config: {parts}")

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast, runtime_checkable
 
+from robot_runner.core.events.early_end import EndingInPlace
 from robot_runner.core.events.measure import MeasureValue, Origin, PublishedMeasure
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.errors import Finding
+    from robot_runner.core.events.early_end import Ending
     from robot_runner.core.events.window import MissionTimes, Phase, Window
 
 __all__ = ["Clock", "Closable", "ExperimentContext", "Resources", "RobotRunnerContext", "RunBroker", "SystemClock"]
@@ -168,6 +170,7 @@ class RobotRunnerContext(ExperimentContext):
         resources: links and devices that the run's plugins share.
         owner: who this context was made for: a plugin's name, or `config`.
         times: when the mission and its phases began and ended.
+        ending: what ends the run or its mission; ask for it through `fail` and `stop_mission`.
         run_path: where the run's folder is once something is kept in it; ask for `run_folder` to keep something.
     """
 
@@ -184,6 +187,7 @@ class RobotRunnerContext(ExperimentContext):
     owner: str
     times: MissionTimes = field(repr=False)
     broker: RunBroker = field(repr=False)
+    ending: Ending = field(default_factory=EndingInPlace, repr=False)
 
     @property
     def run_folder(self) -> Path:
@@ -278,6 +282,25 @@ class RobotRunnerContext(ExperimentContext):
             MeasureError: the owner declared no such measure.
         """
         self.broker.doubt(self.owner, problem, fix, measures)
+
+    def fail(self, reason: str) -> None:
+        """Fail this run and end it at once: what is open is closed, and the robot is made safe.
+
+        Call it from anywhere: a callback of an event, which it ends, or of a topic, or any thread. In another thread
+        than the run's own it returns.
+        """
+        self.ending.fail(self.owner, reason)
+
+    def stop_mission(self, reason: str) -> None:
+        """End the mission at once, and the measured window at this moment; the run goes on and is not failed.
+
+        Call it from anywhere, as `fail`. Once the mission is over it does nothing.
+
+        Raises:
+            PluginError: the mission has not begun.
+        """
+        if self.times.stop():
+            self.ending.stop_mission(self.owner, reason)
 
     def note_clock(self, facts: Mapping[str, object]) -> None:
         """Say how another computer's clock stood to the run's, as `ClockRecord.facts` tells it.

@@ -134,6 +134,7 @@ class _Supervision:
         self._started = self._event_started = time.monotonic()
         self._give_up_at: float | None = None
         self._tend_in: float | None = watch.tend()
+        self._leave_by: tuple[float, str] | None = None
         self._is_interrupted = False
         self._is_killed = False
         self._because = ""
@@ -163,6 +164,10 @@ class _Supervision:
         for kind, fields in records:
             if kind == "event":
                 self._event_started = time.monotonic()
+                self._leave_by = None
+            elif kind == "mission_stopped" or fields.get("ends_event"):
+                reason = fields.get("reason") or fields["problem"]
+                self._leave_by = self._leave_by or (time.monotonic() + self._limits.grace, reason)
             self._builder.take(kind, fields)
             self._watch.report(kind, fields)
         if not is_open:
@@ -171,7 +176,9 @@ class _Supervision:
 
     def _milliseconds(self) -> float | None:
         now = time.monotonic()
-        waits = [deadline - now for deadline in (self._give_up_at, *self._deadlines()) if deadline is not None]
+        leave_by = None if self._leave_by is None or self._because else self._leave_by[0]
+        deadlines = (self._give_up_at, leave_by, *self._deadlines())
+        waits = [deadline - now for deadline in deadlines if deadline is not None]
         if self._watch.refresh_interval is not None:
             waits.append(self._watch.refresh_interval)
         if self._tend_in is not None:
@@ -199,6 +206,10 @@ class _Supervision:
             self._stop(f"the run took longer than run_deadline_in_s = {self._limits.run:g} s")
         elif event_deadline is not None and now >= event_deadline:
             self._stop(f"the event took longer than event_deadline_in_s = {self._limits.event:g} s")
+        elif self._leave_by is not None and now >= self._leave_by[0] and not self._because:
+            self._stop(
+                f"{self._leave_by[1]}; {self._builder.event} had not ended grace_in_s = {self._limits.grace:g} s later"
+            )
         if self._interruption.is_urgent and not self._is_killed:
             self._is_killed = self._is_interrupted = True
             self._keeper.kill()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from types import MappingProxyType
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import Quality, quality_of_value
+from robot_runner.core.execution.durations import Durations, TimeLeft
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.excluded_runs import ExcludedRuns
 from robot_runner.core.storage.executed_runs import moved_in_words, moved_runs
@@ -66,6 +68,9 @@ class ExperimentStatus:
         todo: how many runs are left to be executed; those that are excluded do not count, neither here nor in `failed`.
         started_at: when its last session began (UTC).
         finished_at: when it ended last (UTC), or None while it is executed or if it was killed.
+        seconds_left: how long the runs take that are still to be executed, as it was estimated last; None where that is
+            not known, or nothing is left.
+        left_is_least: whether something comes on top of that of which nobody knew how long it takes.
         bad_values: the runs that are done whose values are not good, by measure and quality.
         sessions: all its executions, the first one first.
         excluded: why runs are left out, by id.
@@ -89,6 +94,8 @@ class ExperimentStatus:
     findings: tuple[Finding, ...]
     started_at: str | None
     finished_at: str | None
+    seconds_left: float | None = None
+    left_is_least: bool = False
     bad_values: Mapping[str, Mapping[str, Sequence[str]]] = field(default_factory=lambda: MappingProxyType({}))
     sessions: tuple[Session, ...] = ()
     excluded: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
@@ -113,6 +120,7 @@ def read_status(folder: Path) -> ExperimentStatus:
     statuses, out = history.statuses, history.excluded
     counting = {run: status for run, status in statuses.items() if run not in out}
     holder = holder_of(files.lock)
+    left = _time_left(files, history, is_executed=holder is not None)
     return ExperimentStatus(
         experiment_name=manifest["experiment_name"],
         folder=folder,
@@ -130,6 +138,8 @@ def read_status(folder: Path) -> ExperimentStatus:
         findings=tuple(history.findings),
         started_at=history.started_at,
         finished_at=history.finished_at,
+        seconds_left=left.after(history.since_left if holder else 0.0) if left is not None else None,
+        left_is_least=left is not None and left.is_least,
         bad_values=history.bad_values,
         sessions=tuple(history.sessions),
         excluded=out,
@@ -169,6 +179,20 @@ def _count(statuses: Mapping[str, RunStatus], *wanted: RunStatus) -> int:
     return sum(status in wanted for status in statuses.values())
 
 
+def _time_left(files: ExperimentFolder, history: _History, *, is_executed: bool) -> TimeLeft | None:
+    """Return what is left: as the orchestrator estimated it last, or of all runs that are not done."""
+    if is_executed:
+        return history.left
+    out = history.excluded
+    unfinished = [run for run, status in history.statuses.items() if not (status is RunStatus.DONE or run in out)]
+    if not unfinished:
+        return None
+    durations = Durations()
+    durations.learn_from(files.journal)
+    durations.plan(history.combinations[run] for run in unfinished if run in history.combinations)
+    return durations.left()
+
+
 class _History:
     """What the run table and then the journal tell."""
 
@@ -184,6 +208,9 @@ class _History:
         self.current_event: str | None = None
         self.started_at: str | None = None
         self.finished_at: str | None = None
+        self.combinations: dict[str, Mapping[str, Any]] = {}
+        self.left: TimeLeft | None = None
+        self._left_at = ""
         self._since_table: dict[str, RunStatus] = {}
         self._ends: dict[str, RunStatus] = {}
         self._measures: Collection[str] = ()
@@ -203,6 +230,7 @@ class _History:
             self._measures = layout.measures
             rows = read_run_table(files.run_table, layout)
             self.statuses = {rows.run_id(place): rows.status(place) for place in range(len(rows))}
+            self.combinations = {run.run_id: run.combination for run in rows.planned}
             if not layout.spelling.tells_apart(RunStatus.TODO, RunStatus.FAILED):
                 todo = {run for run, status in self.statuses.items() if status is RunStatus.TODO}
                 failed = {run for run, end in self._ends.items() if end is RunStatus.FAILED}
@@ -216,6 +244,11 @@ class _History:
     @property
     def excluded(self) -> dict[str, str]:
         return {run: each.reason for run, each in self._excluded.present.items() if run in self.statuses}
+
+    @property
+    def since_left(self) -> float:
+        """How long ago the time left was estimated, s."""
+        return max(0.0, time.time() - datetime.fromisoformat(self._left_at).timestamp())
 
     @property
     def bad_values(self) -> dict[str, dict[str, list[str]]]:
@@ -240,6 +273,7 @@ class _History:
         self.current_run, self.current_event = record["run"], None
         self._begun.pop(record["run"], None)
         self._begun[record["run"]] = None
+        self._take_left(record)
 
     def _take_event(self, record: Mapping[str, Any]) -> None:
         self.current_event = record["event"]
@@ -253,6 +287,12 @@ class _History:
         }
         self._qualities[record["run"]] = {name: each for name, each in told.items() if each is not Quality.GOOD}
         self.current_run = self.current_event = None
+        self._take_left(record)
+
+    def _take_left(self, record: Mapping[str, Any]) -> None:
+        if record.get("status") != "interrupted":  # then the run is to do again, and what was left at its beginning is
+            self.left = TimeLeft.of_facts(record.get("left"))
+            self._left_at = record["at"]
 
     def _take_table_written(self, record: Mapping[str, Any]) -> None:
         del record

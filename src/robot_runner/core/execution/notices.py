@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.errors import Finding
+    from robot_runner.core.execution.durations import TimeLeft
     from robot_runner.core.execution.task import RunOutcome, RunTask
 
 __all__ = [
@@ -43,6 +44,7 @@ class ExperimentStarted:
     Attributes:
         run_count: all runs of the table; `done_count` of them were done before.
         columns: the measure columns with their units, without those that tell of others' quality.
+        left: how long it takes from here; None where that is not known.
     """
 
     experiment_name: str
@@ -53,13 +55,15 @@ class ExperimentStarted:
     columns: Mapping[str, str]
     overrides: Mapping[str, str]
     findings: Sequence[Finding] = ()
+    left: TimeLeft | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class AttemptStarted:
-    """An attempt at a run begins."""
+    """An attempt at a run begins; `left` says how long it and the others take, where that is known."""
 
     task: RunTask
+    left: TimeLeft | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,11 +77,12 @@ class RunRecord:
 
 @dataclass(frozen=True, slots=True)
 class AttemptFinished:
-    """An attempt at a run has ended; `is_last` unless the run is tried again."""
+    """An attempt at a run has ended; `is_last` unless the run is tried again, and `left` as in `AttemptStarted`."""
 
     task: RunTask
     outcome: RunOutcome
     is_last: bool
+    left: TimeLeft | None = None
 
 
 @dataclass(frozen=True, slots=True)

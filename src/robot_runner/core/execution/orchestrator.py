@@ -30,7 +30,7 @@ from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
 from robot_runner.core.execution.probe import Probe, probe_profilers, probed_profilers
 from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
 from robot_runner.core.execution.recovery import Resumption
-from robot_runner.core.execution.run_events import failure_fields
+from robot_runner.core.execution.run_ending import failure_fields
 from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.treatments import bind, factors_of, values_of
 from robot_runner.core.words import plain
@@ -150,11 +150,11 @@ class _Orchestrator:
         """Try to execute a run as often as the config allows; return whether the experiment goes on."""
         for attempts_left in reversed(range(self._parameters.attempts)):
             task = self._progress.begin(run)
-            self._notice(AttemptStarted(task))
+            self._notice(AttemptStarted(task, self._progress.time_left))
             outcome = self._attempt(task, has_attempts_left=attempts_left > 0)
             is_last = attempts_left == 0 or outcome.status is not AttemptStatus.FAILED
             noticed = self._progress.record_outcome(task, outcome, is_last=is_last)
-            self._notice(AttemptFinished(task, outcome, is_last))
+            self._notice(AttemptFinished(task, outcome, is_last, self._progress.time_left))
             if noticed:
                 self._notice(FindingsNoticed(noticed))
             if is_last:
@@ -220,6 +220,7 @@ class _Orchestrator:
             columns={column.name: column.measure.unit for column in columns if not column.tells_of},
             overrides=self._experiment.overrides,
             findings=(*findings, *self._progress.findings),
+            left=self._progress.time_left,
         )
 
     def _finish_notice(self, findings: Sequence[Finding]) -> ExperimentFinished:
