@@ -55,9 +55,9 @@ class Plan:
         seed: what a randomised order comes from; None where the table was made by hand.
         is_recorded: whether the seed is that of an experiment which has begun, so that executing it goes on in
             this order.
+        duration: how long the runs take that are still to be executed.
         executed: the runs that were begun, in the order in which they were.
         excluded: why runs are left out, by id.
-        duration: how long the runs take that are still to be executed.
     """
 
     model: RunTableModel
@@ -67,9 +67,9 @@ class Plan:
     seed: int | None
     is_recorded: bool
     findings: tuple[Finding, ...]
+    duration: Estimate = field(default_factory=lambda: Estimate(None))
     executed: Sequence[str] = ()
     excluded: Mapping[str, str] = field(default_factory=dict)
-    duration: Estimate = field(default_factory=lambda: Estimate(None))
 
     @property
     def order(self) -> str:
@@ -200,7 +200,8 @@ def _plan_on_disk(
         table = model.plan(manifest["seed"])
         rows = read_run_table(folder.run_table, layout, table)
         if not is_reordered(table, rows):
-            return Plan(model, columns, table, None, table.seed, is_recorded=True, findings=warnings, **told), rows
+            planned = Plan(model, columns, table, None, table.seed, is_recorded=True, findings=warnings, **told)
+            return planned, rows
         problem = "the rows were put into another order by hand: runs are executed in that order"
         warnings = (*warnings, Finding.warning(str(folder.run_table), problem))
     rows = read_run_table(folder.run_table, layout)

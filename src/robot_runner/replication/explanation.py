@@ -2,35 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.errors import StorageError, did_you_mean
 from robot_runner.core.events.measure import quality_text
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.excluded_runs import EXCLUSION_KINDS, ExcludedRuns
 from robot_runner.core.storage.executed_runs import executed_order, moved_runs
-from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.core.storage.table_columns import ColumnRole, TableLayout
 from robot_runner.core.storage.table_schema import ColumnDescription, read_schema
+from robot_runner.core.words import shown_duration
 from robot_runner.replication.config_lines import ConfigLine, ConfigLines
 from robot_runner.replication.contents import CONFIG_OWNER
+from robot_runner.replication.run_history import RunHistory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
-    from typing import Self
 
 __all__ = ["Explanation", "RunExplanation", "explain_run"]
 
 _ORCHESTRATED = frozenset({"before_run", "continue"})
-_OF_ATTEMPTS = ("attempt_started", "attempt_finished", "event", "finding", "clock", "bound", "mission_stopped")
-_KINDS = (*_OF_ATTEMPTS, *EXCLUSION_KINDS)
 _UNMEASURED = {"simulated": "simulated, not measured", "estimated": "estimated by a model, not measured"}
 
 
@@ -81,92 +78,6 @@ def explain_run(root: Path, run_id: str, names: Sequence[str] = ()) -> RunExplan
     return _Explaining(root, run_id).explain(names)
 
 
-@dataclass(slots=True)
-class _RunHistory:
-    """What the journal has of one run.
-
-    Attributes:
-        attempt: the number of the last attempt; 0 where there was none.
-        started_at, finished_at: of the last attempt (UTC).
-        measures: what it published: a mapping with `value`, `owner`, `origin` for each.
-        clocks: when its events were emitted, s on the run's clock.
-        doubts: what the owners of measures found odd about their samples, by owner.
-        hosts: other computers that were measured, with the offsets of their clocks.
-        failures: why earlier attempts failed, by number.
-        bound: plugin, parameter, factor and value of each parameter that was bound to a factor.
-        readers: who read the treatment of each factor.
-        excluded: whether, when and why the run was left out.
-        corrections: each time that it was excluded or included.
-        stopped: who stopped the mission, and why; empty where nobody did.
-    """
-
-    attempt: int = 0
-    started_at: str | None = None
-    finished_at: str | None = None
-    measures: dict[str, dict[str, Any]] = field(default_factory=dict)
-    clocks: dict[str, float] = field(default_factory=dict)
-    doubts: dict[str, list[str]] = field(default_factory=dict)
-    hosts: list[str] = field(default_factory=list)
-    failures: dict[int, str] = field(default_factory=dict)
-    bound: list[tuple[str, str, str, Any]] = field(default_factory=list)
-    readers: dict[str, list[str]] | None = None
-    excluded: ExcludedRuns = field(default_factory=ExcludedRuns)
-    corrections: list[str] = field(default_factory=list)
-    stopped: str = ""
-
-    @classmethod
-    def read(cls, journal: Path, run_id: str) -> Self:
-        """Read what the journal has of a run; a journal that does not exist has nothing.
-
-        Raises:
-            StorageError: it cannot be read.
-        """
-        history = cls()
-        for record in read_journal(journal, kinds=_KINDS):
-            if record.get("run") == run_id:
-                history._take(record)
-        return history
-
-    def _take(self, record: dict[str, Any]) -> None:
-        match record["kind"]:
-            case "attempt_started":
-                self._begin(record)
-            case "attempt_finished":
-                self.finished_at = record["at"]
-                self.measures = record["measures"]
-                self.readers = record.get("readers")
-                if record.get("failure"):
-                    self.failures[self.attempt] = str(record["failure"])
-            case "event" if isinstance(record.get("clock"), int | float):
-                self.clocks[str(record["event"])] = float(record["clock"])
-            case "excluded" | "included" | "deviation":
-                self.excluded.take(record)
-                self._take_correction(record)
-            case "finding":
-                self.doubts.setdefault(str(record.get("owner")), []).append(str(record["problem"]))
-            case "mission_stopped":
-                self.stopped = f"stopped by {record.get('owner')}: {record.get('reason')}"
-            case "bound":
-                each = record["parameters"].items()
-                self.bound += [(record["owner"], name, bound["factor"], bound["value"]) for name, bound in each]
-            case "clock":
-                offset = (record.get("before") or record.get("after") or {}).get("wall_offset")
-                told = f", its clock {offset:+.6f} s to ours" if isinstance(offset, int | float) else ""
-                self.hosts.append(f"{record.get('host')} (measured by {record.get('owner')}{told})")
-
-    def _take_correction(self, record: dict[str, Any]) -> None:
-        if record["kind"] == "deviation":
-            told = f"{record['column']} was changed by hand from {record['was']!r} to {record['is']!r}"
-        else:
-            told = f"{record['kind']}{f': {reason}' if (reason := record.get('reason')) else ''}"
-        self.corrections.append(f"{record['at']}, {told}")
-
-    def _begin(self, record: dict[str, Any]) -> None:
-        self.attempt, self.started_at, self.finished_at = int(record["attempt"]), record["at"], None
-        self.measures, self.clocks, self.doubts, self.hosts = {}, {}, {}, []
-        self.bound, self.readers, self.stopped = [], None, ""
-
-
 class _Explaining:
     def __init__(self, root: Path, run_id: str) -> None:
         self._files = ExperimentFolder.found_at(root)
@@ -181,7 +92,7 @@ class _Explaining:
         self._number, self._count = place + 1, len(rows)
         self._run_ids = [rows.run_id(each) for each in range(len(rows))]
         self._row = rows.row(place)
-        self._history = _RunHistory.read(self._files.journal, run_id)
+        self._history = RunHistory.read(self._files.journal, run_id)
         try:
             self._lines = ConfigLines(root)
         except OSError as error:
@@ -232,6 +143,9 @@ class _Explaining:
             yield f"Attempt {number}", f"failed: {failure}"
         if history.stopped:
             yield "Mission", history.stopped
+        yield from history.waits
+        if history.waited:
+            yield "Waited in all", shown_duration(history.waited)
         yield "Robot", str(self._manifest.get("robot") or "as the config says")
         yield "Host", self._host()
         for host in history.hosts:

@@ -49,6 +49,7 @@ def test_json_holds_everything(robot_runner: Callable, half_done: Path) -> None:
     reason = "launch_mission of config: ValueError: the camera is off"
     assert facts.pop("bad_values") == {}
     assert [each["is_whole"] for each in facts.pop("sessions")] == [True]
+    assert (facts.pop("gate"), facts.pop("gate_seconds")) == (None, 0.0)
     assert facts == {
         "experiment_name": "trial",
         "folder": str(half_done),

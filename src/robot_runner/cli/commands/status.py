@@ -15,7 +15,7 @@ from robot_runner.cli.findings import as_json, print_odd, quality_in_words
 from robot_runner.cli.parser import add_json, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
 from robot_runner.core.execution.experiment_status import ExperimentStatus, Session, read_status
-from robot_runner.core.words import counted, shown_duration
+from robot_runner.core.words import counted, one_line, shown_duration
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -53,6 +53,7 @@ def _print(console: UserConsole, status: ExperimentStatus) -> None:
             ("Runs", _counts(status)),
             ("Now", _now(status)),
             ("Left", _left(status)),
+            ("Waited", f"{shown_duration(status.gate_seconds)} at gates" if status.gate_seconds else ""),
             ("Quality", quality_in_words(status.bad_values)),
             ("Excluded", _excluded(status)),
             ("Order", status.order),
@@ -76,6 +77,11 @@ def _bar(status: ExperimentStatus) -> Text:
 
 
 def _now(status: ExperimentStatus) -> str:
+    if status.gate is not None:
+        gate = status.gate
+        seen = f": {one_line(gate['seen'])}" if gate["seen"] else ""
+        after = f"after {shown_duration(gate['seconds'])}, at {gate['at']}"
+        return f"{gate['run']} waits until {one_line(gate['condition'])}{seen} ({after})"
     if status.current_run is None:
         return ""
     return f"{status.current_run}, {status.current_event or 'about to start'}"

@@ -67,7 +67,13 @@ def _verdict(finished: ExperimentFinished, progress: Progress) -> str:
         return f"{_everything(total)} done before: nothing was executed."
     if finished.done_count == total:
         return f"{_everything(total)} done ({shown_duration(finished.seconds)})."
-    why = "Interrupted: " if finished.interrupted else "Stopped by on_failure: " if finished.stopped_by_policy else ""
+    why = (
+        "Interrupted: "
+        if finished.interrupted
+        else f"Stopped by {finished.stopped_by}: "
+        if finished.stopped_by_policy
+        else ""
+    )
     return (
         f"{why}{finished.done_count:,} of {counted(total, 'run')} done, {finished.failed_count:,} failed, "
         f"{finished.todo_count:,} to do ({shown_duration(finished.seconds)})."

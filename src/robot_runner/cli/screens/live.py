@@ -16,12 +16,15 @@ from robot_runner.cli.screens.plain import (
     RunRows,
     closing,
     forget_typed,
+    gate_passed,
     opening,
     pausing,
     probing,
     request,
     terminal_input,
     treatments_in_words,
+    waited_so_far,
+    waiting_at_gate,
 )
 from robot_runner.cli.screens.progress import Progress
 from robot_runner.core.execution.notices import (
@@ -29,6 +32,7 @@ from robot_runner.core.execution.notices import (
     AttemptStarted,
     ExperimentStarted,
     FindingsNoticed,
+    GatePassed,
     InterruptionNoticed,
     Notice,
     Paused,
@@ -106,9 +110,7 @@ class LiveScreen:
                 self._show_live_part()
                 self.refresh()
             case AttemptFinished():
-                self._finished.append(notice)
-                if self._clock() - self._printed >= (self.refresh_interval or 0):
-                    self._print_finished()
+                self._take_end(notice)
             case FindingsNoticed(findings):
                 self._print_finished()
                 print_findings(self._console, findings)
@@ -119,6 +121,9 @@ class LiveScreen:
                 self._ask(request(notice, by_key=self.user_input is not None))
             case Paused():
                 self._ask(pausing(notice, by_key=self.user_input is not None))
+            case GatePassed(problem=problem) if problem:
+                self._print_finished()
+                self._print_lines([Text(f"  {gate_passed(notice)}", style="yellow")])
 
     def refresh(self) -> None:
         """Draw what is new, unless it was drawn a moment ago: records come faster than anybody reads."""
@@ -129,6 +134,11 @@ class LiveScreen:
         self._print_finished()
         if self._live is not None:
             self._live.update(self._now(), refresh=True)
+
+    def _take_end(self, ended: AttemptFinished) -> None:
+        self._finished.append(ended)
+        if self._clock() - self._printed >= (self.refresh_interval or 0):
+            self._print_finished()
 
     def _begin(self, started: ExperimentStarted) -> None:
         self._rows = RunRows(self._experiment, started.columns, started.run_count)
@@ -201,7 +211,7 @@ class LiveScreen:
     def _current(self) -> tuple[Text, Text]:
         current = self.progress.current
         if current is None:
-            return Text(f"  between two runs{self._pause()}", style="dim"), Text("")
+            return self._between_runs()
         task = current.task
         attempt = f", attempt {task.attempt}" if task.attempt > 1 else ""
         treatments = treatments_in_words(task, self._experiment.model)
@@ -213,6 +223,13 @@ class LiveScreen:
 
     def _pause(self) -> str:
         return ", pauses after this run" if pause_is_requested(self._experiment.folder.pause) else ""
+
+    def _between_runs(self) -> tuple[Text, Text]:
+        waiting = self.progress.gate
+        if waiting is None:
+            return Text(f"  between two runs{self._pause()}", style="dim"), Text("")
+        line = Text(f"  ▷ {waiting_at_gate(waiting)}", style="cyan", no_wrap=True, overflow="ellipsis")
+        return line, Text(f"    {waited_so_far(waiting)}", no_wrap=True, overflow="ellipsis")
 
     def _event(self) -> Text:
         current = self.progress.current

@@ -22,6 +22,8 @@ from robot_runner.core.execution.notices import (
     AttemptStarted,
     ExperimentStarted,
     FindingsNoticed,
+    GatePassed,
+    GateWaiting,
     InterruptionNoticed,
     Notice,
     Paused,
@@ -46,6 +48,7 @@ __all__ = [
     "RunRows",
     "closing",
     "forget_typed",
+    "gate_passed",
     "heading_of",
     "opening",
     "pausing",
@@ -54,6 +57,8 @@ __all__ = [
     "shown_measure",
     "terminal_input",
     "treatments_in_words",
+    "waited_so_far",
+    "waiting_at_gate",
 ]
 
 
@@ -137,6 +142,10 @@ class RunRows:
 # What a screen says beside its rows: how an experiment begins, and what SEMI asks of the user.
 
 
+#: How often a log is told of a gate that is awaited, s.
+_GATE_EVERY = 60.0
+
+
 def terminal_input() -> int | None:
     """Return the descriptor on which somebody can press ENTER, or None where nobody sits."""
     with suppress(AttributeError, OSError, ValueError):
@@ -191,6 +200,28 @@ def pausing(paused: Paused, *, by_key: bool) -> str:
     return f"Paused before {run}. To go on: {key}robot-runner continue {shlex.quote(shown_path(paused.folder))}"
 
 
+def waiting_at_gate(waiting: GateWaiting) -> str:
+    """Return what is said once a run has to wait for a gate."""
+    return (
+        f"run {waiting.run_number} of {waiting.run_count} ({waiting.run_id}) waits until {one_line(waiting.condition)}"
+    )
+
+
+def waited_so_far(waiting: GateWaiting) -> str:
+    """Return what was seen last while a gate is awaited, and for how long it has been."""
+    most = f" of {shown_duration(waiting.timeout_s)}" if waiting.timeout_s is not None else ""
+    seen = f"{one_line(waiting.seen)}   " if waiting.seen else ""
+    return f"{seen}{shown_duration(waiting.seconds)}{most}"
+
+
+def gate_passed(passed: GatePassed) -> str:
+    """Return what is said once the wait for a gate is over."""
+    waited = f"{passed.run_id} waited {shown_duration(passed.seconds)} until {one_line(passed.condition)}"
+    if passed.state == "open":
+        return f"{waited}: {one_line(passed.seen)}" if passed.seen else waited
+    return f"{waited}, which {passed.state}: {one_line(passed.problem)}"
+
+
 class PlainScreen:
     """An observer that prints a line when a run starts and when it ends.
 
@@ -211,6 +242,7 @@ class PlainScreen:
         self._console = console
         self._model = experiment.model
         self._units: Mapping[str, str] = {}
+        self._gate_told: float | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -243,6 +275,20 @@ class PlainScreen:
             case Paused():
                 forget_typed(self.user_input)
                 self._print(pausing(notice, by_key=self.user_input is not None))
+            case GateWaiting() | GatePassed():
+                self._tell_of_gate(notice)
+
+    def _tell_of_gate(self, notice: GateWaiting | GatePassed) -> None:
+        if isinstance(notice, GatePassed):
+            if self._gate_told is not None or notice.problem:
+                self._print(gate_passed(notice))
+            self._gate_told = None
+            return
+        if self._gate_told is None:
+            self._print(waiting_at_gate(notice))
+        if self._gate_told is None or notice.seconds - self._gate_told >= _GATE_EVERY:
+            self._gate_told = notice.seconds
+            self._print(f"  {waited_so_far(notice)}")
 
     def refresh(self) -> None:
         """Do nothing: a line that was printed stays as it is."""

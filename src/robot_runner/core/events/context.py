@@ -117,6 +117,10 @@ class RunBroker(Protocol):
         """Record a warning finding that makes values of this run doubtful."""
         ...
 
+    def doubt_run(self, owner: str, problem: str, fix: str) -> None:
+        """Record a warning finding that makes all values of this run doubtful."""
+        ...
+
     def note(self, owner: str, kind: str, facts: Mapping[str, object]) -> None:
         """Report something else that happened in this run, as a record of this kind."""
         ...
@@ -163,6 +167,7 @@ class RobotRunnerContext(ExperimentContext):
         run_number: its place in the order of execution, from 1.
         run_count: how many runs the experiment has.
         attempt: how often this run has been tried, this time included, from 1.
+        attempts_left: how often it is tried again where this attempt fails.
         combination: the treatment of each factor, by the factor's name.
         repetition: which repetition of the combination this is, from 1.
         run_seed: a seed for this run alone, the same each time that it is executed.
@@ -187,6 +192,7 @@ class RobotRunnerContext(ExperimentContext):
     owner: str
     times: MissionTimes = field(repr=False)
     broker: RunBroker = field(repr=False)
+    attempts_left: int = 0
     ending: Ending = field(default_factory=EndingInPlace, repr=False)
 
     @property

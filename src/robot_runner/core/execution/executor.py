@@ -133,8 +133,8 @@ class _Supervision:
         self._reader = RecordReader(keeper.records)
         self._started = self._event_started = time.monotonic()
         self._give_up_at: float | None = None
-        self._tend_in: float | None = watch.tend()
         self._leave_by: tuple[float, str] | None = None
+        self._tend_in: float | None = watch.tend()
         self._is_interrupted = False
         self._is_killed = False
         self._because = ""

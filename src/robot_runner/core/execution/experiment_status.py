@@ -71,6 +71,9 @@ class ExperimentStatus:
         seconds_left: how long the runs take that are still to be executed, as it was estimated last; None where that is
             not known, or nothing is left.
         left_is_least: whether something comes on top of that of which nobody knew how long it takes.
+        gate: the gate that is awaited at this moment, or None: its run, condition, what was `seen` of it at the time
+            `at` (at most a minute ago), and for how many `seconds` it had been awaited then.
+        gate_seconds: how long gates were awaited in all, s of their clocks.
         bad_values: the runs that are done whose values are not good, by measure and quality.
         sessions: all its executions, the first one first.
         excluded: why runs are left out, by id.
@@ -103,6 +106,8 @@ class ExperimentStatus:
     pause_is_requested: bool = False
     is_of_older_tool: bool = False
     order: str = ""
+    gate: Mapping[str, Any] | None = None
+    gate_seconds: float = 0.0
 
 
 def read_status(folder: Path) -> ExperimentStatus:
@@ -146,6 +151,8 @@ def read_status(folder: Path) -> ExperimentStatus:
         is_paused=holder is not None and history.is_paused,
         pause_is_requested=holder is not None and pause_is_requested(files.pause),
         order=moved_in_words(moved_runs(list(statuses), history.executed), history.executed),
+        gate=history.gate if holder else None,
+        gate_seconds=history.gate_seconds,
     )
 
 
@@ -204,6 +211,8 @@ class _History:
         self.sessions: list[Session] = []
         self._begun: dict[str, None] = {}
         self._excluded = ExcludedRuns()
+        self.gate: dict[str, Any] | None = None
+        self.gate_seconds = 0.0
         self.current_run: str | None = None
         self.current_event: str | None = None
         self.started_at: str | None = None
@@ -238,17 +247,17 @@ class _History:
         self.statuses |= self._since_table
 
     @property
+    def since_left(self) -> float:
+        """How long ago the time left was estimated, s."""
+        return max(0.0, time.time() - datetime.fromisoformat(self._left_at).timestamp())
+
+    @property
     def executed(self) -> list[str]:
         return list(self._begun)
 
     @property
     def excluded(self) -> dict[str, str]:
         return {run: each.reason for run, each in self._excluded.present.items() if run in self.statuses}
-
-    @property
-    def since_left(self) -> float:
-        """How long ago the time left was estimated, s."""
-        return max(0.0, time.time() - datetime.fromisoformat(self._left_at).timestamp())
 
     @property
     def bad_values(self) -> dict[str, dict[str, list[str]]]:
@@ -262,6 +271,7 @@ class _History:
     def _take_experiment_started(self, record: Mapping[str, Any]) -> None:
         self.started_at = record["at"]
         self.finished_at = None
+        self.gate = None
         self.is_waiting = self.is_paused = False
         self.sessions.append(Session(record["at"], record["at"], selection=record.get("selection", {})))
 
@@ -271,9 +281,9 @@ class _History:
 
     def _take_attempt_started(self, record: Mapping[str, Any]) -> None:
         self.current_run, self.current_event = record["run"], None
+        self._take_left(record)
         self._begun.pop(record["run"], None)
         self._begun[record["run"]] = None
-        self._take_left(record)
 
     def _take_event(self, record: Mapping[str, Any]) -> None:
         self.current_event = record["event"]
@@ -305,6 +315,13 @@ class _History:
     def _take_finding(self, record: Mapping[str, Any]) -> None:
         where = f"{record['run']}, {record['owner']}"
         self.findings.append(Finding.warning(where, record["problem"], record["fix"]))
+
+    def _take_gate(self, record: Mapping[str, Any]) -> None:
+        self.gate = None
+        if record["state"] == "waiting":
+            self.gate = {name: record[name] for name in ("run", "condition", "seen", "seconds", "at")}
+        else:
+            self.gate_seconds += record["seconds"]
 
     def _take_waiting(self, record: Mapping[str, Any]) -> None:
         del record

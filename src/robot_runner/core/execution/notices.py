@@ -19,6 +19,8 @@ __all__ = [
     "ExperimentFinished",
     "ExperimentStarted",
     "FindingsNoticed",
+    "GatePassed",
+    "GateWaiting",
     "InterruptionNoticed",
     "Notice",
     "Observer",
@@ -111,6 +113,44 @@ class Paused:
 
 
 @dataclass(frozen=True, slots=True)
+class GateWaiting:
+    """The condition of a gate does not hold yet; told about twice a second.
+
+    Attributes:
+        run_id, run_number: the run that waits.
+        condition: what is awaited, so that it completes the sentence "waiting until ...".
+        seen: what was seen last, in words.
+        seconds: how long it has been awaited, s.
+        timeout_s: how long it is to be awaited, s; None for as long as it takes.
+    """
+
+    run_id: str
+    run_number: int
+    run_count: int
+    condition: str
+    seen: str
+    seconds: float
+    timeout_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class GatePassed:
+    """The wait for a gate is over.
+
+    Attributes:
+        state: `open` where its condition holds, else `timed out`, `failed` or `interrupted`.
+        problem: why it was not passed; empty where it was.
+    """
+
+    run_id: str
+    condition: str
+    seen: str
+    seconds: float
+    state: str
+    problem: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class InterruptionNoticed:
     """The user asked for the end: the run is being closed; asked once more, it is killed."""
 
@@ -126,7 +166,8 @@ class ExperimentFinished:
             to do.
         failed: the ids of the runs that failed.
         interrupted: whether the user asked for the end.
-        stopped_by_policy: whether a failed run ended it (`on_failure` STOP).
+        stopped_by_policy: whether the config ended it before its last run.
+        stopped_by: by what: `on_failure`, `a gate` or `a guard`.
         findings: what looked odd.
         seconds: real time.
         excluded: the ids of the runs that are left out.
@@ -144,6 +185,7 @@ class ExperimentFinished:
     findings: Sequence[Finding] = field(default_factory=tuple)
     seconds: float = 0.0
     excluded: Sequence[str] = ()
+    stopped_by: str = "on_failure"
 
 
 Notice = (
@@ -155,6 +197,8 @@ Notice = (
     | FindingsNoticed
     | WaitingForUser
     | Paused
+    | GateWaiting
+    | GatePassed
     | InterruptionNoticed
     | ExperimentFinished
 )

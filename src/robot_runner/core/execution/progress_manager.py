@@ -57,6 +57,7 @@ _KEPT = frozenset(
         "clock",
         "bound",
         "waited",
+        "guard",
         "mission_stopped",
     }
 )
@@ -290,6 +291,10 @@ class ProgressManager:
     def tend_table(self) -> float | None:
         """Write the run table where its time has come, while a run or a wait lasts; see `TableOnDisk.tend`."""
         return self._file.tend()
+
+    def find(self, finding: Finding) -> None:
+        """Take down what is to be told at the end."""
+        self._findings.append(finding)
 
     def bring_table_up_to_date(self) -> None:
         """Write the run table as it stands: a callback of `after_experiment` may read it."""

@@ -72,6 +72,7 @@ def run_contexts(
                 run_number=task.run_number,
                 run_count=task.run_count,
                 attempt=task.attempt,
+                attempts_left=task.attempts_left,
                 combination=WatchedCombination(
                     task.combination, lambda factor: report("read", {"owner": owner, "factor": factor})
                 ),
