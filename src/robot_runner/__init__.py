@@ -10,6 +10,9 @@ from robot_runner.core.doors import open_door
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from robot_runner.core.config.authors import Author as Author
+    from robot_runner.core.config.notify import Notify as Notify
+    from robot_runner.core.config.operator_steps import OperatorStep as OperatorStep
+    from robot_runner.core.config.operator_steps import Question as Question
     from robot_runner.core.config.parameters import BadValuePolicy as BadValuePolicy
     from robot_runner.core.config.parameters import ExperimentConfig as ExperimentConfig
     from robot_runner.core.config.parameters import FailurePolicy as FailurePolicy
@@ -30,6 +33,8 @@ if TYPE_CHECKING:
     from robot_runner.core.events.manager import RobotRunnerEvents as RobotRunnerEvents
     from robot_runner.core.events.measure import Measure as Measure
     from robot_runner.core.events.measure import Origin as Origin
+    from robot_runner.core.events.outlook import ExperimentEnd as ExperimentEnd
+    from robot_runner.core.events.outlook import NextRun as NextRun
     from robot_runner.core.treatments import treatment as treatment
 else:
     __getattr__, __dir__ = open_door(__name__)

@@ -123,7 +123,7 @@ class _RunHistory:
             case "attempt_started":
                 self._begin(record)
             case "attempt_finished":
-                self.finished_at = record["at"]
+                self.finished_at = self.finished_at or record["at"]  # a later end only adds what was published after it
                 self.measures = record["measures"]
                 self.readers = record.get("readers")
                 if record.get("failure"):

@@ -18,12 +18,16 @@ from robot_runner.cli.screens.plain import (
     forget_typed,
     opening,
     probing,
+    question_asked,
+    refusals,
     request,
+    run_to_come,
     terminal_input,
     treatments_in_words,
 )
 from robot_runner.cli.screens.progress import Progress
 from robot_runner.core.execution.notices import (
+    AnswersRefused,
     AttemptFinished,
     AttemptStarted,
     ExperimentStarted,
@@ -31,6 +35,8 @@ from robot_runner.core.execution.notices import (
     InterruptionNoticed,
     Notice,
     ProbeStarted,
+    QuestionAsked,
+    UserHasContinued,
     WaitingForUser,
 )
 from robot_runner.core.words import counted, one_line, shown_duration
@@ -112,8 +118,20 @@ class LiveScreen:
             case InterruptionNoticed(run_id):
                 self._print_finished()
                 self._print_lines([Text(closing(run_id), style="bold yellow")])
+            case _:
+                self._take_part(notice)
+
+    def _take_part(self, notice: Notice) -> None:
+        match notice:
             case WaitingForUser():
                 self._ask(notice)
+            case QuestionAsked(question):
+                self._console.print(Text(question_asked(question), style="bold cyan"), end="", soft_wrap=True)
+            case AnswersRefused():
+                self._console.print(Text("\n".join(refusals(notice)), style="bold yellow"), soft_wrap=True)
+            case UserHasContinued():
+                self._show_live_part()
+                self.refresh()
 
     def refresh(self) -> None:
         """Draw what is new, unless it was drawn a moment ago: records come faster than anybody reads."""
@@ -149,6 +167,8 @@ class LiveScreen:
         self._print_finished()
         self._take_live_part_away()
         forget_typed(self.user_input)
+        for line in run_to_come(waiting, self._experiment.model):
+            self._console.print(Text(one_line(line), style="bold"), soft_wrap=True)
         asked = request(waiting, by_key=self.user_input is not None)
         self._console.print(Text(asked, style="bold cyan"), soft_wrap=True)
 

@@ -12,6 +12,7 @@ from robot_runner.core.execution.notices import (
     ExperimentFinished,
     ExperimentStarted,
     RunRecord,
+    UserHasContinued,
     WaitingForUser,
 )
 from robot_runner.core.execution.task import AttemptStatus
@@ -118,6 +119,9 @@ class Progress:
                 self._take_end(notice)
             case WaitingForUser():
                 self.is_waiting = True
+            case UserHasContinued():
+                self._run_since = self._clock()
+                self.is_waiting = False
             case ExperimentFinished():
                 self.done, self.failed = notice.done_count, notice.failed_count
 

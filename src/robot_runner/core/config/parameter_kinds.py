@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from robot_runner.core.config.authors import Author, authors_from_text, is_licence
+from robot_runner.core.config.notify import Notify
+from robot_runner.core.config.operator_steps import OperatorStep
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.events.window import is_phase_name
 
@@ -21,6 +23,8 @@ __all__ = [
     "LICENCE",
     "LINK",
     "NAME",
+    "NOTIFY",
+    "OPERATOR_STEPS",
     "PATH",
     "PHASES",
     "PLAN",
@@ -153,6 +157,11 @@ AUTHORS = Kind(
 )
 LICENCE = Kind('an SPDX identifier such as "CC-BY-4.0", a URL', is_licence)
 TEXT = Kind("a text", _is_text)
+OPERATOR_STEPS = replace(
+    instances(OperatorStep, "a list of OperatorStep(...) in the config file; from outside, none"),
+    from_text=lambda text: () if text.casefold() == "none" else _not_from_text(text),
+)
+NOTIFY = Kind("Notify(...) in the config file", lambda value: isinstance(value, Notify), _not_from_text)
 PHASES = Kind(
     "a list of the names of phases: letters, digits, '_' and '-'",
     lambda value: isinstance(value, list | tuple) and all(map(is_phase_name, value)),

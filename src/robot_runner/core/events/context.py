@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.errors import Finding
+    from robot_runner.core.events.outlook import ExperimentEnd, NextRun
     from robot_runner.core.events.window import MissionTimes, Phase, Window
 
 __all__ = ["Clock", "Closable", "ExperimentContext", "Resources", "RobotRunnerContext", "RunBroker", "SystemClock"]
@@ -144,12 +145,14 @@ class ExperimentContext:
         experiment_folder: where everything of this experiment is kept.
         robot: how the robot is reached (`"simulated"`, ...), or None where the config names none.
         seed: the seed of the experiment, from which the runs' order and the runs' own seeds come.
+        ended: how the experiment ended, in `after_experiment`; None before.
     """
 
     experiment_name: str
     experiment_folder: Path
     robot: str | None = None
     seed: int = 0
+    ended: ExperimentEnd | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -169,6 +172,7 @@ class RobotRunnerContext(ExperimentContext):
         owner: who this context was made for: a plugin's name, or `config`.
         times: when the mission and its phases began and ended.
         run_path: where the run's folder is once something is kept in it; ask for `run_folder` to keep something.
+        next_run: in `continue_experiment`, the run that comes next; all else there is about the run that is over.
     """
 
     run_id: str
@@ -184,6 +188,7 @@ class RobotRunnerContext(ExperimentContext):
     owner: str
     times: MissionTimes = field(repr=False)
     broker: RunBroker = field(repr=False)
+    next_run: NextRun | None = None
 
     @property
     def run_folder(self) -> Path:

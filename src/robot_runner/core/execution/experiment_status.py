@@ -31,6 +31,8 @@ class ExperimentStatus:
     Attributes:
         holder: who executes it at this moment, or None.
         is_waiting_for_user: whether it waits for `robot-runner continue`.
+        waiting_for: what it waits for then: `next_run`, `step` (empty where it only asks whether the run may start),
+            and `questions` as plain data; None while it does not wait.
         current_run, current_event: what is being executed, or None.
         failures: why each failed run failed, one line each.
         findings: what looked odd.
@@ -53,6 +55,7 @@ class ExperimentStatus:
     started_at: str | None
     finished_at: str | None
     bad_values: Mapping[str, Mapping[str, Sequence[str]]] = field(default_factory=lambda: MappingProxyType({}))
+    waiting_for: Mapping[str, Any] | None = None
 
 
 def read_status(folder: Path) -> ExperimentStatus:
@@ -71,7 +74,7 @@ def read_status(folder: Path) -> ExperimentStatus:
         experiment_name=manifest["experiment_name"],
         folder=folder,
         holder=holder,
-        is_waiting_for_user=holder is not None and history.is_waiting,
+        is_waiting_for_user=holder is not None and history.waiting_for is not None,
         run_count=len(statuses),
         done=_count(statuses, RunStatus.DONE),
         failed=_count(statuses, RunStatus.FAILED),
@@ -85,6 +88,7 @@ def read_status(folder: Path) -> ExperimentStatus:
         started_at=history.started_at,
         finished_at=history.finished_at,
         bad_values=history.bad_values,
+        waiting_for=history.waiting_for if holder else None,
     )
 
 
@@ -99,7 +103,7 @@ class _History:
         self.statuses: dict[str, RunStatus] = {}
         self.failures: dict[str, str] = {}
         self.findings: list[Finding] = []
-        self.is_waiting = False
+        self.waiting_for: dict[str, Any] | None = None
         self.current_run: str | None = None
         self.current_event: str | None = None
         self.started_at: str | None = None
@@ -138,7 +142,7 @@ class _History:
     def _take_experiment_started(self, record: Mapping[str, Any]) -> None:
         self.started_at = record["at"]
         self.finished_at = None
-        self.is_waiting = False
+        self.waiting_for = None
 
     def _take_experiment_finished(self, record: Mapping[str, Any]) -> None:
         self.finished_at = record["at"]
@@ -172,9 +176,10 @@ class _History:
         self.findings.append(Finding.warning(where, record["problem"], record["fix"]))
 
     def _take_waiting(self, record: Mapping[str, Any]) -> None:
-        del record
-        self.is_waiting = True
+        if "next_run" in record:
+            asked = record.get("questions", ())
+            self.waiting_for = {"next_run": record["next_run"], "step": record.get("step", ""), "questions": asked}
 
     def _take_continued(self, record: Mapping[str, Any]) -> None:
         del record
-        self.is_waiting = False
+        self.waiting_for = None

@@ -6,11 +6,13 @@ import gc
 import logging
 import time
 from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from robot_runner.core.config.parameters import FailurePolicy
-from robot_runner.core.errors import StorageError
+from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, StorageError
 from robot_runner.core.events.manager import RobotRunnerEvents
+from robot_runner.core.events.outlook import ExperimentEnd
 from robot_runner.core.execution.between_runs import BetweenRuns, Patience
 from robot_runner.core.execution.executor import Watch, executor_for
 from robot_runner.core.execution.interruption import Interruption
@@ -26,6 +28,7 @@ from robot_runner.core.execution.notices import (
     ProbeStarted,
     RunRecord,
 )
+from robot_runner.core.execution.operator import Operator
 from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
 from robot_runner.core.execution.probe import Probe, probe_profilers, probed_profilers
 from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
@@ -40,7 +43,6 @@ if TYPE_CHECKING:
     from typing import Any
 
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.errors import Finding
     from robot_runner.core.execution.task import Report
 
 __all__ = ["execute_experiment"]
@@ -88,6 +90,10 @@ def execute_experiment(
         return _Orchestrator(experiment, progress, interruption, observer).execute(findings)
 
 
+def _as_finding(error: BaseException) -> Finding:
+    return Finding.error("", f"{type(error).__name__}: {error}", "")
+
+
 def _tell(observer: Observer, notice: Notice) -> None:
     try:
         observer.notice(notice)
@@ -109,9 +115,10 @@ class _Orchestrator:
         self._interruption = interruption
         self._observer = observer
         self._executor = executor_for(experiment)
-        self._events = OrchestratorEvents(experiment, progress, interruption)
         patience = Patience(interruption, self._refresh, observer.refresh_interval)
-        self._between_runs = BetweenRuns(experiment, progress, self._events, observer, self._notice, patience)
+        self._events = OrchestratorEvents(experiment, progress, patience)
+        self._operator = Operator(experiment, progress, observer.user_input, self._notice, patience)
+        self._between_runs = BetweenRuns(experiment, progress, self._events, self._operator, patience)
         self._started = time.monotonic()
         self._stopped_by_policy = False
 
@@ -119,24 +126,52 @@ class _Orchestrator:
         """Execute the runs between `before_experiment` and `after_experiment`; the latter comes whatever happens."""
         self._notice(self._start_notice(findings))
         try:
-            self._events.emit_to_experiment(RobotRunnerEvents.BEFORE_EXPERIMENT)
-            self._execute_runs()
-        finally:
-            with suppress(StorageError):  # said again when everything is brought up to date
-                self._progress.bring_table_up_to_date()
-            self._events.emit_to_experiment(RobotRunnerEvents.AFTER_EXPERIMENT)
+            returned = self._events.emit_to_experiment(RobotRunnerEvents.BEFORE_EXPERIMENT)
+            self._execute_runs(is_cleared=any(value is True for value in returned))
+        except BaseException as error:
+            self._end_after(error, findings)
+            raise
+        self._end_events(findings)
         finished = self._finish_notice(findings)
         self._progress.finish(interrupted=finished.interrupted)
         self._notice(finished)
         return finished
 
-    def _execute_runs(self) -> None:
+    def _end_after(self, error: BaseException, findings: Sequence[Finding]) -> None:
+        """Emit `after_experiment` after what ended the experiment; where that raises as well, both are told.
+
+        Raises:
+            ExecutionError: both raised.
+        """
+        found = error.findings if isinstance(error, RobotRunnerError) else (_as_finding(error),)
+        try:
+            self._end_events(findings, failure=str(found[0]))
+        except ExecutionError as later:
+            raise ExecutionError.of_findings([*found, *later.findings]) from error
+
+    def _end_events(self, findings: Sequence[Finding], *, failure: str = "") -> None:
+        with suppress(StorageError):  # said again when everything is brought up to date
+            self._progress.bring_table_up_to_date()
+        finished = self._finish_notice(findings)
+        ended = ExperimentEnd(
+            done=finished.done_count,
+            failed=finished.failed_count,
+            todo=finished.todo_count,
+            is_interrupted=finished.interrupted,
+            is_stopped_by_policy=finished.stopped_by_policy,
+            failure=failure,
+            failures=finished.failures,
+            findings=finished.findings,
+        )
+        self._events.emit_to_experiment(RobotRunnerEvents.AFTER_EXPERIMENT, ended)
+
+    def _execute_runs(self, *, is_cleared: bool) -> None:
         gc.collect()
         gc.freeze()  # what a forked run does not collect it does not have to copy
         try:
             finished = None
             for run in self._progress.pending():
-                self._between_runs.prepare(run, finished)
+                self._between_runs.prepare(run, finished, is_cleared=is_cleared and finished is None)
                 if self._interruption.is_requested or not self._execute_run(run):
                     return
                 finished = run
@@ -146,7 +181,11 @@ class _Orchestrator:
     def _execute_run(self, run: PendingRun) -> bool:
         """Try to execute a run as often as the config allows; return whether the experiment goes on."""
         for attempts_left in reversed(range(self._parameters.attempts)):
-            task = self._progress.begin(run)
+            if attempts_left < self._parameters.attempts - 1:
+                self._between_runs.prepare_again(run)
+                if self._interruption.is_requested:
+                    return False
+            task = replace(self._progress.begin(run), entered=self._operator.answers(run.run_id))
             self._notice(AttemptStarted(task))
             outcome = self._attempt(task, has_attempts_left=attempts_left > 0)
             is_last = attempts_left == 0 or outcome.status is not AttemptStatus.FAILED
@@ -177,6 +216,7 @@ class _Orchestrator:
             builder.take(kind, fields)
             report(kind, fields)
 
+        self._operator.hand_over(task, report_own)
         self._bind_plugins(task, report_own)
         if not builder.has_failed:
             self._events.emit_to_run(RobotRunnerEvents.BEFORE_RUN, task, report_own)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.config.plugin_checks import check_treatments
@@ -13,6 +13,7 @@ from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.watched_combination import unread
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.events.manager import RUN_EVENTS, RobotRunnerEvents
+from robot_runner.core.events.measure import OPERATOR_OWNER
 from robot_runner.core.execution.circumstances import (
     keep_config,
     manifest_of,
@@ -89,6 +90,7 @@ class ProgressManager:
         self._table_written = 0.0
         self._table_cost = 0.0
         self._table_is_stale = False
+        self._last_outcome = RunOutcome(AttemptStatus.INTERRUPTED)
 
     def __enter__(self) -> Self:
         with ExitStack() as opened:
@@ -160,6 +162,11 @@ class ProgressManager:
         return tuple(f"{run_id}: {reason}" for run_id, reason in self._failed.items())
 
     @property
+    def last_outcome(self) -> RunOutcome:
+        """How the attempt went that was recorded last."""
+        return self._last_outcome
+
+    @property
     def findings(self) -> tuple[Finding, ...]:
         """What looked odd in the table on disk and in the runs."""
         return (*self._findings, *(self._unread or {}).values())
@@ -168,6 +175,10 @@ class ProgressManager:
         """Yield the runs to execute, in order: those to do, those that failed, those asked for again."""
         for place in self._selected:
             yield PendingRun(self._rows.run_id(place), place)
+
+    def runs_left(self, run: PendingRun) -> int:
+        """Return how many runs are to be executed in this session from this one on, itself included."""
+        return len(self._selected) - self._selected.index(run.place)
 
     def task_of(self, run: PendingRun) -> RunTask:
         """Return the attempt at a run that was begun last."""
@@ -223,17 +234,38 @@ class ProgressManager:
             what it shows about the runs that follow.
         """
         keep_log(self._folder, task.run_id)
-        self._journal.append(
-            "attempt_finished", flush=True, run=task.run_id, attempt=task.attempt, is_last=is_last, **_plain(outcome)
-        )
         self._findings += [*outcome.findings, *self._missing_measures(task, outcome)]
         if outcome.status is AttemptStatus.FAILED and is_last:
             self._failed[task.run_id] = str(outcome.failure)
+        self._keep_outcome(task, outcome, {"is_last": is_last})
+        return self._look_for_readers(task, outcome) if outcome.status is AttemptStatus.DONE else ()
+
+    def amend_outcome(self, task: RunTask, later: RunOutcome) -> None:
+        """Keep what was published and found after the last attempt had been recorded, if anything was.
+
+        Args:
+            task: that attempt.
+            later: what it has yielded by now, with what it had yielded before.
+        """
+        before = self._last_outcome
+        found = later.findings[len(before.findings) :]
+        if later.measures == before.measures and not found:
+            return
+        outcome = replace(before, stamps=later.stamps, measures=later.measures, findings=later.findings)
+        no_more = set(self._missing_measures(task, before)).difference(self._missing_measures(task, outcome))
+        self._findings = [each for each in self._findings if each not in no_more] + list(found)
+        # The later end of an attempt takes the place of the earlier.
+        self._keep_outcome(task, outcome, {"is_last": True, "is_amended": True})
+
+    def _keep_outcome(self, task: RunTask, outcome: RunOutcome, facts: dict[str, Any]) -> None:
+        self._last_outcome = outcome
+        self._journal.append(
+            "attempt_finished", flush=True, run=task.run_id, attempt=task.attempt, **facts, **_plain(outcome)
+        )
         if self._table.take_outcome(task.run_id, outcome):
             # From here on the schema tells the types: without it a text such as "1" would come back as a number.
             self._table.write_schema(self._folder.schema)
         self._refresh_table()
-        return self._look_for_readers(task, outcome) if outcome.status is AttemptStatus.DONE else ()
 
     def note(self, kind: str, *, flush: bool = False, **fields: Any) -> None:
         """Keep something that is not about a run."""
@@ -331,6 +363,7 @@ class ProgressManager:
         return [
             Finding.warning(f"{task.run_id}, {column.owner}", f"{column.name} has no value", _missing_fix(column.owner))
             for column in self._experiment.columns.in_table
+            if column.owner != OPERATOR_OWNER  # a person is asked before some runs only
             if outcome.measures.get(column.name) is None or outcome.measures[column.name].value is None
         ]
 

@@ -40,7 +40,7 @@ def run_contexts(
     experiment: Experiment, task: RunTask, *, clock: Clock, resources: Resources, report: Report
 ) -> Callable[[str], RobotRunnerContext]:
     """Return what makes the context of a run for each owner; all share one broker."""
-    broker = MeasureBroker(task.run_id, experiment.columns, report)
+    broker = MeasureBroker(task.run_id, experiment.columns, report, task.entered)
     times = MissionTimes(clock, report, experiment.parameters.phases)
     run_path = experiment.folder.run(task.run_id)
     made: dict[str, RobotRunnerContext] = {}
@@ -224,9 +224,9 @@ def _refused(context: RobotRunnerContext, name: Any, value: object) -> MeasureEr
 def _origin_of_returned(context: RobotRunnerContext, name: object) -> Origin:
     """Return where a returned value comes from: what was computed from simulated samples does not pass for measured."""
     published = context.broker.measures
-    if isinstance(name, str) and name in published:
+    if isinstance(name, str) and name in published and published[name].origin is not Origin.ENTERED:
         return published[name].origin
     if is_simulated(context.robot):
         return Origin.SIMULATED
-    origins = {measure.origin for measure in published.values()}
+    origins = {measure.origin for measure in published.values()} - {Origin.ENTERED}
     return origins.pop() if len(origins) == 1 else Origin.MEASURED
