@@ -49,6 +49,7 @@ class Kind:
         from_text: reads a value of the command line; raises ValueError.
         normalise: makes what `Parameters` holds of a value that is accepted.
         type_name: what the documentation calls the type, where the annotation says less.
+        is_secret: whether a malformed value may hold a password, and is not shown.
     """
 
     expected: str
@@ -56,6 +57,7 @@ class Kind:
     from_text: Callable[[str], Any] = str
     normalise: Callable[[Any], Any] = lambda value: value
     type_name: str = ""
+    is_secret: bool = False
 
     def or_none(self) -> Kind:
         """Return the same with None as one more value."""
@@ -161,7 +163,7 @@ OPERATOR_STEPS = replace(
     instances(OperatorStep, "a list of OperatorStep(...) in the config file; from outside, none"),
     from_text=lambda text: () if text.casefold() == "none" else _not_from_text(text),
 )
-NOTIFY = Kind("Notify(...) in the config file", lambda value: isinstance(value, Notify), _not_from_text)
+NOTIFY = Kind("Notify(...) in the config file", lambda value: isinstance(value, Notify), _not_from_text, is_secret=True)
 PHASES = Kind(
     "a list of the names of phases: letters, digits, '_' and '-'",
     lambda value: isinstance(value, list | tuple) and all(map(is_phase_name, value)),

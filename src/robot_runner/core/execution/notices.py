@@ -17,6 +17,7 @@ __all__ = [
     "AnswersRefused",
     "AttemptFinished",
     "AttemptStarted",
+    "ConditionAwaited",
     "ExperimentFinished",
     "ExperimentStarted",
     "FindingsNoticed",
@@ -115,6 +116,21 @@ class WaitingForUser:
 
 
 @dataclass(frozen=True, slots=True)
+class ConditionAwaited:
+    """A run starts once a condition holds, which it does not yet; told once for each wait.
+
+    Attributes:
+        run_id: of the run that waits.
+        condition: what is awaited: it completes the sentence "waiting until ...".
+        seen: what was seen last.
+    """
+
+    run_id: str
+    condition: str
+    seen: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class QuestionAsked:
     """Somebody at the keyboard is to answer this next."""
 
@@ -174,6 +190,7 @@ Notice = (
     | AttemptFinished
     | FindingsNoticed
     | WaitingForUser
+    | ConditionAwaited
     | QuestionAsked
     | AnswersRefused
     | UserHasContinued

@@ -28,6 +28,7 @@ from robot_runner.core.execution.notices import (
     ProbeStarted,
     RunRecord,
 )
+from robot_runner.core.execution.notifications import Notifications
 from robot_runner.core.execution.operator import Operator
 from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
 from robot_runner.core.execution.probe import Probe, probe_profilers, probed_profilers
@@ -90,8 +91,10 @@ def execute_experiment(
         return _Orchestrator(experiment, progress, interruption, observer).execute(findings)
 
 
-def _as_finding(error: BaseException) -> Finding:
-    return Finding.error("", f"{type(error).__name__}: {error}", "")
+def _findings_of(error: BaseException) -> Sequence[Finding]:
+    if isinstance(error, RobotRunnerError):
+        return error.findings
+    return (Finding.error("", f"{type(error).__name__}: {error}", ""),)
 
 
 def _tell(observer: Observer, notice: Notice) -> None:
@@ -119,6 +122,7 @@ class _Orchestrator:
         self._events = OrchestratorEvents(experiment, progress, patience)
         self._operator = Operator(experiment, progress, observer.user_input, self._notice, patience)
         self._between_runs = BetweenRuns(experiment, progress, self._events, self._operator, patience)
+        self._notifications = Notifications(experiment, progress.note)
         self._started = time.monotonic()
         self._stopped_by_policy = False
 
@@ -126,16 +130,27 @@ class _Orchestrator:
         """Execute the runs between `before_experiment` and `after_experiment`; the latter comes whatever happens."""
         self._notice(self._start_notice(findings))
         try:
+            self._execute_between_events(findings)
+        except BaseException as error:
+            self._notifications.tell_failure(_findings_of(error)[0])
+            self._notifications.findings(self._interruption)
+            raise
+        finished = self._finish_notice(findings)
+        self._progress.finish(interrupted=finished.interrupted)
+        self._notifications.take(finished)
+        untold = self._notifications.findings(self._interruption)
+        finished = replace(finished, findings=(*finished.findings, *untold))
+        self._notice(finished)
+        return finished
+
+    def _execute_between_events(self, findings: Sequence[Finding]) -> None:
+        try:
             returned = self._events.emit_to_experiment(RobotRunnerEvents.BEFORE_EXPERIMENT)
             self._execute_runs(is_cleared=any(value is True for value in returned))
         except BaseException as error:
             self._end_after(error, findings)
             raise
         self._end_events(findings)
-        finished = self._finish_notice(findings)
-        self._progress.finish(interrupted=finished.interrupted)
-        self._notice(finished)
-        return finished
 
     def _end_after(self, error: BaseException, findings: Sequence[Finding]) -> None:
         """Emit `after_experiment` after what ended the experiment; where that raises as well, both are told.
@@ -143,7 +158,7 @@ class _Orchestrator:
         Raises:
             ExecutionError: both raised.
         """
-        found = error.findings if isinstance(error, RobotRunnerError) else (_as_finding(error),)
+        found = _findings_of(error)
         try:
             self._end_events(findings, failure=str(found[0]))
         except ExecutionError as later:
@@ -276,6 +291,8 @@ class _Orchestrator:
 
     def _notice(self, notice: Notice) -> None:
         _tell(self._observer, notice)
+        if not isinstance(notice, ExperimentFinished):  # which is told once everything is on the disk
+            self._notifications.take(notice)
 
     def _refresh(self) -> None:
         try:
