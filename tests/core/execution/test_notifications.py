@@ -21,7 +21,9 @@ from robot_runner.core.config import notify as notify_module
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution import notifications
-from robot_runner.core.execution.notices import WaitingForUser
+from robot_runner.core.execution.interruption import Interruption
+from robot_runner.core.execution.notices import GateWaiting, WaitingForUser
+from robot_runner.core.execution.notifications import Notifications
 from robot_runner.core.execution.orchestrator import execute_experiment
 
 if TYPE_CHECKING:
@@ -110,6 +112,21 @@ def test_somebody_is_told_of_failures_progress_and_the_end_and_the_address_stays
     kept = [path.read_bytes() for path in executed.config.parent.rglob("*") if path.is_file()]
     said = capfd.readouterr()
     assert not any(SECRET.encode() in text for text in [*kept, said.out.encode(), said.err.encode()])
+
+
+def test_a_gate_that_waits_for_long_is_told_once(
+    server: Server, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("ROBOT_RUNNER_NOTIFY", server.address)
+    experiment = prepare_or_refuse(written_config(tmp_path, "notify = Notify()"))
+    sent = Notifications(experiment, lambda *_, **__: None)
+    for seconds in (0.5, 60.0, 60.5, 61.0):
+        sent.take(GateWaiting("r_3", 3, 4, "the CPU is below 50 °C", "52.3 °C", seconds, None))
+    with Interruption() as interruption:
+        assert sent.findings(interruption) == ()
+    assert [(each["title"], each["message"]) for each in server.messages] == [
+        ("trial waits", "Before r_3, until the CPU is below 50 °C. Seen last: 52.3 °C")
+    ]
 
 
 class Leaving(RecordingObserver):

@@ -17,10 +17,10 @@ __all__ = [
     "AnswersRefused",
     "AttemptFinished",
     "AttemptStarted",
-    "ConditionAwaited",
     "ExperimentFinished",
     "ExperimentStarted",
     "FindingsNoticed",
+    "GateWaiting",
     "InterruptionNoticed",
     "Notice",
     "Observer",
@@ -116,21 +116,6 @@ class WaitingForUser:
 
 
 @dataclass(frozen=True, slots=True)
-class ConditionAwaited:
-    """A run starts once a condition holds, which it does not yet; told once for each wait.
-
-    Attributes:
-        run_id: of the run that waits.
-        condition: what is awaited: it completes the sentence "waiting until ...".
-        seen: what was seen last.
-    """
-
-    run_id: str
-    condition: str
-    seen: str = ""
-
-
-@dataclass(frozen=True, slots=True)
 class QuestionAsked:
     """Somebody at the keyboard is to answer this next."""
 
@@ -147,6 +132,27 @@ class AnswersRefused:
 @dataclass(frozen=True, slots=True)
 class UserHasContinued:
     """The user has said to go on, or has interrupted."""
+
+
+@dataclass(frozen=True, slots=True)
+class GateWaiting:
+    """The condition of a gate does not hold yet; told about twice a second.
+
+    Attributes:
+        run_id, run_number: the run that waits.
+        condition: what is awaited, so that it completes the sentence "waiting until ...".
+        seen: what was seen last, in words.
+        seconds: how long it has been awaited, s.
+        timeout_s: how long it is to be awaited, s; None for as long as it takes.
+    """
+
+    run_id: str
+    run_number: int
+    run_count: int
+    condition: str
+    seen: str
+    seconds: float
+    timeout_s: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,10 +196,10 @@ Notice = (
     | AttemptFinished
     | FindingsNoticed
     | WaitingForUser
-    | ConditionAwaited
     | QuestionAsked
     | AnswersRefused
     | UserHasContinued
+    | GateWaiting
     | InterruptionNoticed
     | ExperimentFinished
 )

@@ -21,9 +21,9 @@ from robot_runner.core.config.notify import addresses_from
 from robot_runner.core.errors import Finding, StorageError
 from robot_runner.core.execution.notices import (
     AttemptFinished,
-    ConditionAwaited,
     ExperimentFinished,
     ExperimentStarted,
+    GateWaiting,
     WaitingForUser,
 )
 from robot_runner.core.execution.task import AttemptStatus
@@ -42,6 +42,8 @@ _MODULE = "robot_runner.core.execution.notification_sender"
 #: How long the sending of one notification may take, s: mail servers think for a while.
 _DEADLINE = 15.0
 _LOOK = 0.02
+#: A gate that is passed sooner is nobody's business, s.
+_GATE_PATIENCE = 60.0
 #: The longest text that is sent, in characters: services cut longer ones.
 _LONGEST = 1500
 
@@ -70,6 +72,7 @@ class Notifications:
         self._addresses = addresses_from(self._notify) if self._notify else ()
         self._sending: list[tuple[str, subprocess.Popen[bytes]]] = []
         self._failed: dict[str, Finding] = {}
+        self._told_gate = ("", "")
         self._ended = self._done = self._failures = self._run_count = 0
 
     def take(self, notice: Notice) -> None:
@@ -116,11 +119,17 @@ class Notifications:
                 treatments = ", ".join(f"{name}={shown_treatment(each)}" for name, each in notice.combination.items())
                 body = f"Before {notice.run_id}, run {notice.next_run_number} of {notice.run_count}: {treatments}"
                 yield _Message(f"{self._name} waits for you: {what}", body, "warning")
-            case ConditionAwaited() if "waiting" in wanted:
-                body = f"Before {notice.run_id}, until {notice.condition}. Seen last: {notice.seen or 'nothing'}"
-                yield _Message(f"{self._name} waits", one_line(body), "warning")
+            case GateWaiting() if "waiting" in wanted and notice.seconds >= _GATE_PATIENCE:
+                yield from self._gate(notice)
             case ExperimentFinished() if "end" in wanted:
                 yield self._end(notice)
+
+    def _gate(self, waiting: GateWaiting) -> Iterator[_Message]:
+        gate = (waiting.run_id, waiting.condition)
+        if gate != self._told_gate:
+            self._told_gate = gate
+            body = f"Before {waiting.run_id}, until {waiting.condition}. Seen last: {waiting.seen or 'nothing'}"
+            yield _Message(f"{self._name} waits", one_line(body), "warning")
 
     def _progress(self) -> Iterator[_Message]:
         self._ended += 1
