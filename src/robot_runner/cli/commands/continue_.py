@@ -1,7 +1,7 @@
 """Let an experiment that waits for a person before a run go on.
 
-An experiment in SEMI mode waits so, and one that has steps for the operator; the command does the same as ENTER, or the
-answers, in its own terminal. `robot-runner status` says what is waited for.
+An experiment in SEMI mode waits so, one that has steps for the operator, and one that was paused; the command does the
+same as ENTER, or the answers, in its own terminal. `robot-runner status` says what is waited for.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from robot_runner.cli.planning import folder_of_target
 from robot_runner.core.config.operator_steps import Question, read_answers
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status
-from robot_runner.core.storage.lock import Command, send_command
+from robot_runner.core.storage.lock import Command, forget_pause, send_command
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -48,6 +48,10 @@ def execute(arguments: Namespace) -> int:
     """Tell the experiment to go on, and see that it has taken the request."""
     folder = folder_of_target(arguments.target, arguments.set)
     status = read_status(folder.root)
+    if status.is_paused or status.pause_is_requested:
+        forget_pause(folder.pause)
+        print(f"{status.experiment_name} {'goes on' if status.is_paused else 'does not pause'}.")
+        return 0
     _refuse_unless_it_waits(status)
     answers = _answers(arguments.answer, questions_of(status), shown_path(status.folder))
     send_command(folder.control, Command.CONTINUE, answers)

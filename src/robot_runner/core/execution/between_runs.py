@@ -9,12 +9,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from robot_runner.core.config.parameters import OperationType
+from robot_runner.core.execution.pausing import pause_where_requested
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.interruption import Interruption
+    from robot_runner.core.execution.notices import Notice, Observer
     from robot_runner.core.execution.operator import Operator
     from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
     from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
@@ -64,6 +66,8 @@ class BetweenRuns:
         progress: takes down what happens.
         events: emits `continue`.
         operator: the person who takes part.
+        observer: whose user may end a pause.
+        notify: tells the screens.
         patience: what goes on meanwhile.
     """
 
@@ -73,9 +77,14 @@ class BetweenRuns:
         progress: ProgressManager,
         events: OrchestratorEvents,
         operator: Operator,
+        observer: Observer,
+        notify: Callable[[Notice], None],
         patience: Patience,
     ) -> None:
         self._parameters = experiment.parameters
+        self._folder = experiment.folder
+        self._observer = observer
+        self._notify = notify
         self._progress = progress
         self._events = events
         self._operator = operator
@@ -92,6 +101,7 @@ class BetweenRuns:
             finished: what is over, or None.
             is_cleared: whether a callback has asked the user already whether the first run may start.
         """
+        self._pause_where_requested(run)
         if finished is not None and self._is_semi:
             is_cleared = self._events.user_has_continued(
                 finished, run, lambda factor, owner: self._operator.note_read(run.run_id, factor, owner)
@@ -101,6 +111,11 @@ class BetweenRuns:
             self._operator.ask_to_start(run)
         if finished is not None:
             rest(self._parameters.time_between_runs_in_ms / 1000, self._patience)
+            self._pause_where_requested(run)  # it may have been asked for meanwhile
+
+    def _pause_where_requested(self, run: PendingRun) -> None:
+        user_input = self._observer.user_input
+        pause_where_requested(self._folder, run, self._progress, self._notify, self._patience, user_input)
 
     def prepare_again(self, run: PendingRun) -> None:
         """Do what comes before another attempt at a run that failed: the steps that each attempt needs."""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["DeadlinePassed", "EventDeadline"]
 
 #: How many times over `grace_in_s` a callback may take to end once its deadline has passed.
-_PATIENCE = 2
+_PATIENCE = 3
 #: Of a terminal; the live screen hides it.
 _SHOW_CURSOR = "\x1b[?25h"
 

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.operator_steps import Question
     from robot_runner.core.errors import Finding
+    from robot_runner.core.execution.durations import TimeLeft
     from robot_runner.core.execution.task import RunOutcome, RunTask
 
 __all__ = [
@@ -20,10 +21,12 @@ __all__ = [
     "ExperimentFinished",
     "ExperimentStarted",
     "FindingsNoticed",
+    "GatePassed",
     "GateWaiting",
     "InterruptionNoticed",
     "Notice",
     "Observer",
+    "Paused",
     "ProbeStarted",
     "QuestionAsked",
     "RunRecord",
@@ -47,6 +50,7 @@ class ExperimentStarted:
     Attributes:
         run_count: all runs of the table; `done_count` of them were done before.
         columns: the measure columns with their units, without those that tell of others' quality.
+        left: how long it takes from here; None where that is not known.
     """
 
     experiment_name: str
@@ -57,13 +61,15 @@ class ExperimentStarted:
     columns: Mapping[str, str]
     overrides: Mapping[str, str]
     findings: Sequence[Finding] = ()
+    left: TimeLeft | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class AttemptStarted:
-    """An attempt at a run begins."""
+    """An attempt at a run begins; `left` says how long it and the others take, where that is known."""
 
     task: RunTask
+    left: TimeLeft | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +83,12 @@ class RunRecord:
 
 @dataclass(frozen=True, slots=True)
 class AttemptFinished:
-    """An attempt at a run has ended; `is_last` unless the run is tried again."""
+    """An attempt at a run has ended; `is_last` unless the run is tried again, and `left` as in `AttemptStarted`."""
 
     task: RunTask
     outcome: RunOutcome
     is_last: bool
+    left: TimeLeft | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +107,7 @@ class WaitingForUser:
         step: what the user is to do; empty where they are only asked whether the run may start.
         questions: what they are asked then.
         runs_left: how many runs are to come in this session, the next one included; None where that is not known.
-        seconds_left: how long these will take; None where that is not known.
+        left: how long these will take; None where that is not known.
     """
 
     folder: Path
@@ -112,7 +119,7 @@ class WaitingForUser:
     step: str = ""
     questions: Sequence[Question] = ()
     runs_left: int | None = None
-    seconds_left: float | None = None
+    left: TimeLeft | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +139,15 @@ class AnswersRefused:
 @dataclass(frozen=True, slots=True)
 class UserHasContinued:
     """The user has said to go on, or has interrupted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Paused:
+    """Somebody asked for a pause: the next run starts once it is ended."""
+
+    folder: Path
+    next_run_number: int
+    run_count: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,6 +172,23 @@ class GateWaiting:
 
 
 @dataclass(frozen=True, slots=True)
+class GatePassed:
+    """The wait for a gate is over.
+
+    Attributes:
+        state: `open` where its condition holds, else `timed out`, `failed` or `interrupted`.
+        problem: why it was not passed; empty where it was.
+    """
+
+    run_id: str
+    condition: str
+    seen: str
+    seconds: float
+    state: str
+    problem: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class InterruptionNoticed:
     """The user asked for the end: the run is being closed; asked once more, it is killed."""
 
@@ -167,12 +200,15 @@ class ExperimentFinished:
     """The experiment has ended.
 
     Attributes:
-        done_count, failed_count, todo_count: the state of the run table.
+        done_count, failed_count, todo_count: the state of the run table; runs that are excluded are neither failed nor
+            to do.
         failed: the ids of the runs that failed.
         interrupted: whether the user asked for the end.
-        stopped_by_policy: whether a failed run ended it (`on_failure` STOP).
+        stopped_by_policy: whether the config ended it before its last run.
+        stopped_by: by what: `on_failure`, `a gate` or `a guard`.
         findings: what looked odd.
         seconds: real time.
+        excluded: the ids of the runs that are left out.
     """
 
     folder: Path
@@ -186,6 +222,8 @@ class ExperimentFinished:
     failures: Sequence[str] = ()
     findings: Sequence[Finding] = field(default_factory=tuple)
     seconds: float = 0.0
+    excluded: Sequence[str] = ()
+    stopped_by: str = "on_failure"
 
 
 Notice = (
@@ -196,10 +234,12 @@ Notice = (
     | AttemptFinished
     | FindingsNoticed
     | WaitingForUser
+    | Paused
     | QuestionAsked
     | AnswersRefused
     | UserHasContinued
     | GateWaiting
+    | GatePassed
     | InterruptionNoticed
     | ExperimentFinished
 )

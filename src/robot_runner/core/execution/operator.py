@@ -15,7 +15,6 @@ from robot_runner.core.design.watched_combination import WatchedCombination
 from robot_runner.core.errors import ExecutionError, Finding, MeasureError
 from robot_runner.core.events.measure import OPERATOR_OWNER, Origin
 from robot_runner.core.execution.notices import AnswersRefused, QuestionAsked, UserHasContinued, WaitingForUser
-from robot_runner.core.execution.time_left import seconds_left
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.lock import Command, forget_command, take_request
 
@@ -201,8 +200,6 @@ class Operator:
 
     def _waiting(self, run: PendingRun, step: str, questions: Sequence[Question]) -> WaitingForUser:
         task = self._progress.task_of(run)
-        left = self._progress.runs_left(run)
-        rest = self._experiment.parameters.time_between_runs_in_ms / 1000
         return WaitingForUser(
             folder=self._experiment.folder.root,
             next_run_number=run.number,
@@ -212,8 +209,8 @@ class Operator:
             repetition=task.repetition,
             step=step,
             questions=questions,
-            runs_left=left,
-            seconds_left=seconds_left(self._experiment.folder.journal, left, rest),
+            runs_left=self._progress.runs_left(run),
+            left=self._progress.time_left,
         )
 
     def _answered(self, questions: Sequence[Question]) -> dict[str, MeasureValue] | None:

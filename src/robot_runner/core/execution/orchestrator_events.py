@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.watched_combination import WatchedCombination
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.events.context import ExperimentContext, Resources, RobotRunnerContext, SystemClock
+from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.events.manager import CallbackFailure, Emission, RobotRunnerEvents
 from robot_runner.core.events.outlook import ExperimentEnd, NextRun
 from robot_runner.core.execution.event_deadline import DeadlinePassed, EventDeadline
-from robot_runner.core.execution.interruption import InterruptGate, RunInterrupted
-from robot_runner.core.execution.run_events import failure_fields, run_contexts
+from robot_runner.core.execution.interruption import InterruptGate
+from robot_runner.core.execution.run_ending import failure_fields
+from robot_runner.core.execution.run_events import run_contexts
 from robot_runner.core.execution.task import OutcomeBuilder
 from robot_runner.core.storage.journal import utc_now
 
