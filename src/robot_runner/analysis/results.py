@@ -51,6 +51,7 @@ class Results:
         folder: the experiment's folder.
         manifest: the circumstances, as in `manifest.json`.
         columns: what each column of the run table is, by its heading: role, type, unit, owner, origin.
+        has_warm_ups: whether warm-up runs are among the runs; else they are left out everywhere.
 
     Example:
         >>> results = load_results("experiments/basic_experiment")  # doctest: +SKIP
@@ -61,6 +62,7 @@ class Results:
     folder: Path
     manifest: Mapping[str, Any] = field(repr=False)
     columns: Mapping[str, ColumnDescription] = field(repr=False)
+    has_warm_ups: bool = False
 
     @property
     def name(self) -> str:
@@ -84,6 +86,21 @@ class Results:
         """The column of the blocks within which the order was randomised (a factor, or the repetition), if any."""
         blocks = self.manifest.get("design", {}).get("blocks")
         return blocks if blocks in self.columns else None
+
+    @property
+    def batch(self) -> str | None:
+        """The column that says in which batch a run was planned, where the experiment was extended.
+
+        Batches were executed at other times, and each was randomised on its own: a batch is a block.
+        """
+        return next(iter(self._named(ColumnRole.BATCH)), None)
+
+    @cached_property
+    def warm_ups(self) -> tuple[str, ...]:
+        """The ids of the warm-up runs, whether they are among the runs or left out."""
+        frame = self._whole_frame.frame
+        marked = self._named(ColumnRole.WARM_UP)
+        return tuple(frame.loc[frame[marked[0]].fillna(value=False), RUN_ID]) if marked else ()
 
     @property
     def measures(self) -> tuple[str, ...]:
@@ -130,8 +147,8 @@ class Results:
 
         Columns are those of `run_table.csv`: `run_id` (str), `status` (ordered categorical), time stamps
         (datetime64, UTC), factors (ordered categoricals, in the order in which the config has the treatments), the
-        repetition (Int64), measures (float64, Int64, boolean or str), a user's own columns. What is missing is NaN,
-        NaT or <NA>. `attrs["units"]` has the units.
+        repetition and the batch (Int64), whether it warms up (boolean), measures (float64, Int64, boolean or str), a
+        user's own columns. What is missing is NaN, NaT or <NA>. `attrs["units"]` has the units.
         """
         return self._run_frame.frame.copy(deep=False)
 
@@ -315,12 +332,19 @@ class Results:
         return list(self._named(ColumnRole.FACTOR))
 
     @cached_property
-    def _run_frame(self) -> RunFrame:
+    def _whole_frame(self) -> RunFrame:
         return read_run_frame(self._files, tuple(self.columns.values()), self.manifest)
 
     @cached_property
+    def _run_frame(self) -> RunFrame:
+        if self.has_warm_ups or not self.warm_ups:
+            return self._whole_frame
+        return self._whole_frame.without(self.warm_ups)
+
+    @cached_property
     def _history(self) -> History:
-        return read_history(self._files.journal)
+        history = read_history(self._files.journal)
+        return history if self.has_warm_ups or not self.warm_ups else history.without(self.warm_ups)
 
     @cached_property
     def _run_files(self) -> dict[tuple[str, str], dict[str, Path]]:
@@ -347,11 +371,12 @@ class Results:
         return wanted
 
 
-def load_results(folder: Path | str) -> Results:
+def load_results(folder: Path | str, *, warm_ups: bool = False) -> Results:
     """Read the results of an experiment.
 
     Args:
         folder: the experiment's folder: the one that holds `run_table.csv` and `manifest.json`.
+        warm_ups: whether warm-up runs are to be among the runs; `Results.warm_ups` names them in any case.
 
     Raises:
         StorageError: there is no experiment here, or it cannot be read.
@@ -363,4 +388,4 @@ def load_results(folder: Path | str) -> Results:
         raise StorageError("there is a run table here, but no manifest.json", where=str(folder), fix=fix)
     manifest = read_manifest(files.manifest)
     columns = {column.name: column for column in column_descriptions(files, manifest)}
-    return Results(root, MappingProxyType(manifest), MappingProxyType(columns))
+    return Results(root, MappingProxyType(manifest), MappingProxyType(columns), warm_ups)

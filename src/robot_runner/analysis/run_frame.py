@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,11 +14,11 @@ from robot_runner.core.events.manager import ORCHESTRATED_EVENTS, RobotRunnerEve
 from robot_runner.core.storage.cells import RunStatus, typed_value, typed_values
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.run_table_reading import read_run_table
-from robot_runner.core.storage.table_columns import ColumnRole, TableLayout
+from robot_runner.core.storage.table_columns import MARKS, ColumnRole, TableLayout
 from robot_runner.core.storage.table_schema import ColumnDescription, read_schema, type_of_values
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.core.errors import Finding
@@ -53,6 +53,12 @@ class RunFrame:
 
     frame: pd.DataFrame
     findings: tuple[Finding, ...]
+
+    def without(self, runs: Collection[str]) -> RunFrame:
+        """Return the table without the rows of these runs."""
+        kept = self.frame[~self.frame[RUN_ID].isin(runs)].reset_index(drop=True)
+        kept.attrs = self.frame.attrs
+        return RunFrame(kept, self.findings)
 
 
 def column_descriptions(folder: ExperimentFolder, manifest: Mapping[str, Any]) -> tuple[ColumnDescription, ...]:
@@ -132,6 +138,8 @@ def _frame(rows: RunTableRows, columns: Sequence[ColumnDescription], manifest: M
         data[name] = _factor(list(rows.values(name)), types.get(name, "any"), declared.get(name, ()))
     for name in rows.layout.repetition:
         data[name] = pd.array(list(rows.values(name)), dtype="Int64")
+    for name in rows.layout.marks:
+        data[name] = pd.array(list(rows.values(name)), dtype=_DTYPES[MARKS[name].type])
     for name in rows.layout.measures:
         data[name] = _values(list(rows.values(name)), types.get(name, "any"))
     for name in rows.layout.extras:
@@ -210,6 +218,15 @@ class History:
     starts: Mapping[str, float]
     doubts: Mapping[str, Mapping[str, tuple[str, ...]]]
     readers: Mapping[str, tuple[str, ...]] | None = None
+
+    def without(self, runs: Collection[str]) -> History:
+        """Return the history without what it has of these runs."""
+        frames = {
+            name: frame[~frame["run_id"].isin(runs)].reset_index(drop=True)
+            for name in ("attempts", "events", "published", "odd")
+            for frame in [getattr(self, name)]
+        }
+        return replace(self, **frames)
 
 
 def read_history(journal: Path) -> History:

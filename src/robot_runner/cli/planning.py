@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import quiet_loading, shown_path
+from robot_runner.cli.design_words import batch_order_in_words
 from robot_runner.cli.parser import UsageError
 from robot_runner.core.config.checks import create_model, read_parameters
 from robot_runner.core.config.dialects import load_config
-from robot_runner.core.config.experiment import experiment_folder
+from robot_runner.core.config.experiment import experiment_folder, grown_model
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.plugin_checks import gather_plugins
 from robot_runner.core.design.listed_runs import ListedRunTableModel
@@ -62,6 +63,12 @@ class Plan:
         """How the runs were put in order."""
         if self.source is not None:
             return f"as in {shown_path(self.source)}"
+        first = self._order_of_first
+        batches = (f"batch {batch.number} {batch_order_in_words(batch)}" for batch in self.model.batches[1:])
+        return "; ".join([first, *batches])
+
+    @property
+    def _order_of_first(self) -> str:
         blocks = self.model.blocks
         if not self.model.shuffle:
             return f"as written, in blocks of {blocks}" if blocks else "as written"
@@ -70,7 +77,7 @@ class Plan:
     @property
     def how_to_repeat(self) -> str:
         """What makes the same order again."""
-        if self.source is not None or not self.model.shuffle:
+        if self.source is not None or not (self.model.shuffle or self.model.batches):
             return ""
         if self.is_recorded:
             return "the experiment has begun: executing it goes on in this order"
@@ -97,6 +104,9 @@ def plan_of(config: Path, overrides: Mapping[str, str]) -> Plan:
         raise ConfigError.of_findings(findings)
     plugins, _ = gather_plugins(loaded, model)
     parameters, _ = read_parameters(loaded)
+    folder = folder_of(loaded)
+    if folder is not None:
+        model = grown_model(model, folder)
     phases = parameters.phases if parameters is not None else ()
     columns, column_findings = resolve_columns(
         model.data_columns, {plugin.name: with_phases(plugin.measures, phases) for plugin in plugins}
@@ -105,7 +115,6 @@ def plan_of(config: Path, overrides: Mapping[str, str]) -> Plan:
     if refused:
         raise ConfigError.of_findings(refused)
     warnings = (*loaded.findings, *findings, *column_findings)
-    folder = folder_of(loaded)
     if folder is not None and folder.run_table.exists():
         return _plan_on_disk(folder, model, columns, warnings, loaded.spelling)
     table = model.plan()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.columns import RUN_ID, STATUS
+from robot_runner.core.design.columns import BATCH, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.errors import StorageError, did_you_mean
 from robot_runner.core.events.measure import quality_text
 from robot_runner.core.storage.cells import RunStatus
@@ -186,6 +186,8 @@ class _Explaining:
             ColumnRole.MEASURE: self._measure_facts,
             ColumnRole.FACTOR: self._factor_facts,
             ColumnRole.REPETITION: self._factor_facts,
+            ColumnRole.BATCH: self._batch_facts,
+            ColumnRole.WARM_UP: self._progress_facts,
             ColumnRole.TIMESTAMP: self._stamp_facts,
             ColumnRole.PROGRESS: self._progress_facts,
             ColumnRole.EXTRA: self._extra_facts,
@@ -198,6 +200,8 @@ class _Explaining:
         history = self._history
         yield "Status", _plain(self._row[STATUS])
         yield "Place", f"run {self._number} of {self._count}, {self._order()}"
+        if self._row.get(WARM_UP):
+            yield "Warm-up", "the run was executed and kept, and is not analysed"
         if history.attempt:
             yield "Attempt", f"{history.attempt}, {history.started_at} to {history.finished_at or 'no end'}"
         for number, failure in history.failures.items():
@@ -213,12 +217,29 @@ class _Explaining:
         design = self._manifest.get("design") or {}
         if design.get("source") not in {None, "config"}:
             return f"in the order of {design['source']}, which was written by hand"
-        blocks = f" within blocks of {design['blocks']}" if design.get("blocks") else ""
-        seed = self._manifest.get("seed")
+        batch = self._batch or {}
+        order = batch if batch.get("batch", 1) > 1 else {**design, "seed": self._manifest.get("seed")}
+        blocks = f" within blocks of {order['blocks']}" if order.get("blocks") else ""
         planned = (
-            f"randomised{blocks} from seed {seed}" if design.get("shuffle") else f"in the order of the config{blocks}"
+            f"randomised{blocks} from seed {order['seed']}"
+            if order.get("shuffle")
+            else f"in the order of the config{blocks}"
         )
+        planned = f"{planned}, in batch {batch['batch']}" if batch else planned
         return f"changed by hand in run_table.csv; planned: {planned}" if design.get("is_reordered") else planned
+
+    @property
+    def _batch(self) -> Mapping[str, Any] | None:
+        """The batch in which the run was planned, as the manifest has it; None where there is only one plan."""
+        batches = (self._manifest.get("design") or {}).get("batches") or ()
+        return next((each for each in batches if each.get("batch") == self._row.get(BATCH)), None)
+
+    def _batch_facts(self, column: ColumnDescription) -> Iterator[tuple[str, str]]:
+        yield "From", f"Robot Runner: {column.description}"
+        batch = self._batch
+        if batch is not None:
+            added = f", added at {batch['at']} by `robot-runner extend`" if batch.get("at") else ""
+            yield "Runs", f"{batch['runs']} ({batch['first']} to {batch['last']}){added}"
 
     def _host(self) -> str:
         host = self._manifest.get("host") or {}
@@ -285,11 +306,20 @@ class _Explaining:
         if design.get("source") not in {None, "config"}:
             yield "From", f"{design['source']}, which was written by hand before the first run"
         if column.role is ColumnRole.FACTOR:
+            yield "Assumed", self._assumed(column.name)
             bound = [f"{name} of {owner}" for owner, name, factor, _ in self._history.bound if factor == column.name]
             yield "Bound to", ", ".join(bound)
             yield "Read by", self._read_by(column.name)
         found = self._lines.of_factor(column.name)
         yield "Config", _shown(found or self._lines.of_method("create_run_table"))
+
+    def _assumed(self, factor: str) -> str:
+        """Return that the run was planned before the factor was added, where that is so."""
+        batches = (self._manifest.get("design") or {}).get("batches") or ()
+        added = next((each["batch"] for each in batches if factor in each.get("defaults", {})), 0)
+        if (self._row.get(BATCH) or 1) >= added:
+            return ""
+        return f"the factor was added with batch {added}, and runs before count as having had this treatment"
 
     def _read_by(self, factor: str) -> str:
         if self._history.readers is None:  # not executed, or by a version that did not look

@@ -15,7 +15,7 @@ from robot_runner.cli.findings import as_json, print_odd, quality_in_words
 from robot_runner.cli.parser import add_json, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
 from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status
-from robot_runner.core.words import counted
+from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -51,6 +51,8 @@ def _print(console: UserConsole, status: ExperimentStatus) -> None:
         [
             ("State", _state(status)),
             ("Runs", _counts(status)),
+            ("Warm-up", _warm_ups(status)),
+            ("Batches", _batches(status)),
             ("Now", _now(status)),
             ("Quality", quality_in_words(status.bad_values)),
             ("Started", status.started_at or ""),
@@ -79,6 +81,18 @@ def _now(status: ExperimentStatus) -> str:
 def _counts(status: ExperimentStatus) -> str:
     failed = f", {status.failed:,} failed" if status.failed else ""
     return f"{status.done:,} of {counted(status.run_count, 'run')} done{failed}, {status.todo:,} to do"
+
+
+def _warm_ups(status: ExperimentStatus) -> str:
+    if not status.warm_ups:
+        return ""
+    are = "is a warm-up run" if status.warm_ups == 1 else "are warm-up runs"
+    return f"{status.warm_ups:,} of these {are}, {status.warm_ups_done:,} done: kept, and not analysed"
+
+
+def _batches(status: ExperimentStatus) -> str:
+    sizes = enumerated(f"{runs:,}" for runs in status.batches)
+    return f"{len(status.batches)}, of {sizes} runs: the experiment was extended" if status.batches else ""
 
 
 def _state(status: ExperimentStatus) -> str:

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from math import prod
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, overload
 
-from robot_runner.core.design.columns import REPETITION, column_name, name_findings
+from robot_runner.core.design.columns import REPETITION, WARM_UP, column_name, name_findings
 from robot_runner.core.design.exclusions import apply_exclusions
 from robot_runner.core.design.factor import Factor, full_factorial
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, garbage_collection_paused, planned_runs
+from robot_runner.core.design.warm_up import WarmUp, warm_up_of, with_warm_ups
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from robot_runner.core.design.batches import Batch
     from robot_runner.core.design.columns import NamedColumn
     from robot_runner.core.design.exclusions import Exclusion, Exclusions
     from robot_runner.core.design.factor import Combination
@@ -31,7 +34,13 @@ MAX_RUNS = 10_000_000
 
 
 def design_findings(
-    factors: object, repetitions: object, data_columns: object, shuffle: object, seed: object, blocks: object
+    factors: object,
+    repetitions: object,
+    data_columns: object,
+    shuffle: object,
+    seed: object,
+    blocks: object,
+    warm_up: object = None,
 ) -> Iterator[Finding]:
     """Say everything that is wrong with a design, its exclusions left aside.
 
@@ -42,6 +51,7 @@ def design_findings(
         shuffle: what is to be whether the order is randomised.
         seed: what is to be the seed, or None.
         blocks: what is to be what runs are kept together by, or None.
+        warm_up: what is to be how the experiment warms up, or None.
 
     Yields:
         An error finding for each problem.
@@ -51,6 +61,7 @@ def design_findings(
     yield from _factor_findings(factors)
     yield from _repetition_findings(repetitions, known)
     yield from _data_column_findings(data_columns, known, repeated)
+    yield from _warm_up_findings(warm_up, known, data_columns)
     if not isinstance(shuffle, bool):
         problem = f"{shuffle!r} is of type {type(shuffle).__name__}"
         yield Finding.error("shuffle", problem, "Give True or False.")
@@ -107,6 +118,21 @@ def _data_column_findings(columns: object, factors: Sequence[Factor], repetition
         if name in names_of_factors:
             yield Finding.error(where, f"{name!r} is the name of a factor", "Rename the factor or the measure.")
         seen.add(name)
+
+
+def _warm_up_findings(given: object, factors: Sequence[Factor], columns: object) -> Iterator[Finding]:
+    try:
+        warm_up = warm_up_of(given)
+    except DesignError as error:
+        yield from error.findings
+        return
+    if warm_up is None:
+        return
+    yield from warm_up.unknown_factor(factors)
+    names = [*(factor.name for factor in factors), *(columns if isinstance(columns, Sequence) else ())]
+    for name in map(column_name, names):
+        if isinstance(name, str) and name.casefold() == WARM_UP.casefold():
+            yield from name_findings(name, kind="column", warms_up=True)
 
 
 def order_findings(seed: object, blocks: object, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
@@ -193,6 +219,9 @@ class RunTableModel:
         repetitions: how often each combination is executed; from two on the table has a column `Repetition`.
         data_columns: the measures that the run table has columns for, by name, or as a `Measure` where it is the
             config's own; None stands for all measures of all plugins.
+        warm_up: how the experiment warms up; None where it does not.
+        batches: how the runs of an experiment that was extended were planned, batch by batch; empty for all others.
+        defaults: which treatment runs count as having had that were planned before their factor was added, by factor.
         warnings: findings that do not refuse the design, as on exclusions that remove nothing.
 
     Example:
@@ -206,6 +235,10 @@ class RunTableModel:
         15
     """
 
+    warm_up: WarmUp | None = None
+    batches: tuple[Batch, ...] = ()
+    defaults: Mapping[str, Any] = MappingProxyType({})
+
     def __init__(
         self,
         factors: Iterable[Factor],
@@ -215,6 +248,7 @@ class RunTableModel:
         shuffle: bool = False,
         seed: int | None = None,
         blocks: str | Factor | None = None,
+        warm_up: int | WarmUp | None = None,
     ) -> None:
         """Check the whole design.
 
@@ -222,7 +256,7 @@ class RunTableModel:
             DesignError: it cannot be; `findings` lists everything that was found.
         """
         listed = _as_tuple(factors)
-        findings = list(design_findings(listed, repetitions, data_columns, shuffle, seed, blocks))
+        findings = list(design_findings(listed, repetitions, data_columns, shuffle, seed, blocks, warm_up))
         if any(finding.where.startswith("factors") for finding in findings):
             raise DesignError.of_findings(findings)  # without factors there is nothing to exclude from
         exclusions = _applied(listed, exclude_combinations)
@@ -232,7 +266,9 @@ class RunTableModel:
         self.factors: Final = listed
         self.repetitions: Final = repetitions
         self.data_columns: Final = None if data_columns is None else tuple(data_columns)
+        self.warm_up = warm_up_of(warm_up)
         self.warnings: Final[tuple[Finding, ...]] = exclusions.warnings if exclusions else ()
+        self._exclusions = exclude_combinations
         self._kept = exclusions.kept if exclusions else None
         self._order = _ordered(RunOrder(shuffle=shuffle), seed, blocks)
         self._planned: RunTable | None = None
@@ -256,6 +292,19 @@ class RunTableModel:
     def blocks(self) -> str | None:
         """What runs are kept together by: `Repetition`, the name of a factor, or None."""
         return self._order.blocks
+
+    def combinations_of(self, factors: Sequence[Factor]) -> list[Combination]:
+        """Return the combinations of other factors that the design's exclusions leave, in order.
+
+        Raises:
+            DesignError: an exclusion does not fit these factors.
+        """
+        exclusions = _applied(factors, self._exclusions)
+        if exclusions is None:
+            return full_factorial(factors)
+        if exclusions.errors:
+            raise DesignError.of_findings(exclusions.errors) from exclusions.cause
+        return exclusions.kept
 
     def create_experiment_run_table(self) -> RunTable:
         """Make the run table in the present order (the paper's call; returning the model itself does the same)."""
@@ -289,7 +338,7 @@ class RunTableModel:
         if self._planned is None or self._planned.order != order:
             with garbage_collection_paused():
                 runs = planned_runs(self._combinations, self.repetitions, self._block_of(order.blocks), order)
-                self._planned = RunTable(self, runs, order)
+                self._planned = RunTable(self, with_warm_ups(runs, self.warm_up), order)
         return self._planned
 
     @cached_property

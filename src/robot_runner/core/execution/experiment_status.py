@@ -36,6 +36,9 @@ class ExperimentStatus:
         findings: what looked odd.
         finished_at: when it ended last (UTC), or None while it is executed or if it was killed.
         bad_values: the runs that are done whose values are not good, by measure and quality.
+        warm_ups: how many of the runs only warm up.
+        warm_ups_done: how many of these are done.
+        batches: how many runs each batch has, in order, where the experiment was extended; warm-up runs left out.
     """
 
     experiment_name: str
@@ -53,6 +56,9 @@ class ExperimentStatus:
     started_at: str | None
     finished_at: str | None
     bad_values: Mapping[str, Mapping[str, Sequence[str]]] = field(default_factory=lambda: MappingProxyType({}))
+    warm_ups: int = 0
+    warm_ups_done: int = 0
+    batches: tuple[int, ...] = ()
 
 
 def read_status(folder: Path) -> ExperimentStatus:
@@ -85,6 +91,9 @@ def read_status(folder: Path) -> ExperimentStatus:
         started_at=history.started_at,
         finished_at=history.finished_at,
         bad_values=history.bad_values,
+        warm_ups=len(history.warm_ups),
+        warm_ups_done=sum(statuses.get(run) is RunStatus.DONE for run in history.warm_ups),
+        batches=tuple(int(each["runs"]) for each in manifest.get("design", {}).get("batches", ())),
     )
 
 
@@ -99,6 +108,7 @@ class _History:
         self.statuses: dict[str, RunStatus] = {}
         self.failures: dict[str, str] = {}
         self.findings: list[Finding] = []
+        self.warm_ups: set[str] = set()
         self.is_waiting = False
         self.current_run: str | None = None
         self.current_event: str | None = None
@@ -120,6 +130,7 @@ class _History:
             self._measures = layout.measures
             rows = read_run_table(files.run_table, layout)
             self.statuses = {rows.run_id(place): rows.status(place) for place in range(len(rows))}
+            self.warm_ups = {run.run_id for run in rows.planned if run.is_warm_up}
             if not layout.spelling.tells_apart(RunStatus.TODO, RunStatus.FAILED):
                 todo = {run for run, status in self.statuses.items() if status is RunStatus.TODO}
                 failed = {run for run, end in self._ends.items() if end is RunStatus.FAILED}

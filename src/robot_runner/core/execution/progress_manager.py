@@ -20,6 +20,7 @@ from robot_runner.core.execution.circumstances import (
     restored_manifest,
     resumed_manifest,
 )
+from robot_runner.core.execution.extension import refuse_unplanned, unplanned_additions
 from robot_runner.core.execution.recovery import config_changes, selected_places
 from robot_runner.core.execution.table_recovery import recover_table, texts_of
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome, RunTask, seed_of_run
@@ -95,9 +96,10 @@ class ProgressManager:
             self._make_folder()
             opened.enter_context(ExperimentLock(self._folder.lock))
             self._manifest = self._load_manifest()
+            self._findings += refuse_unplanned(self._experiment, self._manifest)
             started = time.monotonic()
             recovered = recover_table(self._experiment, self._manifest, self._resumption)
-            self._selected = selected_places(recovered.rows, self._resumption)
+            self._selected = selected_places(recovered.rows, self._resumption, self._experiment.model.warm_up)
             self._refuse_unfit_treatments(recovered)
             self._take(recovered)
             probed = self._probed()
@@ -123,6 +125,8 @@ class ProgressManager:
             seed=self.seed,
             runs=self.run_count,
             design=manifest["design"]["source"],
+            factors=manifest["design"]["factors"],
+            repetitions=manifest["design"]["repetitions"],
         )
         if probed is not None and probed.profilers:
             self.note("probe", **probed.fields())
@@ -277,7 +281,8 @@ class ProgressManager:
             return lost.manifest
         if self._folder.manifest.exists():
             if not self._resumption.accept_changes and (changes := config_changes(self._experiment)):
-                raise ExecutionError.of_findings(changes)
+                unplanned = unplanned_additions(self._experiment, read_manifest(self._folder.manifest))
+                raise ExecutionError.of_findings([*changes, *unplanned])
             return resumed_manifest(self._experiment, read_manifest(self._folder.manifest))
         return manifest_of(self._experiment)
 
