@@ -14,7 +14,7 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.safe_write import storage_error
-from robot_runner.core.storage.table_columns import ColumnRole, TableLayout
+from robot_runner.core.storage.table_columns import MARKS, ColumnRole, TableLayout
 from robot_runner.core.storage.table_schema import ColumnDescription, read_schema
 from robot_runner.replication.config_lines import ConfigLine, ConfigLines
 from robot_runner.replication.contents import CONFIG_OWNER
@@ -200,7 +200,7 @@ class _Explaining:
         history = self._history
         yield "Status", _plain(self._row[STATUS])
         yield "Place", f"run {self._number} of {self._count}, {self._order()}"
-        if self._row.get(WARM_UP):
+        if self._mark(WARM_UP):
             yield "Warm-up", "the run was executed and kept, and is not analysed"
         if history.attempt:
             yield "Attempt", f"{history.attempt}, {history.started_at} to {history.finished_at or 'no end'}"
@@ -228,11 +228,15 @@ class _Explaining:
         planned = f"{planned}, in batch {batch['batch']}" if batch else planned
         return f"changed by hand in run_table.csv; planned: {planned}" if design.get("is_reordered") else planned
 
+    def _mark(self, name: str) -> Any:
+        """Return how the run was planned; None where a column of that name is somebody else's."""
+        return self._row[name] if name in self._columns and self._columns[name].role is MARKS[name].role else None
+
     @property
     def _batch(self) -> Mapping[str, Any] | None:
         """The batch in which the run was planned, as the manifest has it; None where there is only one plan."""
         batches = (self._manifest.get("design") or {}).get("batches") or ()
-        return next((each for each in batches if each.get("batch") == self._row.get(BATCH)), None)
+        return next((each for each in batches if each.get("batch") == self._mark(BATCH)), None)
 
     def _batch_facts(self, column: ColumnDescription) -> Iterator[tuple[str, str]]:
         yield "From", f"Robot Runner: {column.description}"
@@ -317,7 +321,7 @@ class _Explaining:
         """Return that the run was planned before the factor was added, where that is so."""
         batches = (self._manifest.get("design") or {}).get("batches") or ()
         added = next((each["batch"] for each in batches if factor in each.get("defaults", {})), 0)
-        if (self._row.get(BATCH) or 1) >= added:
+        if (self._mark(BATCH) or 1) >= added:
             return ""
         return f"the factor was added with batch {added}, and runs before count as having had this treatment"
 

@@ -242,9 +242,10 @@ class _Reading:
         treatments = combined(self._layout.factor_names, defaults)
         run_ids = found.get(RUN_ID) or list(map(numbered_run_id, numbers))
         repetitions = self._repetitions_of(found, treatments)
-        batches = found.get(BATCH) or [1] * count
-        if WARM_UP in found:
-            pairs = zip(repetitions, found[WARM_UP], strict=True)
+        marks = {name: found[name] for name in self._layout.marks if name in found}
+        batches = marks.get(BATCH) or [1] * count
+        if WARM_UP in marks:
+            pairs = zip(repetitions, marks[WARM_UP], strict=True)
             repetitions = [0 if is_warm_up else max(1, number) for number, is_warm_up in pairs]
         planned = self._planned[first - 1 : first - 1 + count]
         runs: Iterable[PlannedRun] = planned
