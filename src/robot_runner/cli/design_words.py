@@ -28,6 +28,7 @@ __all__ = [
     "columns_as_json",
     "design_as_json",
     "in_words",
+    "later_orders_in_words",
     "measures_in_words",
     "order_in_words",
     "print_runs",
@@ -146,10 +147,15 @@ def batch_as_json(batch: Batch) -> dict[str, Any]:
 
 def order_in_words(model: RunTableModel) -> str:
     """Return in which order the runs are executed."""
-    if not model.shuffle:
-        return f"as written, in blocks of {model.blocks}" if model.blocks else "as written"
     seed = f"from seed {model.seed}" if model.seed_is_given else "from a seed that is drawn at the start and recorded"
-    return f"randomised{f' within blocks of {model.blocks}' if model.blocks else ''}, {seed}"
+    randomised = f"randomised{f' within blocks of {model.blocks}' if model.blocks else ''}, {seed}"
+    written = f"as written, in blocks of {model.blocks}" if model.blocks else "as written"
+    return "; ".join([randomised if model.shuffle else written, *later_orders_in_words(model)])
+
+
+def later_orders_in_words(model: RunTableModel) -> list[str]:
+    """Return in which order the runs of each batch are executed that was added to the first plan."""
+    return [f"batch {batch.number} {batch_order_in_words(batch)}" for batch in model.batches[1:]]
 
 
 def measures_in_words(columns: MeasureColumns) -> str:

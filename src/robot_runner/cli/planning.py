@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import quiet_loading, shown_path
-from robot_runner.cli.design_words import batch_order_in_words
+from robot_runner.cli.design_words import later_orders_in_words
 from robot_runner.cli.parser import UsageError
 from robot_runner.core.config.checks import create_model, read_parameters
 from robot_runner.core.config.dialects import load_config
@@ -17,6 +17,7 @@ from robot_runner.core.config.plugin_checks import gather_plugins
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.errors import ConfigError, Finding, StorageError, did_you_mean
 from robot_runner.core.events.measure import resolve_columns, with_phases
+from robot_runner.core.execution.extension import unplanned_additions
 from robot_runner.core.execution.table_recovery import is_reordered
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
@@ -63,9 +64,7 @@ class Plan:
         """How the runs were put in order."""
         if self.source is not None:
             return f"as in {shown_path(self.source)}"
-        first = self._order_of_first
-        batches = (f"batch {batch.number} {batch_order_in_words(batch)}" for batch in self.model.batches[1:])
-        return "; ".join([first, *batches])
+        return "; ".join([self._order_of_first, *later_orders_in_words(self.model)])
 
     @property
     def _order_of_first(self) -> str:
@@ -116,7 +115,7 @@ def plan_of(config: Path, overrides: Mapping[str, str]) -> Plan:
         raise ConfigError.of_findings(refused)
     warnings = (*loaded.findings, *findings, *column_findings)
     if folder is not None and folder.run_table.exists():
-        return _plan_on_disk(folder, model, columns, warnings, loaded.spelling)
+        return _plan_on_disk(config, folder, model, columns, warnings, loaded.spelling)
     table = model.plan()
     return Plan(model, columns, table, None, table.seed, is_recorded=False, findings=warnings)
 
@@ -130,6 +129,7 @@ def folder_of(loaded: LoadedConfig) -> ExperimentFolder | None:
 
 
 def _plan_on_disk(
+    config: Path,
     folder: ExperimentFolder,
     model: RunTableModel,
     columns: MeasureColumns,
@@ -141,6 +141,10 @@ def _plan_on_disk(
     except StorageError:  # a table that was made by hand, before anything was executed
         manifest = {}
     layout = TableLayout.of_model(model, columns.names, spelling=spelling)
+    if unplanned := unplanned_additions(config, model, manifest):
+        told = (Finding.warning(each.where, each.problem, each.fix) for each in unplanned)
+        table = model.plan(manifest["seed"])
+        return Plan(model, columns, table, None, table.seed, is_recorded=False, findings=(*warnings, *told))
     if manifest.get("design", {}).get("source") == "config":
         table = model.plan(manifest["seed"])
         rows = read_run_table(folder.run_table, layout, table)

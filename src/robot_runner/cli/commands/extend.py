@@ -61,7 +61,9 @@ def add_arguments(parser: Parser) -> None:
         help="a new factor, with the treatment that the runs so far had and its others, which may be left out where "
         "the config has them; may be given several times",
     )
-    parser.add_argument("--seed", type=int, help="what the order of the new runs comes from; else a seed is drawn")
+    parser.add_argument(
+        "--seed", metavar="SEED", type=int, help="what the order of the new runs comes from; else a seed is drawn"
+    )
     parser.add_argument(
         "--as-written", action="store_true", help="keep the new runs in the order of the config, not randomised"
     )

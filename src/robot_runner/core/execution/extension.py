@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.design.planned_runs import PlannedRun
+    from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.execution.recovered_table import RecoveredTable
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
@@ -114,7 +115,7 @@ class _Extending:
         self._manifest = lost.manifest if lost else read_manifest(self._folder.manifest)
         self._findings = [lost.finding] if lost else []
         self._design: Mapping[str, Any] = self._manifest["design"]
-        self._config = _as_configured(experiment)
+        self._config = _as_configured(experiment.model)
 
     def extension(self) -> Extension:
         self._refuse_other_changes()
@@ -165,7 +166,9 @@ class _Extending:
             ExecutionError: nothing tells any more which runs were planned.
         """
         experiment = self._experiment
-        has_changed = unplanned_additions(experiment, self._manifest) or config_changes(experiment, of_settings=False)
+        has_changed = unplanned_additions(experiment.config_path, experiment.model, self._manifest) or config_changes(
+            experiment, of_settings=False
+        )
         if experiment.model.batches or self._is_by_hand or not has_changed:
             return experiment
         path = self._folder.run_table
@@ -243,46 +246,47 @@ def refuse_unplanned(experiment: Experiment, manifest: Mapping[str, Any]) -> tup
     Raises:
         ExecutionError: the config plans more than the run table has, and an extension would add just that.
     """
-    found = unplanned_additions(experiment, manifest)
+    found = unplanned_additions(experiment.config_path, experiment.model, manifest)
     if any(each.is_error for each in found):
         raise ExecutionError.of_findings(found)
     return found
 
 
-def unplanned_additions(experiment: Experiment, manifest: Mapping[str, Any]) -> tuple[Finding, ...]:
+def unplanned_additions(config: Path, model: RunTableModel, manifest: Mapping[str, Any]) -> tuple[Finding, ...]:
     """Return a finding where the config plans what the experiment was not planned with: an extension adds it.
 
     It is an error where the config only has more than before, and a warning where it also has less: then somebody
     changed the design, and said that the run table counts.
 
     Args:
-        experiment: as its config is now.
+        config: the config file.
+        model: the design as the config has it now, with the batches that there are.
         manifest: of the experiment, as it was planned.
     """
     design = manifest.get("design") or {}
     if design.get("source") != "config" or "factors" not in design:
         return ()
-    config = _as_configured(experiment)
-    more = list(_more(config, design))
+    now = _as_configured(model)
+    more = list(_more(now, design))
     if not more:
         return ()
     less = any(
         text not in own.texts
-        for own in config.factors
+        for own in now.factors
         for text in design["factors"].get(own.name, ())
-        if text not in _chosen(experiment).get(own.name, ())
+        if text not in _chosen(model).get(own.name, ())
     )
     problem = f"the config plans more than the run table has: {enumerated(more)}"
-    fix = f"Add these runs: robot-runner extend {_shown(experiment.config_path)}. Or undo the change."
+    fix = f"Add these runs: robot-runner extend {_shown(config)}. Or undo the change."
     finding = Finding.warning if less else Finding.error
-    return (finding(f"{experiment.config_path}, create_run_table", problem, fix),)
+    return (finding(f"{config}, create_run_table", problem, fix),)
 
 
-def _more(config: Any, design: Mapping[str, Any]) -> Iterator[str]:
-    if config.repetitions > int(design.get("repetitions", 1)):
+def _more(model: RunTableModel, design: Mapping[str, Any]) -> Iterator[str]:
+    if model.repetitions > int(design.get("repetitions", 1)):
         there = int(design.get("repetitions", 1))
-        yield f"{config.repetitions} repetitions of each combination instead of {there}"
-    for factor in config.factors:
+        yield f"{model.repetitions} repetitions of each combination instead of {there}"
+    for factor in model.factors:
         known = design["factors"].get(factor.name)
         new = [text for text in factor.texts if text not in (known or ())]
         if known is None:
@@ -291,13 +295,11 @@ def _more(config: Any, design: Mapping[str, Any]) -> Iterator[str]:
             yield f"{counted(len(new), 'treatment')} of {factor.name} ({listed(new)})"
 
 
-def _as_configured(experiment: Experiment) -> Any:
-    model = experiment.model
+def _as_configured(model: RunTableModel) -> RunTableModel:
     return model.as_configured if isinstance(model, GrownRunTableModel) else model
 
 
-def _chosen(experiment: Experiment) -> Mapping[str, Sequence[str]]:
-    model = experiment.model
+def _chosen(model: RunTableModel) -> Mapping[str, Sequence[str]]:
     return model.chosen if isinstance(model, GrownRunTableModel) else {}
 
 

@@ -281,7 +281,8 @@ class ProgressManager:
             return lost.manifest
         if self._folder.manifest.exists():
             if not self._resumption.accept_changes and (changes := config_changes(self._experiment)):
-                unplanned = unplanned_additions(self._experiment, read_manifest(self._folder.manifest))
+                experiment, manifest = self._experiment, read_manifest(self._folder.manifest)
+                unplanned = unplanned_additions(experiment.config_path, experiment.model, manifest)
                 raise ExecutionError.of_findings([*changes, *unplanned])
             return resumed_manifest(self._experiment, read_manifest(self._folder.manifest))
         return manifest_of(self._experiment)
