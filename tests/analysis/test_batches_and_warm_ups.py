@@ -44,7 +44,7 @@ def test_warm_up_runs_are_left_out_everywhere_unless_they_are_asked_for(folder):
     assert not results.runs["warm_up"].any()
     for frame in (results.attempts, results.published, results.events(), results.quality, results.samples("config")):
         assert not frame["run_id"].astype("str").str.startswith("w_").any()
-    everything = load_results(folder, warm_ups=True)
+    everything = load_results(folder, with_warm_ups=True)
     assert everything.warm_ups == results.warm_ups
     assert len(everything.runs) == 20
     assert list(everything.runs.loc[everything.runs["warm_up"], "Energy"]) == [1000.0] * 4

@@ -6,7 +6,7 @@ import pytest
 
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.run_table_model import RunTableModel
-from robot_runner.core.design.warm_up import WarmUp, places_to_warm_up_again, warm_up_of
+from robot_runner.core.design.warm_up import WarmUp, warm_up_of, with_warm_ups_again
 from robot_runner.core.errors import DesignError
 
 TASK, SPEED = Factor("Task", ["Video", "Network"]), Factor("Speed", [0.1, 0.2])
@@ -59,11 +59,12 @@ def test_a_session_warms_up_again_for_what_is_left_alone() -> None:
     warm_up = WarmUp(1, per="Task", each_session=True)
     plan = RunTableModel([TASK], repetitions=2, blocks="Task", warm_up=warm_up).plan()
     assert [run.run_id for run in plan] == ["w_1", "r_1", "r_2", "w_2", "r_3", "r_4"]
-    assert places_to_warm_up_again(plan, selected=[5], done=[0, 1, 2, 3, 4], warm_up=warm_up) == [3]
-    assert places_to_warm_up_again(plan, selected=[], done=range(6), warm_up=warm_up) == []
+    assert with_warm_ups_again(plan, selected=[5], done=[0, 1, 2, 3, 4], warm_up=warm_up) == [3, 5]
+    assert with_warm_ups_again(plan, selected=[], done=range(6), warm_up=warm_up) == []
+    assert with_warm_ups_again(plan, selected=[5, 2], done=[0, 1, 3, 4], warm_up=warm_up) == [3, 5, 0, 2]
     at_start = WarmUp(2, each_session=True)
     plan = RunTableModel([TASK], repetitions=2, warm_up=at_start).plan()
-    assert places_to_warm_up_again(plan, selected=[5], done=[0, 1, 2, 3, 4], warm_up=at_start) == [0, 1]
+    assert with_warm_ups_again(plan, selected=[5], done=[0, 1, 2, 3, 4], warm_up=at_start) == [0, 1, 5]
 
 
 def test_a_number_of_runs_is_enough() -> None:

@@ -11,6 +11,7 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
+from robot_runner.core.config.gate_parameters import Gate, Guard
 from robot_runner.core.config.parameter_kinds import (
     AUTHORS,
     FLAG,
@@ -26,6 +27,7 @@ from robot_runner.core.config.parameter_kinds import (
     TEXT,
     Kind,
     choice,
+    instances,
     whole,
 )
 from robot_runner.core.errors import ConfigError
@@ -206,6 +208,16 @@ class StaticParameters:
         choice(RunProcess),
         RunProcess.FORK,
     )
+    gates: Sequence[Gate] = _declare(
+        "What must hold before each attempt at a run: conditions that are awaited, one after another.",
+        instances(Gate, "a list of Gate(...), such as [Gate(temperature_below(50), timeout_s=600)]"),
+        (),
+    )
+    guards: Sequence[Guard] = _declare(
+        "What must not come true while a run is measured: conditions that are watched.",
+        instances(Guard, "a list of Guard(...), such as [Guard(battery_below(15), GuardAction.STOP)]"),
+        (),
+    )
     watch_machines: bool = _declare(
         "Whether the computers that profilers measure are watched for what else goes on there: load by others, swap, "
         "throttling.",
@@ -245,6 +257,8 @@ class Parameters(StaticParameters):
     required_ros_distro: str | None
     authors: tuple[Author, ...]
     phases: tuple[str, ...]
+    gates: tuple[Gate, ...]
+    guards: tuple[Guard, ...]
 
     def __init__(self, **values: Any) -> None:
         vars(self).update(values)

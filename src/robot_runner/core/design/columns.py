@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BATCH",
+    "EXCLUDED",
     "REPETITION",
     "RUN_ID",
     "STAMP_COLUMNS",
@@ -36,6 +37,8 @@ NamedColumn = str | _Named
 
 RUN_ID = "run_id"
 STATUS = "status"
+#: Why a run is left out of the analysis; there once a run was ever excluded.
+EXCLUDED = "excluded"
 REPETITION = "Repetition"
 #: In which batch of runs a run was planned: there once an experiment was extended.
 BATCH = "batch"
@@ -57,7 +60,7 @@ STAMP_COLUMNS = (
 #: Control characters, line and paragraph separators, and lone surrogates (which UTF-8 cannot hold).
 _UNFIT_CATEGORIES = frozenset({"Cc", "Zl", "Zp", "Cs"})
 
-_TAKEN = (RUN_ID, STATUS, "attempt", *STAMP_COLUMNS)
+_TAKEN = (RUN_ID, STATUS, EXCLUDED, "attempt", *STAMP_COLUMNS)
 
 
 def column_name(column: object) -> object:

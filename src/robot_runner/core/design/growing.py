@@ -8,9 +8,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import REPETITION
+from robot_runner.core.design.design_findings import MAX_RUNS
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.listed_runs import ListedRunTableModel
-from robot_runner.core.design.run_table_model import MAX_RUNS
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
 if TYPE_CHECKING:

@@ -11,11 +11,11 @@ from robot_runner.core.design.factor import Factor
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from robot_runner.core.design.planned_runs import PlannedRun
 
-__all__ = ["COMBINATION", "WarmUp", "places_to_warm_up_again", "warm_up_of", "with_warm_ups"]
+__all__ = ["COMBINATION", "WarmUp", "warm_up_of", "with_warm_ups", "with_warm_ups_again"]
 
 #: What `WarmUp.per` is where each combination is warmed up for.
 COMBINATION = "combination"
@@ -115,19 +115,27 @@ def with_warm_ups(runs: Sequence[PlannedRun], warm_up: WarmUp | None, *, first: 
     return [run._replace(run_id=next(ids)) if run.is_warm_up else run for run in numbered]
 
 
-def places_to_warm_up_again(
-    runs: Sequence[PlannedRun], selected: Sequence[int], done: Sequence[int], warm_up: WarmUp
+def with_warm_ups_again(
+    runs: Sequence[PlannedRun], selected: Sequence[int], done: Iterable[int], warm_up: WarmUp
 ) -> list[int]:
-    """Return the places of warm-up runs that are done and are executed again, as an experiment is resumed.
+    """Return the places of runs to execute, with those of warm-up runs that are done and are executed again.
 
     Args:
         runs: the runs of the table, in its order.
-        selected: the places of the runs that are to be executed.
+        selected: the places of the runs that are to be executed, in their order.
         done: the places of the runs that are done.
         warm_up: how the experiment warms up.
     """
-    left = {(runs[place].batch, warm_up.key(runs[place])) for place in selected if not runs[place].is_warm_up}
-    return [place for place in done if runs[place].is_warm_up and (runs[place].batch, warm_up.key(runs[place])) in left]
+    again: dict[tuple[int, ...], list[int]] = {}
+    for place in set(done).difference(selected):
+        if runs[place].is_warm_up:
+            again.setdefault((runs[place].batch, *warm_up.key(runs[place])), []).append(place)
+    ordered: list[int] = []
+    for place in selected:
+        if not runs[place].is_warm_up:
+            ordered += sorted(again.pop((runs[place].batch, *warm_up.key(runs[place])), ()))
+        ordered.append(place)
+    return ordered
 
 
 def _findings(runs: object, per: object, each_session: object) -> Iterator[Finding]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast, runtime_checkable
 
+from robot_runner.core.events.early_end import EndingInPlace
 from robot_runner.core.events.measure import MeasureValue, Origin, PublishedMeasure
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.errors import Finding
+    from robot_runner.core.events.early_end import Ending
     from robot_runner.core.events.window import MissionTimes, Phase, Window
 
 __all__ = ["Clock", "Closable", "ExperimentContext", "Resources", "RobotRunnerContext", "RunBroker", "SystemClock"]
@@ -115,6 +117,10 @@ class RunBroker(Protocol):
         """Record a warning finding that makes values of this run doubtful."""
         ...
 
+    def doubt_run(self, owner: str, problem: str, fix: str) -> None:
+        """Record a warning finding that makes all values of this run doubtful."""
+        ...
+
     def note(self, owner: str, kind: str, facts: Mapping[str, object]) -> None:
         """Report something else that happened in this run, as a record of this kind."""
         ...
@@ -161,6 +167,7 @@ class RobotRunnerContext(ExperimentContext):
         run_number: its place in the order of execution, from 1.
         run_count: how many runs the experiment has.
         attempt: how often this run has been tried, this time included, from 1.
+        attempts_left: how often it is tried again where this attempt fails.
         combination: the treatment of each factor, by the factor's name.
         repetition: which repetition of the combination this is, from 1; 0 for a warm-up run.
         run_seed: a seed for this run alone, the same each time that it is executed.
@@ -168,6 +175,7 @@ class RobotRunnerContext(ExperimentContext):
         resources: links and devices that the run's plugins share.
         owner: who this context was made for: a plugin's name, or `config`.
         times: when the mission and its phases began and ended.
+        ending: what ends the run or its mission; ask for it through `fail` and `stop_mission`.
         run_path: where the run's folder is once something is kept in it; ask for `run_folder` to keep something.
     """
 
@@ -184,6 +192,8 @@ class RobotRunnerContext(ExperimentContext):
     owner: str
     times: MissionTimes = field(repr=False)
     broker: RunBroker = field(repr=False)
+    attempts_left: int = 0
+    ending: Ending = field(default_factory=EndingInPlace, repr=False)
 
     @property
     def is_warm_up(self) -> bool:
@@ -283,6 +293,25 @@ class RobotRunnerContext(ExperimentContext):
             MeasureError: the owner declared no such measure.
         """
         self.broker.doubt(self.owner, problem, fix, measures)
+
+    def fail(self, reason: str) -> None:
+        """Fail this run and end it at once: what is open is closed, and the robot is made safe.
+
+        Call it from anywhere: a callback of an event, which it ends, or of a topic, or any thread. In another thread
+        than the run's own it returns.
+        """
+        self.ending.fail(self.owner, reason)
+
+    def stop_mission(self, reason: str) -> None:
+        """End the mission at once, and the measured window at this moment; the run goes on and is not failed.
+
+        Call it from anywhere, as `fail`. Once the mission is over it does nothing.
+
+        Raises:
+            PluginError: the mission has not begun.
+        """
+        if self.times.stop():
+            self.ending.stop_mission(self.owner, reason)
 
     def note_clock(self, facts: Mapping[str, object]) -> None:
         """Say how another computer's clock stood to the run's, as `ClockRecord.facts` tells it.

@@ -131,7 +131,8 @@ class _Extending:
         model = GrownRunTableModel(self._config, [*batches, batch])
         grown = replace(self._experiment, model=model)
         runs = [run for run in model.plan() if run.batch == batch.number]
-        layout = replace(grown.table_layout(recovered.rows.layout.types), extras=recovered.rows.layout.extras)
+        was = recovered.rows.layout
+        layout = replace(grown.table_layout(was.types), extras=was.extras, has_exclusions=was.has_exclusions)
         self._refuse_unfit(runs)
         if not self._request.dry_run:
             recovered.rows = recovered.rows.with_plan(model.plan(), layout)

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.events.context import ExperimentContext, Resources, SystemClock
+from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.events.manager import CallbackFailure, Emission, RobotRunnerEvents
-from robot_runner.core.execution.interruption import InterruptGate, RunInterrupted
-from robot_runner.core.execution.run_events import failure_fields, run_contexts
+from robot_runner.core.execution.interruption import InterruptGate
+from robot_runner.core.execution.run_ending import failure_fields
+from robot_runner.core.execution.run_events import run_contexts
 from robot_runner.core.storage.journal import utc_now
 
 if TYPE_CHECKING:

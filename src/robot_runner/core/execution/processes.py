@@ -14,7 +14,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from robot_runner.core.execution.run_events import failure_fields
+from robot_runner.core.execution.run_ending import failure_fields
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

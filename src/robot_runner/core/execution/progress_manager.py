@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.config.plugin_checks import check_treatments
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.watched_combination import unread
-from robot_runner.core.errors import ExecutionError, Finding
+from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.events.manager import RUN_EVENTS, RobotRunnerEvents
 from robot_runner.core.execution.circumstances import (
     keep_config,
@@ -20,14 +20,16 @@ from robot_runner.core.execution.circumstances import (
     restored_manifest,
     resumed_manifest,
 )
+from robot_runner.core.execution.durations import durations_of
 from robot_runner.core.execution.extension import refuse_unplanned, unplanned_additions
+from robot_runner.core.execution.mission_knowledge import combination_key
 from robot_runner.core.execution.recovery import config_changes, selected_places
 from robot_runner.core.execution.table_recovery import recover_table, texts_of
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome, RunTask, seed_of_run
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import Journal, utc_now
-from robot_runner.core.storage.layout import keep_log, keep_refused, put_earlier_attempt_away
-from robot_runner.core.storage.lock import ExperimentLock
+from robot_runner.core.storage.layout import drop_empty_log, keep_log, keep_refused, put_earlier_attempt_away
+from robot_runner.core.storage.lock import ExperimentLock, forget_pause
 from robot_runner.core.storage.manifest import read_manifest, write_manifest
 from robot_runner.core.storage.run_table_rows import write_run_table
 from robot_runner.core.storage.safe_write import fsync_folder, storage_error
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.execution.durations import Durations, TimeLeft
     from robot_runner.core.execution.probe import Probe
     from robot_runner.core.execution.recovered_table import RecoveredTable
     from robot_runner.core.execution.recovery import Resumption
@@ -45,9 +48,27 @@ __all__ = ["PendingRun", "ProgressManager"]
 #: The run table is brought up to date at most so often that this share of the time goes into writing it, so that
 #: the cost of recording a run does not grow with the number of runs. The journal has every run at once.
 _SHARE_FOR_TABLE = 1 / 50
+#: A table that takes longer to write than this, in seconds, is not written while a run is executed: that would disturb
+#: what is measured on this machine. A hundred thousand rows take so long.
+_MOST_COST_IN_RUN = 0.25
 
 #: What a run reports that is kept in the journal; measures are kept with the end of the attempt.
-_KEPT = frozenset({"event", "window", "phase", "shared", "finding", "refused", "failure", "clock", "bound", "waited"})
+_KEPT = frozenset(
+    {
+        "event",
+        "window",
+        "phase",
+        "shared",
+        "finding",
+        "refused",
+        "failure",
+        "clock",
+        "bound",
+        "waited",
+        "guard",
+        "mission_stopped",
+    }
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,13 +116,18 @@ class ProgressManager:
         with ExitStack() as opened:
             self._make_folder()
             opened.enter_context(ExperimentLock(self._folder.lock))
+            opened.callback(forget_pause, self._folder.pause)  # of no use to the next session
+            forget_pause(self._folder.pause)  # of one that was killed
             self._manifest = self._load_manifest()
             self._findings += refuse_unplanned(self._experiment, self._manifest)
+            if self._resumption.selection:
+                self._manifest["executions"][-1]["selection"] = self._resumption.selection
             started = time.monotonic()
             recovered = recover_table(self._experiment, self._manifest, self._resumption)
             self._selected = selected_places(recovered.rows, self._resumption, self._experiment.model.warm_up)
             self._refuse_unfit_treatments(recovered)
             self._take(recovered)
+            self._durations = self._expected_durations()
             probed = self._probed()
             if recovered.unfinished is not None:  # the orchestrator died: what the run printed is still its log
                 keep_log(self._folder, recovered.unfinished)
@@ -127,6 +153,7 @@ class ProgressManager:
             design=manifest["design"]["source"],
             factors=manifest["design"]["factors"],
             repetitions=manifest["design"]["repetitions"],
+            **({"selection": chosen} if (chosen := self._resumption.selection) else {}),
         )
         if probed is not None and probed.profilers:
             self.note("probe", **probed.fields())
@@ -135,6 +162,7 @@ class ProgressManager:
 
     def __exit__(self, *raised: object) -> None:
         with self._resources:
+            drop_empty_log(self._folder)
             if self._table_is_stale:
                 self._write_table()
 
@@ -154,6 +182,21 @@ class ProgressManager:
         return self._rows.count(RunStatus.DONE)
 
     @property
+    def todo_count(self) -> int:
+        """How many runs are left to be executed: neither done nor failed, nor excluded."""
+        left = self.run_count - self.done_count - len(self._failed)
+        rows = self._rows
+        return left - sum(rows.status(rows.index_of(run)) is not RunStatus.DONE for run in self.excluded)
+
+    @property
+    def excluded(self) -> tuple[str, ...]:
+        """The ids of the runs that are left out."""
+        if not self._rows.layout.has_exclusions:
+            return ()
+        rows = self._rows
+        return tuple(rows.run_id(place) for place in range(len(rows)) if rows.excluded(place) is not None)
+
+    @property
     def failed(self) -> tuple[str, ...]:
         """The ids of the runs that failed."""
         return tuple(self._failed)
@@ -162,6 +205,11 @@ class ProgressManager:
     def failures(self) -> tuple[str, ...]:
         """Why each failed run failed, one line each."""
         return tuple(f"{run_id}: {reason}" for run_id, reason in self._failed.items())
+
+    @property
+    def time_left(self) -> TimeLeft | None:
+        """How long the run that has begun and those to come take; None where that is not known."""
+        return self._durations.left()
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -194,16 +242,21 @@ class ProgressManager:
             put_earlier_attempt_away(self._folder, run.run_id, earlier)
         if self._rows.status(run.place) is not RunStatus.TODO:
             self._rows.clear(run.run_id)
+        if self._rows.excluded(run.place) is not None:  # why it was left out is about what is put away here
+            self._rows.exclude(run.run_id, None)
+            self.note("included", run=run.run_id, reason="the run is executed again")
         self._left_behind.add(run.run_id)
         self._rows.record(run.run_id, status=RunStatus.RUNNING)
         self._failed.pop(run.run_id, None)
         task = self.task_of(run)
+        self._durations.begin(combination_key(task.combination), time.monotonic())
         self.note(
             "attempt_started",
             run=run.run_id,
             attempt=task.attempt,
             combination=texts_of(task.combination),
             repetition=task.repetition,
+            **self._left(),
         )
         self._refresh_table()
         return task
@@ -227,8 +280,15 @@ class ProgressManager:
             what it shows about the runs that follow.
         """
         keep_log(self._folder, task.run_id)
+        self._durations.end(time.monotonic(), outcome.status.value, is_last=is_last)
         self._journal.append(
-            "attempt_finished", flush=True, run=task.run_id, attempt=task.attempt, is_last=is_last, **_plain(outcome)
+            "attempt_finished",
+            flush=True,
+            run=task.run_id,
+            attempt=task.attempt,
+            is_last=is_last,
+            **_plain(outcome),
+            **self._left(),
         )
         self._findings += [*outcome.findings, *self._missing_measures(task, outcome)]
         if outcome.status is AttemptStatus.FAILED and is_last:
@@ -242,6 +302,25 @@ class ProgressManager:
     def note(self, kind: str, *, flush: bool = False, **fields: Any) -> None:
         """Keep something that is not about a run."""
         self._journal.append(kind, flush=flush, **fields)
+
+    def tend_table(self) -> float | None:
+        """Write the run table where it is stale and the time has come, while a run or a wait lasts.
+
+        Returns:
+            in how many seconds the time comes; None where there is nothing to write.
+        """
+        if not self._table_is_stale or self._table_cost > _MOST_COST_IN_RUN:
+            return None
+        due = self._table_written + self._table_cost / _SHARE_FOR_TABLE - time.monotonic()
+        if due > 0:
+            return due
+        with suppress(StorageError):  # said when the run has ended: it is not to fail for this
+            self._write_table()
+        return None
+
+    def find(self, finding: Finding) -> None:
+        """Take down what is to be told at the end."""
+        self._findings.append(finding)
 
     def bring_table_up_to_date(self) -> None:
         """Write the run table as it stands: a callback of `after_experiment` may read it."""
@@ -307,12 +386,25 @@ class ProgressManager:
         self._table = recovered
         self._rows = recovered.rows
         self._attempts = Counter(recovered.attempts)
-        self._failed.update(recovered.failed)
+        out = set(self.excluded)
+        self._failed.update((run, reason) for run, reason in recovered.failed.items() if run not in out)
         self._findings += recovered.findings
 
     def _probed(self) -> Probe | None:
         first = next(self.pending(), None)
         return self._probe(self.task_of(first)) if self._probe is not None and first is not None else None
+
+    def _expected_durations(self) -> Durations:
+        each = self._experiment
+        combinations = [run.combination for run in self._rows.planned]
+        journal = self._folder.journal
+        durations = durations_of(each.config, each.plugins, each.events, each.parameters, combinations, journal)
+        durations.plan(combinations[place] for place in self._selected)
+        return durations
+
+    def _left(self) -> dict[str, Any]:
+        left = self.time_left
+        return {} if left is None else {"left": left.facts()}
 
     def _look_for_readers(self, task: RunTask, outcome: RunOutcome) -> tuple[Finding, ...]:
         """Return what nobody read in the first run that is done; what a later run reads is not told at the end."""

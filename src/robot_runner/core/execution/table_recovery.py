@@ -10,9 +10,10 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.columns import EXCLUDED, RUN_ID
 from robot_runner.core.errors import Finding, StorageError
 from robot_runner.core.execution.recovered_table import ENDS, Deviation, RecoveredTable, lacks_runs, with_later_batches
 from robot_runner.core.execution.recovery import (
@@ -22,6 +23,7 @@ from robot_runner.core.execution.recovery import (
     table_differences,
 )
 from robot_runner.core.storage.cells import RunStatus, measure_text
+from robot_runner.core.storage.excluded_runs import EXCLUSION_KINDS, ExcludedRuns
 from robot_runner.core.storage.journal import journal_lines, parsed_record
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows
@@ -68,6 +70,8 @@ _RUN = re.compile(rb'\{"kind":"[^"]*","at":"[^"\\]*","run":"([^"\\]*)"')
 _STARTED = b'{"kind":"attempt_started"'
 _FINISHED = b'{"kind":"attempt_finished"'
 _TABLE_WRITTEN = b'{"kind":"table_written"'
+_EXCLUSION = tuple(f'{{"kind":"{kind}"'.encode() for kind in EXCLUSION_KINDS)
+_KINDS = EXCLUSION_KINDS | {"attempt_started", "attempt_finished", "table_written"}
 _IS_DONE = b'"status":"done"'  # quotes inside a text are escaped: these stand nowhere else
 
 
@@ -82,6 +86,7 @@ class _History:
         failed: the ends of attempts that did not end well.
         written: the digest of the table as it was written last; empty where that is not known.
         has_ends: whether any attempt has ended.
+        excluded: the runs that are left out.
     """
 
     attempted: list[str] = field(default_factory=list)
@@ -90,11 +95,12 @@ class _History:
     failed: list[bytes] = field(default_factory=list)
     written: str = ""
     has_ends: bool = False
+    excluded: ExcludedRuns = field(default_factory=ExcludedRuns)
 
     @classmethod
     def of(cls, journal: Path) -> _History:
         history = cls()
-        for line in journal_lines(journal, kinds={"attempt_started", "attempt_finished", "table_written"}):
+        for line in journal_lines(journal, kinds=_KINDS):
             history.take(journal, line)
         return history
 
@@ -106,6 +112,8 @@ class _History:
             # Parsed, as what comes before is left out from here on: a damaged line must not do that.
             self.written = str(parsed_record(journal, line).get("sha256", ""))
             self.newer.clear()
+        elif line.startswith(_EXCLUSION):
+            self.excluded.take(parsed_record(journal, line))
         else:
             self.is_open, self.has_ends = False, True
             self.newer.append(line)
@@ -124,10 +132,11 @@ class _Recovery:
         self._journal = folder.journal
         self._plan: RunTable = experiment.model.plan(manifest["seed"])
         self._schema, self._schema_findings = _schema_of(folder.schema)
-        self._layout: TableLayout = experiment.table_layout(
+        self._history = _History.of(folder.journal)
+        layout: TableLayout = experiment.table_layout(
             {each.name: each.type for each in self._schema} or None, warms_up=bool(manifest["design"].get("warm_up"))
         )
-        self._history = _History.of(folder.journal)
+        self._layout = replace(layout, has_exclusions=self._history.excluded.were_any)
         self._is_known_to_be_reordered = bool(manifest["design"].get("is_reordered"))
 
     def recovered(self) -> RecoveredTable:
@@ -136,6 +145,7 @@ class _Recovery:
             table = self._rebuilt(f"the run table is {'empty' if self._path.exists() else 'missing'}")
         elif is_empty:
             table = RecoveredTable(self._experiment, RunTableRows.of_plan(self._plan, self._layout))
+            self._leave_out(table)
         else:
             table = self._read()
         for column in self._schema:
@@ -168,6 +178,8 @@ class _Recovery:
         table = RecoveredTable(self._experiment, rows, findings=(*rows.warnings, *added), is_on_disk=is_on_disk)
         if self._history.has_ends and digest_of(self._path) != self._history.written:
             self._reconcile(table)
+        else:
+            self._leave_out(table)
         return self._with_order(table)
 
     def _reconcile(self, table: RecoveredTable) -> None:
@@ -185,6 +197,7 @@ class _Recovery:
             if run_id in newer and not has_come:
                 continue  # it ended after the file was written: the journal alone has it
             found += _deviations(table.rows, parsed_record(self._journal, line), earlier)
+        found += _changed_exclusions(table.rows, self._history.excluded)
         table.is_on_disk = False  # from here on it is as we write it, so that it need not be compared again
         if not found:
             return
@@ -198,8 +211,9 @@ class _Recovery:
             table.rows, table.findings = rebuilt.rows, rebuilt.findings
         else:
             self._put_aside()
-            for run_id in {each.run: None for each in found}:
+            for run_id in {each.run: None for each in found if each.column != EXCLUDED}:
                 table.take_record(parsed_record(self._journal, ends[run_id]))
+            self._leave_out(table)
             problem = f"{len(found)} cells of the run table were put back to what the journal has"
             table.findings = (*table.findings, Finding.warning(str(self._path), problem, self._kept_fix()))
 
@@ -217,10 +231,17 @@ class _Recovery:
         refuse_differences(self._unplanned(rows))
         for line in ends.values():
             table.take_record(parsed_record(self._journal, line))
+        self._leave_out(table)
         done = rows.count(RunStatus.DONE)
         problem = f"{reason}: made anew from the plan and the journal, with {done} runs that are done"
         table.findings = (Finding.warning(str(self._path), problem, self._kept_fix()),)
         return table
+
+    def _leave_out(self, table: RecoveredTable) -> None:
+        """Leave out the runs that the journal has left out, and no others."""
+        for each in tuple(_changed_exclusions(table.rows, self._history.excluded)):
+            table.rows.exclude(each.run, each.was or None)
+            table.is_on_disk = False
 
     def _unplanned(self, rows: RunTableRows) -> Iterator[Finding]:
         """Yield each run that was executed with other treatments than the plan has for it."""
@@ -361,6 +382,14 @@ def _deviations(
         is_now = _text(row[name])
         if is_now != was:
             yield Deviation(run_id, name, was, is_now)
+
+
+def _changed_exclusions(rows: RunTableRows, excluded: ExcludedRuns) -> Iterator[Deviation]:
+    """Yield each run that a table leaves out otherwise than the journal does."""
+    for run_id, found in zip(rows.values(RUN_ID), rows.values(EXCLUDED), strict=True) if excluded.were_any else ():
+        reason = excluded.reason(run_id)
+        if reason != found:
+            yield Deviation(run_id, EXCLUDED, reason or "", found or "")
 
 
 def _text(cell: Any) -> str:

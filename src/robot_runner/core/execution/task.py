@@ -58,6 +58,7 @@ class RunTask:
         experiment_seed: the seed from which the run's own is derived.
         repetition: which repetition of its combination it is, from 1; 0 for a warm-up run.
         run_seed: a seed for this run alone, the same each time that it is executed.
+        attempts_left: how often it is tried again where this attempt fails.
     """
 
     run_id: str
@@ -68,6 +69,7 @@ class RunTask:
     repetition: int
     experiment_seed: int
     run_seed: int
+    attempts_left: int = 0
 
     @property
     def is_warm_up(self) -> bool:

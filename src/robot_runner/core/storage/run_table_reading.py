@@ -10,7 +10,7 @@ from operator import is_
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
-from robot_runner.core.design.columns import BATCH, REPETITION, RUN_ID, STATUS, WARM_UP, numbered_run_id
+from robot_runner.core.design.columns import BATCH, EXCLUDED, REPETITION, RUN_ID, STATUS, WARM_UP, numbered_run_id
 from robot_runner.core.design.factor import Combination, factor_places
 from robot_runner.core.design.planned_runs import PlannedRun, garbage_collection_paused
 from robot_runner.core.errors import StorageError, nearest
@@ -188,6 +188,7 @@ class _Reading:
         self._decoders: dict[str, CellDecoder] = {
             RUN_ID: self._run_ids,
             STATUS: StatusDecoder(findings),
+            **{name: TextDecoder(name, findings, is_stamp=False) for name in layout.exclusion},
             **({REPETITION: self._repetitions} if layout.has_repetition else {}),
             **{name: MarkDecoder(MARKS[name], findings) for name in layout.marks},
             **{name: TextDecoder(name, findings, is_stamp=True) for name in layout.stamps},
@@ -259,6 +260,7 @@ class _Reading:
             _sharing_empty(combined(self._layout.stamps)),
             _sharing_empty(combined(self._layout.measures)),
             self._kept(headings, cells, count),
+            found.get(EXCLUDED) or repeat(None),
         )
 
     def _repetitions_of(

@@ -8,7 +8,7 @@ from enum import Enum
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.columns import BATCH, REPETITION, RUN_ID, STAMP_COLUMNS, STATUS, WARM_UP
+from robot_runner.core.design.columns import BATCH, EXCLUDED, REPETITION, RUN_ID, STAMP_COLUMNS, STATUS, WARM_UP
 from robot_runner.core.errors import DesignError, Finding
 from robot_runner.core.storage.cells import RunStatus
 
@@ -195,6 +195,7 @@ class TableLayout:
         factors: the factors' columns.
         measures: the measures' columns.
         has_repetition: whether there is a column `Repetition` after the factors.
+        has_exclusions: whether there is a column `excluded` after the status: some run was left out at some time.
         marks: the columns after that which tell how a run was planned, of those in `MARKS`.
         stamps: the events' time-stamp columns.
         extras: columns that a user added; kept as text.
@@ -216,6 +217,7 @@ class TableLayout:
     extras: tuple[str, ...] = ()
     types: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     spelling: TableSpelling = OWN_SPELLING
+    has_exclusions: bool = False
     marks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -267,6 +269,7 @@ class TableLayout:
             extras=named[ColumnRole.EXTRA],
             types={column.name: column.type for column in schema},
             spelling=spelling_of_headings({column.name: column.heading for column in schema if column.heading}),
+            has_exclusions=EXCLUDED in named[ColumnRole.PROGRESS],
             marks=tuple(name for name, mark in MARKS.items() if name in named[mark.role]),
         )
 
@@ -286,10 +289,15 @@ class TableLayout:
         return (REPETITION,) if self.has_repetition else ()
 
     @property
+    def exclusion(self) -> tuple[str, ...]:
+        """The heading of why runs are left out, where the table has it."""
+        return (EXCLUDED,) if self.has_exclusions else ()
+
+    @property
     def columns(self) -> tuple[str, ...]:
         """All headings, in order."""
         planned = (*self.factor_names, *self.repetition, *self.marks)
-        return (RUN_ID, STATUS, *self.stamps, *planned, *self.measures, *self.extras)
+        return (RUN_ID, STATUS, *self.exclusion, *self.stamps, *planned, *self.measures, *self.extras)
 
 
 def _factor_column(factor: Factor, defaults: Mapping[str, Any]) -> FactorColumn:

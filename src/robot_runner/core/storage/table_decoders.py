@@ -254,6 +254,12 @@ class FactorDecoder:
             if place is not None:
                 self._known[text] = self._factor.treatments[place]
                 return True
+            if not text and any(
+                each is None for each in self._factor.treatments
+            ):  # as spreadsheets and the earlier tools write it
+                self.kept.add(text)
+                self._known[text] = None
+                return True
         self._known[text] = value = typed_value(text, self._kind, decimal_comma=self._decimal_comma)
         if value is None or str(value) != text:
             self.kept.add(text)
