@@ -16,7 +16,7 @@ from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.core.storage.table_columns import MARKS, ColumnRole, TableLayout
 from robot_runner.core.storage.table_schema import ColumnDescription, read_schema
-from robot_runner.core.words import shown_duration
+from robot_runner.core.words import shown_commit, shown_duration
 from robot_runner.replication.config_lines import ConfigLine, ConfigLines
 from robot_runner.replication.contents import CONFIG_OWNER
 from robot_runner.replication.run_history import RunHistory
@@ -141,10 +141,7 @@ class _Explaining:
         if self._mark(WARM_UP):
             yield "Warm-up", "the run was executed and kept, and is not analysed"
         yield "Executed", self._executed()
-        if history.attempt:
-            yield "Attempt", f"{history.attempt}, {history.started_at} to {history.finished_at or 'no end'}"
-        for number, failure in history.failures.items():
-            yield f"Attempt {number}", f"failed: {failure}"
+        yield from self._attempt_facts()
         if history.stopped:
             yield "Mission", history.stopped
         yield from history.waits
@@ -152,10 +149,20 @@ class _Explaining:
             yield "Waited in all", shown_duration(history.waited)
         yield "Robot", str(self._manifest.get("robot") or "as the config says")
         yield "Host", self._host()
+        yield "Commit", history.commit
         for host in history.hosts:
             yield "Other host", host
+        for subject in history.subjects:
+            yield "Subject", subject
         for owner, name, factor, value in history.bound:
             yield "Parameter", f"{name} of {owner} = {value}, bound to the factor {factor}"
+
+    def _attempt_facts(self) -> Iterator[tuple[str, str]]:
+        history = self._history
+        if history.attempt:
+            yield "Attempt", f"{history.attempt}, {history.started_at} to {history.finished_at or 'no end'}"
+        for number, failure in history.failures.items():
+            yield f"Attempt {number}", f"failed: {failure}"
 
     def _order(self) -> str:
         design = self._manifest.get("design") or {}
@@ -263,6 +270,8 @@ class _Explaining:
         if column.role is ColumnRole.FACTOR:
             yield "Assumed", self._assumed(column.name)
             bound = [f"{name} of {owner}" for owner, name, factor, _ in self._history.bound if factor == column.name]
+            for name, facts in ((self._manifest.get("revisions") or {}).get(column.name) or {}).items():
+                yield "Revision", f"{name} is {shown_commit(facts)}"
             yield "Bound to", ", ".join(bound)
             yield "Read by", self._read_by(column.name)
         found = self._lines.of_factor(column.name)
