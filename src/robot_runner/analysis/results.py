@@ -118,14 +118,12 @@ class Results:
     @property
     def plan(self) -> AnalysisPlan | None:
         """What was fixed for the analysis before the experiment, or None."""
-        plain = self.manifest.get("analysis")
-        return AnalysisPlan.of_mapping(plain) if plain else None
+        return AnalysisPlan.of_mapping(plain) if (plain := self.manifest.get("analysis")) else None
 
     @property
     def seed(self) -> int | None:
         """What the order of the runs comes from; None where it is not known."""
-        seed = self.manifest.get("seed")
-        return None if seed is None else int(seed)
+        return None if (seed := self.manifest.get("seed")) is None else int(seed)
 
     @property
     def is_running(self) -> bool:
@@ -251,8 +249,7 @@ class Results:
         first = phases.groupby("run_id")["start_s"].transform("min")
         start = phases["run_id"].map(self._history.starts).astype("float64").fillna(first)
         phases = phases.assign(start_s=phases["start_s"] - start, end_s=phases["end_s"] - start)
-        treatments = self.all_runs[[RUN_ID, *self._labels]]
-        joined = phases.merge(treatments, on=RUN_ID, how="left")
+        joined = phases.merge(self.all_runs[[RUN_ID, *self._labels]], on=RUN_ID, how="left")
         own = [name for name in joined.columns if name not in {RUN_ID, *self._labels}]
         return joined[[RUN_ID, *self._labels, *own]]
 

@@ -29,6 +29,7 @@ __all__ = [
     "RestoredManifest",
     "described_design",
     "keep_config",
+    "keep_config_files",
     "manifest_of",
     "note_clock",
     "restored_manifest",
@@ -151,10 +152,24 @@ def restored_manifest(experiment: Experiment) -> RestoredManifest | None:
 
 
 def keep_config(experiment: Experiment, manifest: dict[str, Any]) -> None:
-    """Copy the config file and the local modules that it imported, as executed; changed ones replace earlier copies.
+    """Copy the config file and the local modules that it imported, as executed, as `keep_config_files` does.
 
-    Earlier copies are kept beside, numbered in the order in which they were executed. What was not committed to the
-    repository of the config is kept as well, and the manifest says where.
+    What was not committed to the repository of the config is kept as well, and the manifest says where.
+
+    Raises:
+        StorageError: the copy cannot be written.
+    """
+    keep_config_files(experiment)
+    try:
+        _keep_uncommitted(experiment, manifest)
+    except OSError as error:
+        raise storage_error(experiment.folder.config, "written", error) from error
+
+
+def keep_config_files(experiment: Experiment) -> None:
+    """Copy the config file and the local modules that it imported; changed ones replace earlier copies.
+
+    Earlier copies are kept beside, numbered in the order in which they were executed.
 
     Raises:
         StorageError: the copy cannot be written.
@@ -168,7 +183,6 @@ def keep_config(experiment: Experiment, manifest: dict[str, Any]) -> None:
             for source, target in files.items():
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(source, target)
-        _keep_uncommitted(experiment, manifest)
     except OSError as error:
         raise storage_error(kept, "written", error) from error
 

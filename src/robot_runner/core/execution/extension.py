@@ -20,7 +20,7 @@ from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.growing import Additions, Begun, grown_design
 from robot_runner.core.design.planned_runs import RunOrder
 from robot_runner.core.errors import ExecutionError, Finding
-from robot_runner.core.execution.circumstances import described_design, keep_config, restored_manifest
+from robot_runner.core.execution.circumstances import described_design, keep_config_files, restored_manifest
 from robot_runner.core.execution.recovery import (
     ACCEPT,
     Resumption,
@@ -232,7 +232,7 @@ class _Extending:
     def _write(self, recovered: RecoveredTable, model: GrownRunTableModel) -> None:
         """Write everything down; the journal's record is what counts, should this break off."""
         *_, fields = records_of(model.batches)
-        keep_config(self._experiment)
+        keep_config_files(self._experiment)
         with Journal(self._folder.journal) as journal:
             journal.append(EXTENDED, flush=True, **fields)
             journal.append("table_written", sha256=write_run_table(self._folder.run_table, recovered.rows))
