@@ -85,6 +85,23 @@ class Plugin(Bindable):
         del circumstances
         return ()
 
+    def duration_s(self, combination: Mapping[str, Any]) -> float | None:
+        """Return how long this plugin's part of a run takes, s of real time; None where that is not known.
+
+        What all plugins of an experiment say adds up, so that each counts what it does itself: a mission, or the time
+        that a device needs to settle. A config may have a method of this name, too.
+
+        Args:
+            combination: the treatment of each factor; parameters that are bound to factors have their values already.
+        """
+        del combination
+        return None
+
+    @property
+    def knows_duration(self) -> bool:
+        """Whether this kind of plugin has something to say of how long a run takes."""
+        return type(self).duration_s is not Plugin.duration_s
+
 
 class System(Plugin):
     """A plugin that operates a robot.

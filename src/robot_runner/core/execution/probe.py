@@ -29,8 +29,18 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.events.measure import MeasureColumn, PublishedMeasure
     from robot_runner.core.execution.task import RunOutcome
+    from robot_runner.core.plugin import Plugin
 
-__all__ = ["Probe", "Probed", "probe_experiment", "probe_profilers", "probed_profilers", "without_values"]
+__all__ = [
+    "Probe",
+    "Probed",
+    "probe_experiment",
+    "probe_profilers",
+    "probe_window_of",
+    "probed_plugins",
+    "probed_profilers",
+    "without_values",
+]
 
 #: The id of the run that a probe is, in its findings and in the contexts of its callbacks.
 _RUN = "probe"
@@ -128,11 +138,21 @@ def probed_profilers(experiment: Experiment) -> list[Profiler]:
     so (`probe_s` is None), has no measures, or sets something up in `before_experiment` or `before_run`, which a probe
     does not call.
     """
-    if is_simulated(experiment.parameters.robot):
+    return probed_plugins(experiment.plugins, experiment.events, experiment.parameters.robot)
+
+
+def probed_plugins(plugins: Sequence[Plugin], events: EventManager, robot: str | None) -> list[Profiler]:
+    """Return the same of the parts of an experiment."""
+    if is_simulated(robot):
         return []
-    set_up = {each.owner for event in _SET_UP for each in experiment.events.subscribers(event)}
-    profilers = [plugin for plugin in experiment.plugins if isinstance(plugin, Profiler)]
+    set_up = {each.owner for event in _SET_UP for each in events.subscribers(event)}
+    profilers = [plugin for plugin in plugins if isinstance(plugin, Profiler)]
     return [each for each in profilers if each.name not in set_up and (_can_tell(each) or factors_of(each))]
+
+
+def probe_window_of(profilers: Sequence[Profiler]) -> float:
+    """Return how long these profilers measure in a probe, s: all at once, as long as the slowest needs."""
+    return max((each.probe_s or 0.0 for each in profilers), default=0.0)
 
 
 def _can_tell(profiler: Profiler) -> bool:
@@ -168,7 +188,7 @@ def probe_profilers(experiment: Experiment, task: RunTask, interruption: Interru
     # A parameter that is bound to a factor has its treatment only in a run, and so has what follows from it.
     built = [built_with(each, task.combination) for each in probed_profilers(experiment)]
     left, seen = list(filter(_can_tell, built)), []
-    window = max((each.probe_s or 0.0 for each in left), default=0.0)
+    window = probe_window_of(left)
     while left:
         outcome = _tried(experiment, left, window, task, interruption)
         if outcome.status is AttemptStatus.INTERRUPTED:
