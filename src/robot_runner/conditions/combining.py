@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.conditions.bounds import Bound, contradictions
 from robot_runner.core.errors import ConditionError
-from robot_runner.core.events.condition import Condition, Look
+from robot_runner.core.events.condition import Condition, HeldFor, Look
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -140,10 +140,13 @@ class _AllOf(_Combined):
     def _conjuncts(self) -> Iterator[Condition]:
         """Yield what must hold at the same time, also where it stands in another of this kind."""
         for part in self._parts:
-            if isinstance(part, _AllOf):
-                yield from part._conjuncts()  # noqa: SLF001 - another of this class
+            bare = part
+            while isinstance(bare, HeldFor):
+                bare = bare.condition
+            if isinstance(bare, _AllOf):
+                yield from bare._conjuncts()  # noqa: SLF001 - another of this class
             else:
-                yield part
+                yield bare
 
     def _judge(self, looks: Sequence[Look]) -> Look:
         return Look(all(look.holds for look in looks), self._seen(looks))
