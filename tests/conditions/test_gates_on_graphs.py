@@ -49,7 +49,7 @@ def test_a_mission_ends_by_a_condition_and_a_guard_ends_one_over_a_real_graph(
 ) -> None:
     (tmp_path / "config.py").write_text(CONFIG.format(robot=graph))
     with simulated_robot(graph, "--namespace", "/alice"):
-        done = subprocess.run(  # noqa: PLW1510 - its code is looked at
+        done = subprocess.run(
             [program, "run", "config.py", "--plain"],
             check=False,
             cwd=tmp_path,
