@@ -61,6 +61,8 @@ _KEPT = frozenset(
         "bound",
         "waited",
         "guard",
+        "asked",
+        "answered",
         "subject",
         "mission_stopped",
         "outlives",
