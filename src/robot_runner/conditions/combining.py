@@ -56,7 +56,7 @@ def not_(condition: Condition) -> Condition:
     Example:
         >>> from robot_runner import port_open
         >>> print(not_(port_open(8080)))
-        it does not hold that port 8080 is open
+        not (port 8080 is open)
     """
     return _Not((condition,))
 
@@ -161,7 +161,7 @@ class _AnyOf(_Combined):
 
 class _Not(_Combined):
     def __str__(self) -> str:
-        return f"it does not hold that {self._parts[0]}"
+        return f"not ({self._parts[0]})"
 
     def check(self, robot: str | None) -> Iterable[Finding]:
         """Yield what keeps the condition from being looked at; what keeps it from holding makes this one hold."""
