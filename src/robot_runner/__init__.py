@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from robot_runner.conditions.network_answers import port_open as port_open
     from robot_runner.conditions.outputs import file_complete as file_complete
     from robot_runner.conditions.outputs import text_in as text_in
+    from robot_runner.conditions.person import confirmed as confirmed
     from robot_runner.conditions.topic_messages import battery_above as battery_above
     from robot_runner.conditions.topic_messages import battery_below as battery_below
     from robot_runner.conditions.topic_messages import message_on as message_on

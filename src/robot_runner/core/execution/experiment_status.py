@@ -165,6 +165,7 @@ def read_status(folder: Path) -> ExperimentStatus:
         order=moved_in_words(moved_runs(list(statuses), history.executed), history.executed),
         gate=history.gate if holder else None,
         gate_seconds=history.gate_seconds,
+        waiting_for=history.waiting_for if holder else None,
     )
 
 
@@ -305,6 +306,7 @@ class _History:
 
     def _take_attempt_finished(self, record: Mapping[str, Any]) -> None:
         ends = {"done": RunStatus.DONE, "failed": RunStatus.FAILED}
+        self.waiting_for = None
         self._ends[record["run"]] = self._since_table[record["run"]] = ends.get(record["status"], RunStatus.TODO)
         self.failures[record["run"]] = record["failure"] or ""
         told = {
@@ -342,6 +344,13 @@ class _History:
         if "next_run" in record:
             asked = record.get("questions", ())
             self.waiting_for = {"next_run": record["next_run"], "step": record.get("step", ""), "questions": asked}
+
+    def _take_asked(self, record: Mapping[str, Any]) -> None:
+        self.waiting_for = {"next_run": record["run"], "step": record["step"], "questions": ()}
+
+    def _take_answered(self, record: Mapping[str, Any]) -> None:
+        del record
+        self.waiting_for = None
 
     def _take_continued(self, record: Mapping[str, Any]) -> None:
         del record

@@ -43,7 +43,7 @@ __all__ = ["PendingRun", "ProgressManager"]
 
 #: What a run reports that is kept in the journal; measures are kept with the end of the attempt.
 _OF_RUN = ("event", "window", "phase", "shared", "finding", "refused", "failure", "clock", "bound")
-_OF_ATTENDANCE = ("waited", "guard", "subject", "mission_stopped", "outlives")
+_OF_ATTENDANCE = ("waited", "guard", "asked", "answered", "subject", "mission_stopped", "outlives")
 _KEPT = frozenset((*_OF_RUN, *_OF_ATTENDANCE))
 
 
