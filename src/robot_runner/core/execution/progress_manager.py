@@ -9,10 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.config.plugin_checks import check_treatments
-from robot_runner.core.design.columns import REPETITION
-from robot_runner.core.design.watched_combination import unread
 from robot_runner.core.errors import ExecutionError, Finding
-from robot_runner.core.events.manager import RUN_EVENTS, RobotRunnerEvents
 from robot_runner.core.execution.circumstances import (
     keep_config,
     manifest_of,
@@ -23,6 +20,7 @@ from robot_runner.core.execution.circumstances import (
 from robot_runner.core.execution.durations import durations_of
 from robot_runner.core.execution.mission_knowledge import combination_key
 from robot_runner.core.execution.recovery import config_changes, selected_places
+from robot_runner.core.execution.run_review import UnreadFactors, missing_measures
 from robot_runner.core.execution.table_on_disk import TableOnDisk
 from robot_runner.core.execution.table_recovery import recover_table, texts_of
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome, RunTask, seed_of_run
@@ -98,7 +96,7 @@ class ProgressManager:
         self._probe = probe
         self._failed: dict[str, str] = {}
         self._findings: list[Finding] = []
-        self._unread: dict[str, Finding] | None = None
+        self._unread = UnreadFactors(experiment)
         self._resources = ExitStack()
 
     def __enter__(self) -> Self:
@@ -199,7 +197,7 @@ class ProgressManager:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What looked odd in the table on disk and in the runs."""
-        return (*self._findings, *(self._unread or {}).values())
+        return (*self._findings, *self._unread.findings)
 
     def pending(self) -> Iterator[PendingRun]:
         """Yield the runs to execute, in order: those to do, those that failed, those asked for again."""
@@ -275,14 +273,14 @@ class ProgressManager:
             **_plain(outcome),
             **self._left(),
         )
-        self._findings += [*outcome.findings, *self._missing_measures(task, outcome)]
+        self._findings += [*outcome.findings, *missing_measures(self._experiment, task, outcome)]
         if outcome.status is AttemptStatus.FAILED and is_last:
             self._failed[task.run_id] = str(outcome.failure)
         if self._table.take_outcome(task.run_id, outcome):
             # From here on the schema tells the types: without it a text such as "1" would come back as a number.
             self._table.write_schema(self._folder.schema)
         self._file.refresh()
-        return self._look_for_readers(task, outcome) if outcome.status is AttemptStatus.DONE else ()
+        return self._unread.look(task, outcome) if outcome.status is AttemptStatus.DONE else ()
 
     def note(self, kind: str, *, flush: bool = False, **fields: Any) -> None:
         """Keep something that is not about a run."""
@@ -377,32 +375,6 @@ class ProgressManager:
         left = self.time_left
         return {} if left is None else {"left": left.facts()}
 
-    def _look_for_readers(self, task: RunTask, outcome: RunOutcome) -> tuple[Finding, ...]:
-        """Return what nobody read in the first run that is done; what a later run reads is not told at the end."""
-        if not any(map(self._experiment.events.subscribers, (RobotRunnerEvents.BEFORE_RUN, *RUN_EVENTS))):
-            return ()  # a plan that is still to be filled: nothing happens in a run that could be misread
-        if self._unread is None:
-            varied = [factor.name for factor in self._experiment.model.factors if len(factor.treatments) > 1]
-            # A factor of that name counts repetitions, as in the paper's Listing 1.
-            self._unread = {
-                name: unread(task.run_id, name)
-                for name in varied
-                if name not in outcome.readers and name.casefold() != REPETITION.casefold()
-            }
-            return tuple(self._unread.values())
-        for name in outcome.readers:
-            self._unread.pop(name, None)
-        return ()
-
-    def _missing_measures(self, task: RunTask, outcome: RunOutcome) -> list[Finding]:
-        if outcome.status is not AttemptStatus.DONE:
-            return []
-        return [
-            Finding.warning(f"{task.run_id}, {column.owner}", f"{column.name} has no value", _missing_fix(column.owner))
-            for column in self._experiment.columns.in_table
-            if outcome.measures.get(column.name) is None or outcome.measures[column.name].value is None
-        ]
-
 
 def _plain(outcome: RunOutcome) -> dict[str, Any]:
     measures = {
@@ -422,7 +394,3 @@ def _plain(outcome: RunOutcome) -> dict[str, Any]:
         "failure": str(outcome.failure) if outcome.failure else None,
         "readers": dict(outcome.readers),
     }
-
-
-def _missing_fix(owner: str) -> str:
-    return "Return it from populate_run_data." if owner == "config" else "Look at the log of the run."

@@ -1,0 +1,66 @@
+"""What a run that has ended shows about itself, and about those that follow."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from robot_runner.core.design.columns import REPETITION
+from robot_runner.core.design.watched_combination import unread
+from robot_runner.core.errors import Finding
+from robot_runner.core.events.manager import RUN_EVENTS, RobotRunnerEvents
+from robot_runner.core.execution.task import AttemptStatus
+
+if TYPE_CHECKING:
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.execution.task import RunOutcome, RunTask
+
+__all__ = ["UnreadFactors", "missing_measures"]
+
+
+class UnreadFactors:
+    """The factors that no callback and no plugin has looked at in any run that was done.
+
+    Args:
+        experiment: what is executed.
+    """
+
+    def __init__(self, experiment: Experiment) -> None:
+        self._experiment = experiment
+        self._unread: dict[str, Finding] | None = None
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """A finding for each of them."""
+        return tuple((self._unread or {}).values())
+
+    def look(self, task: RunTask, outcome: RunOutcome) -> tuple[Finding, ...]:
+        """Return what nobody read in the first run that is done; what a later run reads is not told at the end."""
+        if not any(map(self._experiment.events.subscribers, (RobotRunnerEvents.BEFORE_RUN, *RUN_EVENTS))):
+            return ()  # a plan that is still to be filled: nothing happens in a run that could be misread
+        if self._unread is None:
+            varied = [factor.name for factor in self._experiment.model.factors if len(factor.treatments) > 1]
+            # A factor of that name counts repetitions, as in the paper's Listing 1.
+            self._unread = {
+                name: unread(task.run_id, name)
+                for name in varied
+                if name not in outcome.readers and name.casefold() != REPETITION.casefold()
+            }
+            return self.findings
+        for name in outcome.readers:
+            self._unread.pop(name, None)
+        return ()
+
+
+def missing_measures(experiment: Experiment, task: RunTask, outcome: RunOutcome) -> list[Finding]:
+    """Return a warning for each column of the run table in which a run that is done has no value."""
+    if outcome.status is not AttemptStatus.DONE:
+        return []
+    return [
+        Finding.warning(f"{task.run_id}, {column.owner}", f"{column.name} has no value", _missing_fix(column.owner))
+        for column in experiment.columns.in_table
+        if outcome.measures.get(column.name) is None or outcome.measures[column.name].value is None
+    ]
+
+
+def _missing_fix(owner: str) -> str:
+    return "Return it from populate_run_data." if owner == "config" else "Look at the log of the run."
