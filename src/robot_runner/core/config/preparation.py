@@ -22,6 +22,7 @@ from robot_runner.core.config.dead_names import check_dead_names
 from robot_runner.core.config.experiment import Experiment, event_manager_for, experiment_folder
 from robot_runner.core.config.loader import LoadedConfig, load_config
 from robot_runner.core.config.plugin_checks import check_plugins, companions, gather_plugins
+from robot_runner.core.config.treatment_makers import maker_findings
 from robot_runner.core.errors import ConfigError, Finding, LinkError
 from robot_runner.core.events.manager import EventManager
 from robot_runner.core.events.measure import MeasureColumns, resolve_columns, with_phases
@@ -133,6 +134,8 @@ def _check_machine(
     if parameters is not None:
         runs = len(model.plan()) if model is not None else 0
         yield from check_robot(loaded, parameters, plugins)
+        if model is not None:
+            yield from maker_findings(model.factors, experiment_folder(parameters, loaded))
         yield from check_results_path(loaded, parameters)
         yield from check_disk_space(loaded, parameters, plugins, runs)
 

@@ -8,8 +8,12 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast, runtime_checkable
 
+from robot_runner.core.errors import PluginError
 from robot_runner.core.events.early_end import EndingInPlace
+from robot_runner.core.events.host_access import NoHosts
 from robot_runner.core.events.measure import MeasureValue, Origin, PublishedMeasure
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.outliving import program_name, spare
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -18,9 +22,19 @@ if TYPE_CHECKING:
 
     from robot_runner.core.errors import Finding
     from robot_runner.core.events.early_end import Ending
+    from robot_runner.core.events.host_access import HostAccess, HostDoor
     from robot_runner.core.events.window import MissionTimes, Phase, Window
 
-__all__ = ["Clock", "Closable", "ExperimentContext", "Resources", "RobotRunnerContext", "RunBroker", "SystemClock"]
+__all__ = [
+    "Clock",
+    "Closable",
+    "ExperimentContext",
+    "Resources",
+    "RobotRunnerContext",
+    "RunBroker",
+    "StartedProgram",
+    "SystemClock",
+]
 
 
 # The clock that a run lives by: the machine's own, or that of a simulated robot.
@@ -96,6 +110,15 @@ class Resources:
         """Close everything in reverse order; what one of them raises is raised after all were closed."""
         self._opened.clear()
         self._closing.close()
+
+
+class StartedProgram(Protocol):
+    """A program that was started, such as a `subprocess.Popen`."""
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        ...
 
 
 class RunBroker(Protocol):
@@ -176,6 +199,7 @@ class RobotRunnerContext(ExperimentContext):
         owner: who this context was made for: a plugin's name, or `config`.
         times: when the mission and its phases began and ended.
         ending: what ends the run or its mission; ask for it through `fail` and `stop_mission`.
+        hosts: what opens the hosts of the config; ask for one through `host`.
         run_path: where the run's folder is once something is kept in it; ask for `run_folder` to keep something.
     """
 
@@ -194,6 +218,7 @@ class RobotRunnerContext(ExperimentContext):
     broker: RunBroker = field(repr=False)
     attempts_left: int = 0
     ending: Ending = field(default_factory=EndingInPlace, repr=False)
+    hosts: HostDoor = field(default_factory=NoHosts, repr=False)
 
     @property
     def run_folder(self) -> Path:
@@ -265,6 +290,16 @@ class RobotRunnerContext(ExperimentContext):
         """
         self.broker.publish(self.owner, name, value, origin)
 
+    def host(self, name: str) -> HostAccess:
+        """Return a host of the config's `hosts`, to execute commands there, copy to it and fetch from it.
+
+        Its one connection is kept until the run ends; in `before_run`, until that has been heard by all.
+
+        Raises:
+            LinkError: the config names no such host; the nearest is named.
+        """
+        return self.hosts.open(name, self)
+
     def share(self, **values: object) -> None:
         """Pass key-value pairs on to the subscribers of the following events (`plugin_data`), and to the screen.
 
@@ -307,6 +342,26 @@ class RobotRunnerContext(ExperimentContext):
         """
         if self.times.stop():
             self.ending.stop_mission(self.owner, reason)
+
+    def outlives(self, process: StartedProgram | int) -> None:
+        """Let a program that this run started go on when the run has ended, with all that it starts itself.
+
+        Nobody ends it then but you.
+
+        Args:
+            process: the program, as `subprocess.Popen` returns it, or its process id.
+
+        Raises:
+            PluginError: there is no such process.
+            StorageError: it cannot be noted in the experiment's folder.
+        """
+        pid = process if isinstance(process, int) else process.pid
+        name = program_name(pid)
+        if name is None:
+            fix = "Give it the Popen object, or its pid, while it is alive."
+            raise PluginError(f"process {pid!r} cannot outlive the run: it is not alive", where=self.owner, fix=fix)
+        spare(ExperimentFolder(self.experiment_folder).outliving, pid)
+        self.broker.note(self.owner, "outlives", {"pid": pid, "program": name})
 
     def note_clock(self, facts: Mapping[str, object]) -> None:
         """Say how another computer's clock stood to the run's, as `ClockRecord.facts` tells it.

@@ -21,15 +21,24 @@ __all__ = [
     "FindingsNoticed",
     "GatePassed",
     "GateWaiting",
+    "HostRestarts",
     "InterruptionNoticed",
     "Notice",
     "Observer",
     "Paused",
+    "PreparationStarted",
     "ProbeStarted",
     "RunRecord",
     "SilentObserver",
     "WaitingForUser",
 ]
+
+
+@dataclass(frozen=True, slots=True)
+class PreparationStarted:
+    """Something that the runs need is being made, before anything else happens, and may take its time."""
+
+    what: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +110,14 @@ class WaitingForUser:
     folder: Path
     next_run_number: int
     run_count: int
+
+
+@dataclass(frozen=True, slots=True)
+class HostRestarts:
+    """A host is started anew before the next run, and awaited."""
+
+    host: str
+    next_run: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,13 +206,15 @@ class ExperimentFinished:
 
 
 Notice = (
-    ProbeStarted
+    PreparationStarted
+    | ProbeStarted
     | ExperimentStarted
     | AttemptStarted
     | RunRecord
     | AttemptFinished
     | FindingsNoticed
     | WaitingForUser
+    | HostRestarts
     | Paused
     | GateWaiting
     | GatePassed

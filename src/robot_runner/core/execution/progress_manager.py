@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.config.plugin_checks import check_treatments
+from robot_runner.core.config.treatment_makers import PREPARED, known_treatments
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.circumstances import (
     keep_config,
@@ -18,6 +19,7 @@ from robot_runner.core.execution.circumstances import (
     resumed_manifest,
 )
 from robot_runner.core.execution.durations import durations_of
+from robot_runner.core.execution.left_over import await_left_over
 from robot_runner.core.execution.mission_knowledge import combination_key
 from robot_runner.core.execution.recovery import config_changes, selected_places
 from robot_runner.core.execution.run_review import UnreadFactors, missing_measures
@@ -32,7 +34,7 @@ from robot_runner.core.storage.manifest import read_manifest, write_manifest
 from robot_runner.core.storage.safe_write import fsync_folder, storage_error
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.durations import Durations, TimeLeft
@@ -56,7 +58,9 @@ _KEPT = frozenset(
         "bound",
         "waited",
         "guard",
+        "subject",
         "mission_stopped",
+        "outlives",
     }
 )
 
@@ -81,6 +85,7 @@ class ProgressManager:
         experiment: what is executed.
         resumption: which runs, and what may differ from before.
         probe: tries the profilers once nobody else can use them and before anything is written; gets the first run.
+        prepare: makes treatments that have to be made; gets the facts that it returned first.
 
     Raises:
         RobotRunnerError: on entering: somebody else executes the experiment, the folder cannot be written, the run
@@ -88,12 +93,17 @@ class ProgressManager:
     """
 
     def __init__(
-        self, experiment: Experiment, resumption: Resumption, probe: Callable[[RunTask], Probe] | None = None
+        self,
+        experiment: Experiment,
+        resumption: Resumption,
+        probe: Callable[[RunTask], Probe] | None = None,
+        prepare: Callable[[Mapping[str, Any]], dict[str, Any]] = lambda _: {},
     ) -> None:
         self._experiment = experiment
         self._folder = experiment.folder
         self._resumption = resumption
         self._probe = probe
+        self._prepare = prepare
         self._failed: dict[str, str] = {}
         self._findings: list[Finding] = []
         self._unread = UnreadFactors(experiment)
@@ -105,6 +115,8 @@ class ProgressManager:
             opened.enter_context(ExperimentLock(self._folder.lock))
             opened.callback(forget_pause, self._folder.pause)  # of no use to the next session
             forget_pause(self._folder.pause)  # of one that was killed
+            left_over = await_left_over(self._folder, self._experiment.parameters.grace_in_s)
+            self._findings += [left_over] if left_over is not None else []
             self._manifest = self._load_manifest()
             if self._resumption.selection:
                 self._manifest["executions"][-1]["selection"] = self._resumption.selection
@@ -113,6 +125,8 @@ class ProgressManager:
             self._selected = selected_places(recovered.rows, self._resumption)
             self._refuse_unfit_treatments(recovered)
             self._take(recovered)
+            prepared = self._prepare(known_treatments(self._folder))
+            self._manifest |= prepared
             self._durations = self._expected_durations()
             probed = self._probed()
             if recovered.unfinished is not None:  # the orchestrator died: what the run printed is still its log
@@ -120,7 +134,9 @@ class ProgressManager:
                 self._left_behind.add(recovered.unfinished)
             self._journal = opened.enter_context(Journal(self._folder.journal))
             self._keep_deviations(recovered)
-            keep_config(self._experiment)
+            if prepared:
+                self._journal.append(PREPARED, flush=True, treatments=prepared)
+            keep_config(self._experiment, self._manifest)
             write_manifest(self._folder.manifest, self._manifest)
             # Reading the table took longer than writing it will.
             reading = time.monotonic() - started
@@ -138,6 +154,7 @@ class ProgressManager:
             runs=self.run_count,
             design=manifest["design"]["source"],
             **({"selection": chosen} if (chosen := self._resumption.selection) else {}),
+            repository=manifest["executions"][-1].get("repository"),
         )
         if probed is not None and probed.profilers:
             self.note("probe", **probed.fields())
