@@ -6,11 +6,10 @@ import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast, runtime_checkable
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TypeVar, cast, runtime_checkable
 
-from robot_runner.core.errors import PluginError
+from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.early_end import EndingInPlace
-from robot_runner.core.events.host_access import NoHosts
 from robot_runner.core.events.measure import MeasureValue, Origin, PublishedMeasure
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.outliving import program_name, spare
@@ -22,13 +21,15 @@ if TYPE_CHECKING:
 
     from robot_runner.core.errors import Finding
     from robot_runner.core.events.early_end import Ending
-    from robot_runner.core.events.host_access import HostAccess, HostDoor
+    from robot_runner.core.events.host_access import HostAccess
     from robot_runner.core.events.window import MissionTimes, Phase, Window
 
 __all__ = [
     "Clock",
     "Closable",
     "ExperimentContext",
+    "HostDoor",
+    "NoHosts",
     "Resources",
     "RobotRunnerContext",
     "RunBroker",
@@ -162,6 +163,29 @@ class RunBroker(Protocol):
     def findings(self) -> tuple[Finding, ...]:
         """The warnings recorded so far."""
         ...
+
+
+class HostDoor(Protocol):
+    """What a context opens hosts by."""
+
+    def open(self, name: str, context: RobotRunnerContext) -> HostAccess:
+        """Return the host of this name; its connection is kept until the run ends."""
+        ...
+
+
+class NoHosts:
+    """The hosts of a config that names none."""
+
+    def open(self, name: str, context: RobotRunnerContext) -> NoReturn:
+        """Refuse.
+
+        Raises:
+            LinkError: always.
+        """
+        del context
+        raise LinkError(
+            f"there is no host {name!r}", where="hosts", fix=f"Name it in the config: hosts = {{{name!r}: 'pi@robot'}}."
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
