@@ -226,6 +226,9 @@ class RunTableModel:
         15
     """
 
+    _too_large: Finding | None = None  # of a design whose runs are listed one by one, none is
+    _listed_runs: tuple[PlannedRun, ...] | None = None
+
     def __init__(
         self,
         factors: Iterable[Factor],
@@ -258,7 +261,6 @@ class RunTableModel:
         self._order = _ordered(RunOrder(shuffle=shuffle), seed, blocks)
         self._planned: RunTable | None = None
         self._too_large = too_large
-        self._listed_runs: tuple[PlannedRun, ...] | None = None
 
     @property
     def shuffle(self) -> bool:
