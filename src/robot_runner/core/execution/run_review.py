@@ -8,6 +8,7 @@ from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.watched_combination import unread
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import RUN_EVENTS, RobotRunnerEvents
+from robot_runner.core.events.measure import OPERATOR_OWNER
 from robot_runner.core.execution.task import AttemptStatus
 
 if TYPE_CHECKING:
@@ -58,6 +59,7 @@ def missing_measures(experiment: Experiment, task: RunTask, outcome: RunOutcome)
     return [
         Finding.warning(f"{task.run_id}, {column.owner}", f"{column.name} has no value", _missing_fix(column.owner))
         for column in experiment.columns.in_table
+        if column.owner != OPERATOR_OWNER  # a person is asked before some runs only
         if outcome.measures.get(column.name) is None or outcome.measures[column.name].value is None
     ]
 
