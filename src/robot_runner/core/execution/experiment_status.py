@@ -149,6 +149,7 @@ def read_status(folder: Path) -> ExperimentStatus:
         seconds_left=left.after(history.since_left if holder else 0.0) if left is not None else None,
         left_is_least=left is not None and left.is_least,
         bad_values=history.bad_values,
+        waiting_for=history.waiting_for if holder else None,
         sessions=tuple(history.sessions),
         excluded=out,
         is_paused=holder is not None and history.is_paused,
