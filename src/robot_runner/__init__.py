@@ -52,6 +52,8 @@ if TYPE_CHECKING:
     from robot_runner.core.design.analysis_plan import Hypothesis as Hypothesis
     from robot_runner.core.design.factor import Factor as Factor
     from robot_runner.core.design.run_table_model import RunTableModel as RunTableModel
+    from robot_runner.core.design.warm_up import WarmUp as WarmUp
+    from robot_runner.core.errors import CommandError as CommandError
     from robot_runner.core.errors import ConditionError as ConditionError
     from robot_runner.core.errors import ConditionTimeout as ConditionTimeout
     from robot_runner.core.errors import RobotRunnerError as RobotRunnerError
@@ -59,12 +61,15 @@ if TYPE_CHECKING:
     from robot_runner.core.events.condition import Look as Look
     from robot_runner.core.events.context import ExperimentContext as ExperimentContext
     from robot_runner.core.events.context import RobotRunnerContext as RobotRunnerContext
+    from robot_runner.core.events.host_access import CommandResult as CommandResult
     from robot_runner.core.events.manager import EventSubscriptionController as EventSubscriptionController
     from robot_runner.core.events.manager import RobotRunnerEvents as RobotRunnerEvents
     from robot_runner.core.events.measure import Measure as Measure
     from robot_runner.core.events.measure import Origin as Origin
     from robot_runner.core.events.outlook import ExperimentEnd as ExperimentEnd
     from robot_runner.core.events.outlook import NextRun as NextRun
+    from robot_runner.core.links.declared_host import Host as Host
+    from robot_runner.core.links.declared_host import Reboot as Reboot
     from robot_runner.core.treatments import treatment as treatment
 else:
     __getattr__, __dir__ = open_door(__name__)

@@ -8,6 +8,7 @@ RobotRunnerError
 ├── MeasureError       a value that the run table must not take
 ├── StorageError       a file or folder that cannot be read or written
 ├── LinkError          a robot, host or device that cannot be reached
+│   └── CommandError   a command on a host that failed, or did not end in time
 ├── ConditionError     something that cannot be awaited
 │   └── ConditionTimeout   ... or that did not come in time
 ├── ExecutionError     an experiment that cannot start or go on
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AnalysisError",
+    "CommandError",
     "ConditionError",
     "ConditionTimeout",
     "ConfigError",
@@ -143,6 +145,10 @@ class StorageError(RobotRunnerError):
 
 class LinkError(RobotRunnerError):
     """A robot, host or device that cannot be reached or does not answer."""
+
+
+class CommandError(LinkError):
+    """A command on a host failed, or did not end in time."""
 
 
 class ExecutionError(RobotRunnerError):

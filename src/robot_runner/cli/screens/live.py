@@ -14,12 +14,12 @@ from rich.text import Text
 from robot_runner.cli.findings import print_findings
 from robot_runner.cli.screens.plain import (
     RunRows,
+    announced,
     closing,
     forget_typed,
     gate_passed,
     opening,
     pausing,
-    probing,
     question_asked,
     refusals,
     request,
@@ -37,9 +37,11 @@ from robot_runner.core.execution.notices import (
     ExperimentStarted,
     FindingsNoticed,
     GatePassed,
+    HostRestarts,
     InterruptionNoticed,
     Notice,
     Paused,
+    PreparationStarted,
     ProbeStarted,
     QuestionAsked,
     UserHasContinued,
@@ -108,8 +110,9 @@ class LiveScreen:
         """Take a notice; what is permanent is printed above the live part, the rest is shown at the next refresh."""
         self.progress.take(notice)
         match notice:
-            case ProbeStarted():
-                self._console.print(Text(probing(notice), style="dim"))
+            case PreparationStarted() | ProbeStarted() | HostRestarts():
+                self._print_finished()
+                self._console.print(Text(announced(notice), style="dim"))
             case ExperimentStarted():
                 self._begin(notice)
             case AttemptStarted():

@@ -25,9 +25,11 @@ from robot_runner.core.execution.notices import (
     FindingsNoticed,
     GatePassed,
     GateWaiting,
+    HostRestarts,
     InterruptionNoticed,
     Notice,
     Paused,
+    PreparationStarted,
     ProbeStarted,
     QuestionAsked,
     WaitingForUser,
@@ -50,6 +52,7 @@ if TYPE_CHECKING:
 __all__ = [
     "PlainScreen",
     "RunRows",
+    "announced",
     "closing",
     "continue_command",
     "forget_typed",
@@ -57,7 +60,6 @@ __all__ = [
     "heading_of",
     "opening",
     "pausing",
-    "probing",
     "question_asked",
     "refusals",
     "request",
@@ -100,7 +102,9 @@ def shown_measure(published: PublishedMeasure | None) -> str:
 def treatments_in_words(task: RunTask | WaitingForUser, model: RunTableModel) -> str:
     """Return what a run varies, as `Task=Video, Repetition=3`."""
     parts = [f"{name}={shown_treatment(treatment)}" for name, treatment in task.combination.items()]
-    if model.repetitions > 1:
+    if task.is_warm_up:
+        parts.append("warm-up")
+    elif model.repetitions > 1:
         parts.append(f"{REPETITION}={task.repetition}")
     return ", ".join(parts)
 
@@ -169,11 +173,6 @@ def forget_typed(descriptor: int | None) -> None:
             termios.tcflush(descriptor, termios.TCIFLUSH)
 
 
-def probing(started: ProbeStarted) -> str:
-    """Return what is said while the profilers are tried."""
-    return f"Trying {enumerated(started.plugins)} for a moment, before anything moves ..."
-
-
 def opening(started: ExperimentStarted) -> list[str]:
     """Return what is said when an experiment starts."""
     before = f", {started.done_count:,} of them done before" if started.done_count else ""
@@ -185,6 +184,15 @@ def opening(started: ExperimentStarted) -> list[str]:
         parts = ", ".join(f"{name}={value}" for name, value in started.overrides.items())
         lines.append(f"set by hand, and recorded as a deviation from the config: {parts}")
     return lines
+
+
+def announced(notice: PreparationStarted | ProbeStarted | HostRestarts) -> str:
+    """Return what is said of something that takes a while and shows nothing meanwhile."""
+    if isinstance(notice, PreparationStarted):
+        return f"{notice.what} ..."
+    if isinstance(notice, ProbeStarted):
+        return f"Trying {enumerated(notice.plugins)} for a moment, before anything moves ..."
+    return f"Starting {notice.host} anew before {notice.next_run}, and waiting until it is ready ..."
 
 
 def closing(run_id: str) -> str:
@@ -296,8 +304,8 @@ class PlainScreen:
         """Print what is worth a line."""
         self.progress.take(notice)
         match notice:
-            case ProbeStarted():
-                self._print(probing(notice))
+            case PreparationStarted() | ProbeStarted() | HostRestarts():
+                self._print(announced(notice))
             case ExperimentStarted():
                 self._units = notice.columns
                 self._print(*opening(notice))

@@ -15,6 +15,7 @@ from robot_runner.core.config.gate_parameters import Gate, Guard
 from robot_runner.core.config.parameter_kinds import (
     AUTHORS,
     FLAG,
+    HOSTS,
     LICENCE,
     LINK,
     NAME,
@@ -35,13 +36,14 @@ from robot_runner.core.config.parameter_kinds import (
 from robot_runner.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from robot_runner.core.config.authors import Author
     from robot_runner.core.config.notify import Notify
     from robot_runner.core.config.operator_steps import OperatorStep
     from robot_runner.core.design.analysis_plan import AnalysisPlan
     from robot_runner.core.design.run_table_model import RunTable, RunTableModel
+    from robot_runner.core.links.declared_host import Host
     from robot_runner.core.plugin import Plugin
 
 __all__ = [
@@ -162,6 +164,12 @@ class StaticParameters:
         LINK.or_none(),
         None,
     )
+    hosts: Mapping[str, Host | str] = _declare(
+        "The computers that take part, by name: an address as for ssh, `local` for this machine, or "
+        "`Host(address=..., fetch=[...], reboot=...)`; `context.host(name)` executes commands there.",
+        HOSTS,
+        {},
+    )
     required_ros_version: Any = _declare(
         "The ROS generation that the experiment needs: 1, 2, `any`, or None for none at all.",
         replace(ROS_GENERATION, type_name="int | None"),
@@ -267,6 +275,7 @@ class Parameters(StaticParameters):
     """
 
     results_output_path: Path
+    hosts: Mapping[str, Host]
     required_ros_version: int | str | None
     required_ros_distro: str | None
     authors: tuple[Author, ...]

@@ -6,10 +6,13 @@ import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast, runtime_checkable
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TypeVar, cast, runtime_checkable
 
+from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.early_end import EndingInPlace
 from robot_runner.core.events.measure import MeasureValue, Origin, PublishedMeasure
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.outliving import program_name, spare
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -18,10 +21,22 @@ if TYPE_CHECKING:
 
     from robot_runner.core.errors import Finding
     from robot_runner.core.events.early_end import Ending
+    from robot_runner.core.events.host_access import HostAccess
     from robot_runner.core.events.outlook import ExperimentEnd, NextRun
     from robot_runner.core.events.window import MissionTimes, Phase, Window
 
-__all__ = ["Clock", "Closable", "ExperimentContext", "Resources", "RobotRunnerContext", "RunBroker", "SystemClock"]
+__all__ = [
+    "Clock",
+    "Closable",
+    "ExperimentContext",
+    "HostDoor",
+    "NoHosts",
+    "Resources",
+    "RobotRunnerContext",
+    "RunBroker",
+    "StartedProgram",
+    "SystemClock",
+]
 
 
 # The clock that a run lives by: the machine's own, or that of a simulated robot.
@@ -99,6 +114,15 @@ class Resources:
         self._closing.close()
 
 
+class StartedProgram(Protocol):
+    """A program that was started, such as a `subprocess.Popen`."""
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        ...
+
+
 class RunBroker(Protocol):
     """Where a run's context passes things on to: the event manager's side of a context."""
 
@@ -142,6 +166,29 @@ class RunBroker(Protocol):
         ...
 
 
+class HostDoor(Protocol):
+    """What a context opens hosts by."""
+
+    def open(self, name: str, context: RobotRunnerContext) -> HostAccess:
+        """Return the host of this name; its connection is kept until the run ends."""
+        ...
+
+
+class NoHosts:
+    """The hosts of a config that names none."""
+
+    def open(self, name: str, context: RobotRunnerContext) -> NoReturn:
+        """Refuse.
+
+        Raises:
+            LinkError: always.
+        """
+        del context
+        raise LinkError(
+            f"there is no host {name!r}", where="hosts", fix=f"Name it in the config: hosts = {{{name!r}: 'pi@robot'}}."
+        )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExperimentContext:
     """What the callbacks of `before_experiment` and `after_experiment` are told.
@@ -172,13 +219,14 @@ class RobotRunnerContext(ExperimentContext):
         attempt: how often this run has been tried, this time included, from 1.
         attempts_left: how often it is tried again where this attempt fails.
         combination: the treatment of each factor, by the factor's name.
-        repetition: which repetition of the combination this is, from 1.
+        repetition: which repetition of the combination this is, from 1; 0 for a warm-up run.
         run_seed: a seed for this run alone, the same each time that it is executed.
         clock: the clock to sleep on; on a simulated robot it is the simulation's.
         resources: links and devices that the run's plugins share.
         owner: who this context was made for: a plugin's name, or `config`.
         times: when the mission and its phases began and ended.
         ending: what ends the run or its mission; ask for it through `fail` and `stop_mission`.
+        hosts: what opens the hosts of the config; ask for one through `host`.
         run_path: where the run's folder is once something is kept in it; ask for `run_folder` to keep something.
         next_run: in `continue_experiment`, the run that comes next; all else there is about the run that is over.
     """
@@ -198,7 +246,13 @@ class RobotRunnerContext(ExperimentContext):
     broker: RunBroker = field(repr=False)
     attempts_left: int = 0
     ending: Ending = field(default_factory=EndingInPlace, repr=False)
+    hosts: HostDoor = field(default_factory=NoHosts, repr=False)
     next_run: NextRun | None = None
+
+    @property
+    def is_warm_up(self) -> bool:
+        """Whether the run only warms up: it is executed and kept like any other, and not analysed."""
+        return self.repetition == 0
 
     @property
     def run_folder(self) -> Path:
@@ -270,6 +324,16 @@ class RobotRunnerContext(ExperimentContext):
         """
         self.broker.publish(self.owner, name, value, origin)
 
+    def host(self, name: str) -> HostAccess:
+        """Return a host of the config's `hosts`, to execute commands there, copy to it and fetch from it.
+
+        Its one connection is kept until the run ends; in `before_run`, until that has been heard by all.
+
+        Raises:
+            LinkError: the config names no such host; the nearest is named.
+        """
+        return self.hosts.open(name, self)
+
     def share(self, **values: object) -> None:
         """Pass key-value pairs on to the subscribers of the following events (`plugin_data`), and to the screen.
 
@@ -312,6 +376,26 @@ class RobotRunnerContext(ExperimentContext):
         """
         if self.times.stop():
             self.ending.stop_mission(self.owner, reason)
+
+    def outlives(self, process: StartedProgram | int) -> None:
+        """Let a program that this run started go on when the run has ended, with all that it starts itself.
+
+        Nobody ends it then but you.
+
+        Args:
+            process: the program, as `subprocess.Popen` returns it, or its process id.
+
+        Raises:
+            PluginError: there is no such process.
+            StorageError: it cannot be noted in the experiment's folder.
+        """
+        pid = process if isinstance(process, int) else process.pid
+        name = program_name(pid)
+        if name is None:
+            fix = "Give it the Popen object, or its pid, while it is alive."
+            raise PluginError(f"process {pid!r} cannot outlive the run: it is not alive", where=self.owner, fix=fix)
+        spare(ExperimentFolder(self.experiment_folder).outliving, pid)
+        self.broker.note(self.owner, "outlives", {"pid": pid, "program": name})
 
     def note_clock(self, facts: Mapping[str, object]) -> None:
         """Say how another computer's clock stood to the run's, as `ClockRecord.facts` tells it.

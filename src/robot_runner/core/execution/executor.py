@@ -44,10 +44,10 @@ class Watch:
     """
 
     interruption: Interruption
-    report: Report
-    refresh: Callable[[], None]
-    refresh_interval: float | None
-    noticed_interruption: Callable[[], None]
+    report: Report = lambda _kind, _fields: None
+    refresh: Callable[[], None] = lambda: None
+    refresh_interval: float | None = None
+    noticed_interruption: Callable[[], None] = lambda: None
     tend: Callable[[], float | None] = lambda: None
 
 
@@ -84,7 +84,7 @@ class _ProcessExecutor:
     def execute(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunOutcome:
         parameters = self._experiment.parameters
         limits = _Limits(parameters.run_deadline_in_s, parameters.event_deadline_in_s, parameters.grace_in_s)
-        with Keeper(partial(self._start, self._experiment, task), limits.grace) as keeper:
+        with Keeper(partial(self._start, self._experiment, task), limits.grace, self._experiment.folder) as keeper:
             return _Supervision(keeper, builder, limits, watch).follow()
 
 

@@ -23,10 +23,12 @@ __all__ = [
     "FindingsNoticed",
     "GatePassed",
     "GateWaiting",
+    "HostRestarts",
     "InterruptionNoticed",
     "Notice",
     "Observer",
     "Paused",
+    "PreparationStarted",
     "ProbeStarted",
     "QuestionAsked",
     "RunRecord",
@@ -34,6 +36,13 @@ __all__ = [
     "UserHasContinued",
     "WaitingForUser",
 ]
+
+
+@dataclass(frozen=True, slots=True)
+class PreparationStarted:
+    """Something that the runs need is being made, before anything else happens, and may take its time."""
+
+    what: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +151,14 @@ class UserHasContinued:
 
 
 @dataclass(frozen=True, slots=True)
+class HostRestarts:
+    """A host is started anew before the next run, and awaited."""
+
+    host: str
+    next_run: str
+
+
+@dataclass(frozen=True, slots=True)
 class Paused:
     """Somebody asked for a pause: the next run starts once it is ended."""
 
@@ -227,13 +244,15 @@ class ExperimentFinished:
 
 
 Notice = (
-    ProbeStarted
+    PreparationStarted
+    | ProbeStarted
     | ExperimentStarted
     | AttemptStarted
     | RunRecord
     | AttemptFinished
     | FindingsNoticed
     | WaitingForUser
+    | HostRestarts
     | Paused
     | QuestionAsked
     | AnswersRefused

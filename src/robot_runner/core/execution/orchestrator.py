@@ -14,7 +14,7 @@ from robot_runner.core.config.parameters import FailurePolicy
 from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, StorageError
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.events.outlook import ExperimentEnd
-from robot_runner.core.execution.between_runs import BetweenRuns, Patience
+from robot_runner.core.execution.between_runs import BetweenRuns
 from robot_runner.core.execution.executor import Watch, executor_for
 from robot_runner.core.execution.gates import Gates, Passage
 from robot_runner.core.execution.interruption import Interruption
@@ -27,12 +27,15 @@ from robot_runner.core.execution.notices import (
     InterruptionNoticed,
     Notice,
     Observer,
+    PreparationStarted,
     ProbeStarted,
     RunRecord,
 )
 from robot_runner.core.execution.notifications import Notifications
 from robot_runner.core.execution.operator import Operator
 from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
+from robot_runner.core.execution.patience import Patience
+from robot_runner.core.execution.prepared_treatments import prepared_treatments
 from robot_runner.core.execution.probe import Probe, probe_profilers, probed_profilers
 from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
 from robot_runner.core.execution.recovery import Resumption
@@ -42,7 +45,7 @@ from robot_runner.core.treatments import bind, factors_of, values_of
 from robot_runner.core.words import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from typing import Any
 
     from robot_runner.core.config.experiment import Experiment
@@ -87,11 +90,16 @@ def execute_experiment(
         seen.refuse_silent()
         return seen
 
+    def prepare(known: Mapping[str, Any]) -> dict[str, Any]:
+        return prepared_treatments(
+            experiment, known, interruption, lambda what: _tell(observer, PreparationStarted(what))
+        )
+
     is_probed = resumption.probe and experiment.parameters.probe
     probed = [profiler.name for profiler in probed_profilers(experiment)] if is_probed else []
     with (
         Interruption() as interruption,
-        ProgressManager(experiment, resumption, probe if probed else None) as progress,
+        ProgressManager(experiment, resumption, probe if probed else None, prepare) as progress,
     ):
         return _Orchestrator(experiment, progress, interruption, observer).execute(findings)
 
