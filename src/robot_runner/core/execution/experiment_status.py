@@ -155,6 +155,7 @@ def read_status(folder: Path) -> ExperimentStatus:
         seconds_left=left.after(history.since_left if holder else 0.0) if left is not None else None,
         left_is_least=left is not None and left.is_least,
         bad_values=history.bad_values,
+        waiting_for=history.waiting_for if holder else None,
         warm_ups=len(history.warm_ups),
         warm_ups_done=sum(statuses.get(run) is RunStatus.DONE for run in history.warm_ups),
         batches=tuple(int(each["runs"]) for each in manifest.get("design", {}).get("batches", ())),
