@@ -293,8 +293,9 @@ class _History:
     def _take_attempt_started(self, record: Mapping[str, Any]) -> None:
         self.current_run, self.current_event = record["run"], None
         self._take_left(record)
-        self._begun.pop(record["run"], None)
-        self._begun[record["run"]] = None
+        if record.get("repetition") != 0:  # a warm-up run may be executed again in each session
+            self._begun.pop(record["run"], None)
+            self._begun[record["run"]] = None
 
     def _take_event(self, record: Mapping[str, Any]) -> None:
         self.current_event = record["event"]
