@@ -190,7 +190,8 @@ def _time_left(files: ExperimentFolder, history: _History, *, is_executed: bool)
     """Return what is left: as the orchestrator estimated it last, or of all runs that are not done."""
     if is_executed:
         return history.left
-    unfinished = [run for run, status in history.statuses.items() if status is not RunStatus.DONE]
+    out = history.excluded
+    unfinished = [run for run, status in history.statuses.items() if status is not RunStatus.DONE and run not in out]
     if not unfinished:
         return None
     durations = Durations()
