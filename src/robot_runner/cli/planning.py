@@ -149,7 +149,7 @@ def _with_duration(
     durations.plan(
         run.combination
         for place, run in enumerate(plan.runs)
-        if rows is None or rows.status(place) is not RunStatus.DONE
+        if rows is None or (rows.status(place) is not RunStatus.DONE and rows.excluded(place) is None)
     )
     is_probed = parameters.probe
     probed = probe_window_of(probed_plugins(plugins, events, parameters.robot)) if is_probed else 0.0

@@ -16,7 +16,7 @@ from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.core.storage.table_columns import ColumnRole, TableLayout
 from robot_runner.core.storage.table_schema import ColumnDescription, read_schema
-from robot_runner.core.words import shown_duration
+from robot_runner.core.words import shown_commit, shown_duration
 from robot_runner.replication.config_lines import ConfigLine, ConfigLines
 from robot_runner.replication.contents import CONFIG_OWNER
 from robot_runner.replication.run_history import RunHistory
@@ -148,8 +148,11 @@ class _Explaining:
             yield "Waited in all", shown_duration(history.waited)
         yield "Robot", str(self._manifest.get("robot") or "as the config says")
         yield "Host", self._host()
+        yield "Commit", history.commit
         for host in history.hosts:
             yield "Other host", host
+        for subject in history.subjects:
+            yield "Subject", subject
         for owner, name, factor, value in history.bound:
             yield "Parameter", f"{name} of {owner} = {value}, bound to the factor {factor}"
 
@@ -237,6 +240,8 @@ class _Explaining:
             yield "From", f"{design['source']}, which was written by hand before the first run"
         if column.role is ColumnRole.FACTOR:
             bound = [f"{name} of {owner}" for owner, name, factor, _ in self._history.bound if factor == column.name]
+            for name, facts in ((self._manifest.get("revisions") or {}).get(column.name) or {}).items():
+                yield "Revision", f"{name} is {shown_commit(facts)}"
             yield "Bound to", ", ".join(bound)
             yield "Read by", self._read_by(column.name)
         found = self._lines.of_factor(column.name)

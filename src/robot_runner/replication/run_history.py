@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.storage.excluded_runs import EXCLUSION_KINDS, ExcludedRuns
 from robot_runner.core.storage.journal import read_journal
-from robot_runner.core.words import shown_duration
+from robot_runner.core.words import shown_commit, shown_duration
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from typing import Self
 
 __all__ = ["RunHistory"]
+
+#: What the runs that follow have in common.
+_OF_EXECUTION = "experiment_started"
 
 
 @dataclass(slots=True)
@@ -37,6 +40,8 @@ class RunHistory:
         waits: what was awaited before and in the last attempt, and which guards came true in it.
         waited: how long that took in all, s.
         gate_of: the attempt before which a gate was awaited last.
+        commit: of the config's repository.
+        subjects: software under test, with its command and where its output is.
     """
 
     attempt: int = 0
@@ -55,6 +60,8 @@ class RunHistory:
     waits: list[tuple[str, str]] = field(default_factory=list)
     waited: float = 0.0
     gate_of: int = 0
+    commit: str = ""
+    subjects: list[str] = field(default_factory=list)
 
     @classmethod
     def read(cls, journal: Path, run_id: str) -> Self:
@@ -64,9 +71,13 @@ class RunHistory:
             StorageError: it cannot be read.
         """
         history = cls()
-        for record in read_journal(journal, kinds=_TAKEN_BY):
-            if record.get("run") == run_id:
+        commit = ""
+        for record in read_journal(journal, kinds={*_TAKEN_BY, _OF_EXECUTION}):
+            if record["kind"] == _OF_EXECUTION:
+                commit = shown_commit(record.get("repository"))
+            elif record.get("run") == run_id:
                 history.take(record)
+                history.commit = commit
         return history
 
     def take(self, record: dict[str, Any]) -> None:
@@ -78,7 +89,7 @@ class RunHistory:
             self.waits, self.waited = [], 0.0
         self.attempt, self.started_at, self.finished_at = int(record["attempt"]), record["at"], None
         self.measures, self.clocks, self.doubts, self.hosts = {}, {}, {}, []
-        self.bound, self.readers, self.stopped = [], None, ""
+        self.bound, self.readers, self.stopped, self.subjects = [], None, "", []
 
     def _end(self, record: dict[str, Any]) -> None:
         self.finished_at = record["at"]
@@ -96,6 +107,12 @@ class RunHistory:
 
     def _take_stop(self, record: dict[str, Any]) -> None:
         self.stopped = f"stopped by {record.get('owner')}: {record.get('reason')}"
+
+    def _take_subject(self, record: dict[str, Any]) -> None:
+        if "command" in record:
+            command = " ".join(map(str, record["command"]))
+            on = f" on {record['host']}" if record.get("host") else ""
+            self.subjects.append(f"{record.get('owner')}{on}: {command} (output in {record.get('output')})")
 
     def _take_bound(self, record: dict[str, Any]) -> None:
         each = record["parameters"].items()
@@ -140,6 +157,7 @@ _TAKEN_BY: dict[str, Callable[[RunHistory, dict[str, Any]], None]] = {
     "finding": RunHistory._take_finding,
     "mission_stopped": RunHistory._take_stop,
     **dict.fromkeys(("gate", "waited", "guard"), RunHistory._take_wait),
+    "subject": RunHistory._take_subject,
     "bound": RunHistory._take_bound,
     "clock": RunHistory._take_clock,
 }

@@ -347,7 +347,7 @@ def test_two_orchestrators_on_one_experiment_are_one_too_many(execute: Execute) 
     assert executed.finished.done_count == 4
 
 
-def test_a_fresh_interpreter_that_cannot_load_the_config_leaves_the_reason_in_the_journal(execute: Execute) -> None:
+def test_a_fresh_interpreter_that_cannot_load_the_config_says_the_cause(execute: Execute) -> None:
     head = """\
 from pathlib import Path
 from robot_runner import *
@@ -361,3 +361,4 @@ class RobotRunnerConfig(ExperimentConfig):
     (failure,) = executed.journal("failure")
     assert "RuntimeError while it was loaded: the camera is busy" in failure["problem"]
     assert executed.finished.failed_count == 1
+    assert "the camera is busy" in executed.finished.failures[0], "that it exited with code 1 is not the cause"

@@ -10,7 +10,7 @@ from robot_runner.analysis.report.material import correction_in_words
 from robot_runner.analysis.report.tables import build_table, field, interval, number, text
 from robot_runner.analysis.wording import ALPHA, MINUS, listed, sentence, with_unit
 from robot_runner.core.storage.executed_runs import moved_in_words
-from robot_runner.core.words import counted, shown_duration
+from robot_runner.core.words import counted, shown_commit, shown_duration
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -151,6 +151,13 @@ def _machine(material: Material) -> Iterator[tuple[str, str]]:
             yield "Processor", ", ".join(filter(None, parts))
     if software.get("robot_runner"):
         yield "Robot Runner", str(software["robot_runner"])
+    commits = dict.fromkeys(
+        shown_commit(each.get("repository")) for each in material.manifest("executions", default=[])
+    )
+    if any(commits):
+        yield "Config's repository", "; ".join(filter(None, commits))
+    for factor, revisions in material.manifest("revisions", default={}).items():
+        yield from ((f"{factor} {name}", shown_commit(facts)) for name, facts in revisions.items())
     if software.get("python"):
         yield "Python", f"{software['python']} ({software.get('implementation', '')})".replace(" ()", "")
     seconds = material.results.attempts["seconds"].dropna()

@@ -99,7 +99,8 @@ def _next(finished: ExperimentFinished, progress: Progress, command: str) -> str
         left = f"{finished.failed_count:,} failed, {finished.todo_count:,} to do"
         return f"look at {shown_path(_story_of_failure(finished))}, then execute what is left ({left}): {command}"
     if finished.todo_count:
-        return f"go on with the {counted(finished.todo_count, 'run')} that are left: {command}"
+        left = counted(finished.todo_count, "run")
+        return f"go on with the {left} that {'is' if finished.todo_count == 1 else 'are'} left: {command}"
     if not progress.run_ids:
         return f"to execute it anew beside these results: {command} --set experiment_name=..."
     return "open run_table.csv in R, pandas or a spreadsheet; run_table.schema.json tells what each column means"

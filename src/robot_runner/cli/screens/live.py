@@ -37,6 +37,7 @@ from robot_runner.core.execution.notices import (
     InterruptionNoticed,
     Notice,
     Paused,
+    PreparationStarted,
     ProbeStarted,
     WaitingForUser,
 )
@@ -103,7 +104,7 @@ class LiveScreen:
         """Take a notice; what is permanent is printed above the live part, the rest is shown at the next refresh."""
         self.progress.take(notice)
         match notice:
-            case ProbeStarted() | HostRestarts():
+            case PreparationStarted() | ProbeStarted() | HostRestarts():
                 self._print_finished()
                 self._console.print(Text(announced(notice), style="dim"))
             case ExperimentStarted():

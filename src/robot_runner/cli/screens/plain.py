@@ -28,6 +28,7 @@ from robot_runner.core.execution.notices import (
     InterruptionNoticed,
     Notice,
     Paused,
+    PreparationStarted,
     ProbeStarted,
     WaitingForUser,
 )
@@ -54,7 +55,6 @@ __all__ = [
     "heading_of",
     "opening",
     "pausing",
-    "probing",
     "request",
     "shown_measure",
     "terminal_input",
@@ -163,11 +163,6 @@ def forget_typed(descriptor: int | None) -> None:
             termios.tcflush(descriptor, termios.TCIFLUSH)
 
 
-def probing(started: ProbeStarted) -> str:
-    """Return what is said while the profilers are tried."""
-    return f"Trying {enumerated(started.plugins)} for a moment, before anything moves ..."
-
-
 def opening(started: ExperimentStarted) -> list[str]:
     """Return what is said when an experiment starts."""
     before = f", {started.done_count:,} of them done before" if started.done_count else ""
@@ -181,10 +176,12 @@ def opening(started: ExperimentStarted) -> list[str]:
     return lines
 
 
-def announced(notice: ProbeStarted | HostRestarts) -> str:
+def announced(notice: PreparationStarted | ProbeStarted | HostRestarts) -> str:
     """Return what is said of something that takes a while and shows nothing meanwhile."""
+    if isinstance(notice, PreparationStarted):
+        return f"{notice.what} ..."
     if isinstance(notice, ProbeStarted):
-        return probing(notice)
+        return f"Trying {enumerated(notice.plugins)} for a moment, before anything moves ..."
     return f"Starting {notice.host} anew before {notice.next_run}, and waiting until it is ready ..."
 
 
@@ -263,7 +260,7 @@ class PlainScreen:
         """Print what is worth a line."""
         self.progress.take(notice)
         match notice:
-            case ProbeStarted() | HostRestarts():
+            case PreparationStarted() | ProbeStarted() | HostRestarts():
                 self._print(announced(notice))
             case ExperimentStarted():
                 self._units = notice.columns

@@ -18,9 +18,11 @@ from robot_runner.core.config.checks import (
     create_model,
     read_parameters,
 )
+from robot_runner.core.config.dead_names import check_dead_names
 from robot_runner.core.config.experiment import Experiment, event_manager_for, experiment_folder
 from robot_runner.core.config.loader import LoadedConfig, load_config
 from robot_runner.core.config.plugin_checks import check_plugins, companions, gather_plugins
+from robot_runner.core.config.treatment_makers import maker_findings
 from robot_runner.core.errors import ConfigError, Finding, LinkError
 from robot_runner.core.events.manager import EventManager
 from robot_runner.core.events.measure import MeasureColumns, resolve_columns, with_phases
@@ -97,7 +99,7 @@ def prepare(
         loaded = load(path, overrides)
     except ConfigError as error:
         return Preparation(None, error.findings)
-    findings = [*loaded.findings, *check_names(loaded), *(choose_robot(loaded) if is_for_here else ())]
+    findings = [*loaded.findings, *_name_findings(loaded), *(choose_robot(loaded) if is_for_here else ())]
     parameters, parameter_findings = read_parameters(loaded)
     model, model_findings = create_model(loaded)
     plugins, plugin_findings = gather_plugins(loaded, model)
@@ -117,6 +119,13 @@ def prepare(
     return Preparation(_experiment(loaded, parameters, plugins, events, model, columns), ordered)
 
 
+def _name_findings(loaded: LoadedConfig) -> list[Finding]:
+    """Return what is wrong with the names of a config: those that are nearly ours, and those that nothing uses."""
+    refused = check_names(loaded)
+    places = {finding.where for finding in refused}
+    return [*refused, *(finding for finding in check_dead_names(loaded) if finding.where not in places)]
+
+
 def _check_machine(
     loaded: LoadedConfig, parameters: Parameters | None, plugins: tuple[Plugin, ...], model: RunTableModel | None
 ) -> Iterator[Finding]:
@@ -125,6 +134,8 @@ def _check_machine(
     if parameters is not None:
         runs = len(model.plan()) if model is not None else 0
         yield from check_robot(loaded, parameters, plugins)
+        if model is not None:
+            yield from maker_findings(model.factors, experiment_folder(parameters, loaded))
         yield from check_results_path(loaded, parameters)
         yield from check_disk_space(loaded, parameters, plugins, runs)
 

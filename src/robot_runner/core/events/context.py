@@ -8,9 +8,12 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast, runtime_checkable
 
+from robot_runner.core.errors import PluginError
 from robot_runner.core.events.early_end import EndingInPlace
 from robot_runner.core.events.host_access import NoHosts
 from robot_runner.core.events.measure import MeasureValue, Origin, PublishedMeasure
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.outliving import program_name, spare
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -22,7 +25,16 @@ if TYPE_CHECKING:
     from robot_runner.core.events.host_access import HostAccess, HostDoor
     from robot_runner.core.events.window import MissionTimes, Phase, Window
 
-__all__ = ["Clock", "Closable", "ExperimentContext", "Resources", "RobotRunnerContext", "RunBroker", "SystemClock"]
+__all__ = [
+    "Clock",
+    "Closable",
+    "ExperimentContext",
+    "Resources",
+    "RobotRunnerContext",
+    "RunBroker",
+    "StartedProgram",
+    "SystemClock",
+]
 
 
 # The clock that a run lives by: the machine's own, or that of a simulated robot.
@@ -98,6 +110,15 @@ class Resources:
         """Close everything in reverse order; what one of them raises is raised after all were closed."""
         self._opened.clear()
         self._closing.close()
+
+
+class StartedProgram(Protocol):
+    """A program that was started, such as a `subprocess.Popen`."""
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        ...
 
 
 class RunBroker(Protocol):
@@ -321,6 +342,26 @@ class RobotRunnerContext(ExperimentContext):
         """
         if self.times.stop():
             self.ending.stop_mission(self.owner, reason)
+
+    def outlives(self, process: StartedProgram | int) -> None:
+        """Let a program that this run started go on when the run has ended, with all that it starts itself.
+
+        Nobody ends it then but you.
+
+        Args:
+            process: the program, as `subprocess.Popen` returns it, or its process id.
+
+        Raises:
+            PluginError: there is no such process.
+            StorageError: it cannot be noted in the experiment's folder.
+        """
+        pid = process if isinstance(process, int) else process.pid
+        name = program_name(pid)
+        if name is None:
+            fix = "Give it the Popen object, or its pid, while it is alive."
+            raise PluginError(f"process {pid!r} cannot outlive the run: it is not alive", where=self.owner, fix=fix)
+        spare(ExperimentFolder(self.experiment_folder).outliving, pid)
+        self.broker.note(self.owner, "outlives", {"pid": pid, "program": name})
 
     def note_clock(self, facts: Mapping[str, object]) -> None:
         """Say how another computer's clock stood to the run's, as `ClockRecord.facts` tells it.

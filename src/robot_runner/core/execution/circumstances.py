@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.execution.recovery import config_files
 from robot_runner.core.plugin import described_circumstances, installed_plugins
+from robot_runner.core.storage.git_repository import LARGEST_DIFF, repository_state, uncommitted_changes
 from robot_runner.core.storage.journal import read_journal, utc_now
 from robot_runner.core.storage.manifest import describe_host, describe_software, is_damaged, read_manifest
 from robot_runner.core.storage.safe_write import storage_error
@@ -131,10 +133,11 @@ def restored_manifest(experiment: Experiment) -> RestoredManifest | None:
     return RestoredManifest(manifest, Finding.warning(str(folder.manifest), told))
 
 
-def keep_config(experiment: Experiment) -> None:
+def keep_config(experiment: Experiment, manifest: dict[str, Any]) -> None:
     """Copy the config file and the local modules that it imported, as executed; changed ones replace earlier copies.
 
-    Earlier copies are kept beside, numbered in the order in which they were executed.
+    Earlier copies are kept beside, numbered in the order in which they were executed. What was not committed to the
+    repository of the config is kept as well, and the manifest says where.
 
     Raises:
         StorageError: the copy cannot be written.
@@ -142,13 +145,13 @@ def keep_config(experiment: Experiment) -> None:
     kept = experiment.folder.config
     files = config_files(experiment)
     try:
-        if kept.exists() and all(_is_same(source, target) for source, target in files.items()):
-            return
-        if kept.exists():
-            kept.rename(_free(experiment.folder.earlier_configs))
-        for source, target in files.items():
-            target.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(source, target)
+        if not kept.exists() or not all(_is_same(source, target) for source, target in files.items()):
+            if kept.exists():
+                kept.rename(_free(experiment.folder.earlier_configs))
+            for source, target in files.items():
+                target.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(source, target)
+        _keep_uncommitted(experiment, manifest)
     except OSError as error:
         raise storage_error(kept, "written", error) from error
 
@@ -168,7 +171,25 @@ def _analysis(experiment: Experiment) -> dict[str, Any] | None:
 
 
 def _execution(experiment: Experiment) -> dict[str, Any]:
-    return {"started_at": utc_now(), "pid": os.getpid(), "deviations": dict(experiment.overrides)}
+    execution = {"started_at": utc_now(), "pid": os.getpid(), "deviations": dict(experiment.overrides)}
+    state = repository_state(experiment.config_path.parent)
+    return execution if state is None else execution | {"repository": state.facts()}
+
+
+def _keep_uncommitted(experiment: Experiment, manifest: dict[str, Any]) -> None:
+    """Keep what was changed in the config's repository since the commit, so that what was executed can be had again.
+
+    Each difference has a file of its own, as it may change from one execution to the next.
+    """
+    repository = manifest["executions"][-1].get("repository") or {}
+    changes = uncommitted_changes(experiment.config_path.parent) if repository.get("is_dirty") else b""
+    if not changes:
+        return
+    repository["diff_sha256"] = digest = hashlib.sha256(changes).hexdigest()
+    if len(changes) <= LARGEST_DIFF:
+        kept = experiment.folder.uncommitted(digest)
+        kept.write_bytes(changes)
+        repository["diff"] = kept.relative_to(experiment.folder.root).as_posix()
 
 
 def _described(plugin: Plugin) -> dict[str, Any]:

@@ -84,7 +84,7 @@ class _ProcessExecutor:
     def execute(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunOutcome:
         parameters = self._experiment.parameters
         limits = _Limits(parameters.run_deadline_in_s, parameters.event_deadline_in_s, parameters.grace_in_s)
-        with Keeper(partial(self._start, self._experiment, task), limits.grace) as keeper:
+        with Keeper(partial(self._start, self._experiment, task), limits.grace, self._experiment.folder) as keeper:
             return _Supervision(keeper, builder, limits, watch).follow()
 
 

@@ -191,7 +191,7 @@ def _time_left(files: ExperimentFolder, history: _History, *, is_executed: bool)
     if is_executed:
         return history.left
     out = history.excluded
-    unfinished = [run for run, status in history.statuses.items() if status is not RunStatus.DONE and run not in out]
+    unfinished = [run for run, status in history.statuses.items() if not (status is RunStatus.DONE or run in out)]
     if not unfinished:
         return None
     durations = Durations()

@@ -180,6 +180,7 @@ class _Wait:
         now = time.monotonic()
         if now - self._kept >= _KEPT_EVERY:
             self._kept = now
+            self._progress.bring_table_up_to_date()  # there is time for it now, and people look at the table meanwhile
             self._keep("waiting")
         task, condition = self._task, str(gate.condition)
         self._notify(

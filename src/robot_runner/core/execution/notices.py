@@ -26,11 +26,19 @@ __all__ = [
     "Notice",
     "Observer",
     "Paused",
+    "PreparationStarted",
     "ProbeStarted",
     "RunRecord",
     "SilentObserver",
     "WaitingForUser",
 ]
+
+
+@dataclass(frozen=True, slots=True)
+class PreparationStarted:
+    """Something that the runs need is being made, before anything else happens, and may take its time."""
+
+    what: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +206,8 @@ class ExperimentFinished:
 
 
 Notice = (
-    ProbeStarted
+    PreparationStarted
+    | ProbeStarted
     | ExperimentStarted
     | AttemptStarted
     | RunRecord

@@ -26,10 +26,12 @@ from robot_runner.core.execution.notices import (
     InterruptionNoticed,
     Notice,
     Observer,
+    PreparationStarted,
     ProbeStarted,
     RunRecord,
 )
 from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
+from robot_runner.core.execution.prepared_treatments import prepared_treatments
 from robot_runner.core.execution.probe import Probe, probe_profilers, probed_profilers
 from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
 from robot_runner.core.execution.recovery import Resumption
@@ -39,7 +41,7 @@ from robot_runner.core.treatments import bind, factors_of, values_of
 from robot_runner.core.words import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from typing import Any
 
     from robot_runner.core.config.experiment import Experiment
@@ -84,11 +86,16 @@ def execute_experiment(
         seen.refuse_silent()
         return seen
 
+    def prepare(known: Mapping[str, Any]) -> dict[str, Any]:
+        return prepared_treatments(
+            experiment, known, interruption, lambda what: _tell(observer, PreparationStarted(what))
+        )
+
     is_probed = resumption.probe and experiment.parameters.probe
     probed = [profiler.name for profiler in probed_profilers(experiment)] if is_probed else []
     with (
         Interruption() as interruption,
-        ProgressManager(experiment, resumption, probe if probed else None) as progress,
+        ProgressManager(experiment, resumption, probe if probed else None, prepare) as progress,
     ):
         return _Orchestrator(experiment, progress, interruption, observer).execute(findings)
 

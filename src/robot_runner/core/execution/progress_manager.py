@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.config.plugin_checks import check_treatments
+from robot_runner.core.config.treatment_makers import PREPARED, known_treatments
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.watched_combination import unread
-from robot_runner.core.errors import ExecutionError, Finding, StorageError
+from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.events.manager import RUN_EVENTS, RobotRunnerEvents
 from robot_runner.core.execution.circumstances import (
     keep_config,
@@ -21,8 +22,10 @@ from robot_runner.core.execution.circumstances import (
     resumed_manifest,
 )
 from robot_runner.core.execution.durations import durations_of
+from robot_runner.core.execution.left_over import await_left_over
 from robot_runner.core.execution.mission_knowledge import combination_key
 from robot_runner.core.execution.recovery import config_changes, selected_places
+from robot_runner.core.execution.table_on_disk import TableOnDisk
 from robot_runner.core.execution.table_recovery import recover_table, texts_of
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome, RunTask, seed_of_run
 from robot_runner.core.storage.cells import RunStatus
@@ -30,11 +33,10 @@ from robot_runner.core.storage.journal import Journal, utc_now
 from robot_runner.core.storage.layout import drop_empty_log, keep_log, keep_refused, put_earlier_attempt_away
 from robot_runner.core.storage.lock import ExperimentLock, forget_pause
 from robot_runner.core.storage.manifest import read_manifest, write_manifest
-from robot_runner.core.storage.run_table_rows import write_run_table
 from robot_runner.core.storage.safe_write import fsync_folder, storage_error
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.durations import Durations, TimeLeft
@@ -43,13 +45,6 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.recovery import Resumption
 
 __all__ = ["PendingRun", "ProgressManager"]
-
-#: The run table is brought up to date at most so often that this share of the time goes into writing it, so that
-#: the cost of recording a run does not grow with the number of runs. The journal has every run at once.
-_SHARE_FOR_TABLE = 1 / 50
-#: A table that takes longer to write than this, in seconds, is not written while a run is executed: that would disturb
-#: what is measured on this machine. A hundred thousand rows take so long.
-_MOST_COST_IN_RUN = 0.25
 
 #: What a run reports that is kept in the journal; measures are kept with the end of the attempt.
 _KEPT = frozenset(
@@ -65,7 +60,9 @@ _KEPT = frozenset(
         "bound",
         "waited",
         "guard",
+        "subject",
         "mission_stopped",
+        "outlives",
     }
 )
 
@@ -90,6 +87,7 @@ class ProgressManager:
         experiment: what is executed.
         resumption: which runs, and what may differ from before.
         probe: tries the profilers once nobody else can use them and before anything is written; gets the first run.
+        prepare: makes treatments that have to be made; gets the facts that it returned first.
 
     Raises:
         RobotRunnerError: on entering: somebody else executes the experiment, the folder cannot be written, the run
@@ -97,19 +95,21 @@ class ProgressManager:
     """
 
     def __init__(
-        self, experiment: Experiment, resumption: Resumption, probe: Callable[[RunTask], Probe] | None = None
+        self,
+        experiment: Experiment,
+        resumption: Resumption,
+        probe: Callable[[RunTask], Probe] | None = None,
+        prepare: Callable[[Mapping[str, Any]], dict[str, Any]] = lambda _: {},
     ) -> None:
         self._experiment = experiment
         self._folder = experiment.folder
         self._resumption = resumption
         self._probe = probe
+        self._prepare = prepare
         self._failed: dict[str, str] = {}
         self._findings: list[Finding] = []
         self._unread: dict[str, Finding] | None = None
         self._resources = ExitStack()
-        self._table_written = 0.0
-        self._table_cost = 0.0
-        self._table_is_stale = False
 
     def __enter__(self) -> Self:
         with ExitStack() as opened:
@@ -117,6 +117,8 @@ class ProgressManager:
             opened.enter_context(ExperimentLock(self._folder.lock))
             opened.callback(forget_pause, self._folder.pause)  # of no use to the next session
             forget_pause(self._folder.pause)  # of one that was killed
+            left_over = await_left_over(self._folder, self._experiment.parameters.grace_in_s)
+            self._findings += [left_over] if left_over is not None else []
             self._manifest = self._load_manifest()
             if self._resumption.selection:
                 self._manifest["executions"][-1]["selection"] = self._resumption.selection
@@ -125,6 +127,8 @@ class ProgressManager:
             self._selected = selected_places(recovered.rows, self._resumption)
             self._refuse_unfit_treatments(recovered)
             self._take(recovered)
+            prepared = self._prepare(known_treatments(self._folder))
+            self._manifest |= prepared
             self._durations = self._expected_durations()
             probed = self._probed()
             if recovered.unfinished is not None:  # the orchestrator died: what the run printed is still its log
@@ -132,14 +136,16 @@ class ProgressManager:
                 self._left_behind.add(recovered.unfinished)
             self._journal = opened.enter_context(Journal(self._folder.journal))
             self._keep_deviations(recovered)
-            keep_config(self._experiment)
+            if prepared:
+                self._journal.append(PREPARED, flush=True, treatments=prepared)
+            keep_config(self._experiment, self._manifest)
             write_manifest(self._folder.manifest, self._manifest)
-            if recovered.is_on_disk:  # reading it took longer than writing it will
-                self._table_written = time.monotonic()
-                self._table_cost = self._table_written - started
-            else:
+            # Reading the table took longer than writing it will.
+            reading = time.monotonic() - started
+            self._file = TableOnDisk(self._folder.run_table, self._rows, self._journal, reading)
+            if not recovered.is_on_disk:
                 recovered.write_schema(self._folder.schema)
-                self._write_table()
+                self._file.write()
             self._resources = opened.pop_all()
         manifest = self._manifest
         self.note(
@@ -150,6 +156,7 @@ class ProgressManager:
             runs=self.run_count,
             design=manifest["design"]["source"],
             **({"selection": chosen} if (chosen := self._resumption.selection) else {}),
+            repository=manifest["executions"][-1].get("repository"),
         )
         if probed is not None and probed.profilers:
             self.note("probe", **probed.fields())
@@ -159,8 +166,7 @@ class ProgressManager:
     def __exit__(self, *raised: object) -> None:
         with self._resources:
             drop_empty_log(self._folder)
-            if self._table_is_stale:
-                self._write_table()
+            self._file.bring_up_to_date()
 
     @property
     def seed(self) -> int:
@@ -254,7 +260,7 @@ class ProgressManager:
             repetition=task.repetition,
             **self._left(),
         )
-        self._refresh_table()
+        self._file.refresh()
         return task
 
     def record(self, task: RunTask, kind: str, fields: dict[str, Any]) -> None:
@@ -267,7 +273,7 @@ class ProgressManager:
             keep_refused(self._folder, task.run_id, fields)
         if kind == "event" and fields["event"] == "continue" and "continue_at" in self._rows.layout.stamps:
             self._rows.record(task.run_id, stamps={"continue_at": fields["at"]})
-            self._refresh_table()
+            self._file.refresh()
 
     def record_outcome(self, task: RunTask, outcome: RunOutcome, *, is_last: bool) -> tuple[Finding, ...]:
         """Keep how an attempt went; it is on the disk when this returns.
@@ -292,7 +298,7 @@ class ProgressManager:
         if self._table.take_outcome(task.run_id, outcome):
             # From here on the schema tells the types: without it a text such as "1" would come back as a number.
             self._table.write_schema(self._folder.schema)
-        self._refresh_table()
+        self._file.refresh()
         return self._look_for_readers(task, outcome) if outcome.status is AttemptStatus.DONE else ()
 
     def note(self, kind: str, *, flush: bool = False, **fields: Any) -> None:
@@ -300,19 +306,8 @@ class ProgressManager:
         self._journal.append(kind, flush=flush, **fields)
 
     def tend_table(self) -> float | None:
-        """Write the run table where it is stale and the time has come, while a run or a wait lasts.
-
-        Returns:
-            in how many seconds the time comes; None where there is nothing to write.
-        """
-        if not self._table_is_stale or self._table_cost > _MOST_COST_IN_RUN:
-            return None
-        due = self._table_written + self._table_cost / _SHARE_FOR_TABLE - time.monotonic()
-        if due > 0:
-            return due
-        with suppress(StorageError):  # said when the run has ended: it is not to fail for this
-            self._write_table()
-        return None
+        """Write the run table where its time has come, while a run or a wait lasts; see `TableOnDisk.tend`."""
+        return self._file.tend()
 
     def find(self, finding: Finding) -> None:
         """Take down what is to be told at the end."""
@@ -320,8 +315,7 @@ class ProgressManager:
 
     def bring_table_up_to_date(self) -> None:
         """Write the run table as it stands: a callback of `after_experiment` may read it."""
-        if self._table_is_stale:
-            self._write_table()
+        self._file.bring_up_to_date()
 
     def finish(self, *, interrupted: bool) -> None:
         """Bring everything that people read up to date: the experiment has ended."""
@@ -425,20 +419,6 @@ class ProgressManager:
             for column in self._experiment.columns.in_table
             if outcome.measures.get(column.name) is None or outcome.measures[column.name].value is None
         ]
-
-    def _refresh_table(self) -> None:
-        self._table_is_stale = True
-        if time.monotonic() - self._table_written > self._table_cost / _SHARE_FOR_TABLE:
-            self._write_table()
-
-    def _write_table(self) -> None:
-        started = time.monotonic()
-        digest = write_run_table(self._folder.run_table, self._rows)
-        # After the rename: a run that is in the table and not yet known to be is taken from the journal once more.
-        self._journal.append("table_written", sha256=digest)
-        self._table_written = time.monotonic()
-        self._table_cost = self._table_written - started
-        self._table_is_stale = False
 
 
 def _plain(outcome: RunOutcome) -> dict[str, Any]:

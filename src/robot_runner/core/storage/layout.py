@@ -93,6 +93,10 @@ class ExperimentFolder:
         """The config file and the local modules that it imports, as executed."""
         return self.root / "config"
 
+    def uncommitted(self, digest: str) -> Path:
+        """Return the file of changes that were not committed to the config's repository, by their SHA-256."""
+        return self.config / f"uncommitted-{digest[:12]}.diff"
+
     @property
     def earlier_configs(self) -> Path:
         """Configs that were executed before the config changed, numbered."""
@@ -109,6 +113,16 @@ class ExperimentFolder:
         return self.root / "earlier_attempts"
 
     @property
+    def revisions(self) -> Path:
+        """What was printed while revisions of a repository were built."""
+        return self.root / "revisions"
+
+    @property
+    def subjects(self) -> Path:
+        """What software under test writes that goes on through all runs: a folder for each start of each subject."""
+        return self.root / "subjects"
+
+    @property
     def report(self) -> Path:
         """The report, with its tables and figures; made anew whenever it is asked for."""
         return self.root / "report"
@@ -117,6 +131,16 @@ class ExperimentFolder:
     def lock(self) -> Path:
         """Held by the process that executes the experiment."""
         return self.root / ".lock"
+
+    @property
+    def alive(self) -> Path:
+        """Locked by each process of a run, as long as it lives."""
+        return self.root / ".alive"
+
+    @property
+    def outliving(self) -> Path:
+        """The processes that may outlive the run that started them."""
+        return self.root / ".outliving"
 
     @property
     def control(self) -> Path:

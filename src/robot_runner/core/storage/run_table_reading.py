@@ -177,7 +177,13 @@ class _Reading:
         self._run_ids = RunIdDecoder(findings)
         self._repetitions = RepetitionDecoder(findings)
         self._factors = [
-            FactorDecoder(each, layout.types.get(each.name), findings, decimal_comma=decimal_comma)
+            FactorDecoder(
+                each,
+                layout.types.get(each.name),
+                findings,
+                decimal_comma=decimal_comma,
+                empty_is_none=bool(planned) or layout.spelling.blank_is_missing,
+            )
             for each in layout.factors
         ]
         blank_is_missing = layout.spelling.blank_is_missing
