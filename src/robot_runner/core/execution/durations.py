@@ -186,6 +186,7 @@ class Durations:
         self._pauses: deque[float] = deque(maxlen=_PAUSES)
         self._current: tuple[CombinationKey, float] | None = None
         self._ended: float | None = None
+        self._has_begun = False
         self._left: Counter[CombinationKey] = Counter()
         self._expected: float | None = None
         self._computed = self._cost = 0.0
@@ -243,7 +244,17 @@ class Durations:
         key, began = self._current
         seen = self._done if status == AttemptStatus.DONE.value else self._failed
         seen.take(key, max(0.0, at - began) - self._said.get(key, 0.0))
-        self._current, self._ended = None, at
+        self._current, self._ended, self._has_begun = None, at, True
+
+    def said_of(self, combination: Mapping[str, Any]) -> float | None:
+        """Return what is said of a run of this combination, s; None where nothing is."""
+        return self._said.get(combination_key(combination))
+
+    def learn(self, combination: Mapping[str, Any], seconds: float) -> None:
+        """Learn from a run that took so long and is done."""
+        key = combination_key(combination)
+        self._done.take(key, seconds - self._said.get(key, 0.0))
+        self._computed = 0.0
 
     def break_off(self) -> None:
         """Forget what has begun and not ended: it was interrupted, or the clock is another one from here."""
@@ -294,7 +305,7 @@ class Durations:
         of_runs = self._of_all()
         if of_runs is None:
             return Estimate(None, unknown=(self._why_not(), *self._unknown()))
-        pauses = runs - (0 if self.count else 1)
+        pauses = runs - (0 if self._has_begun else 1)
         parts = [f"{counted(runs, 'run')} of {shown_duration(of_runs / runs)}, {self._source()}"]
         if pauses and self.pause > 0:
             told = "as they were so far" if self._pauses else "time_between_runs_in_ms"
