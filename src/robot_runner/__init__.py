@@ -39,6 +39,9 @@ if TYPE_CHECKING:
     from robot_runner.core.config.gate_parameters import GatePolicy as GatePolicy
     from robot_runner.core.config.gate_parameters import Guard as Guard
     from robot_runner.core.config.gate_parameters import GuardAction as GuardAction
+    from robot_runner.core.config.notify import Notify as Notify
+    from robot_runner.core.config.operator_steps import OperatorStep as OperatorStep
+    from robot_runner.core.config.operator_steps import Question as Question
     from robot_runner.core.config.parameters import BadValuePolicy as BadValuePolicy
     from robot_runner.core.config.parameters import ExperimentConfig as ExperimentConfig
     from robot_runner.core.config.parameters import FailurePolicy as FailurePolicy
@@ -49,6 +52,7 @@ if TYPE_CHECKING:
     from robot_runner.core.design.analysis_plan import Hypothesis as Hypothesis
     from robot_runner.core.design.factor import Factor as Factor
     from robot_runner.core.design.run_table_model import RunTableModel as RunTableModel
+    from robot_runner.core.design.warm_up import WarmUp as WarmUp
     from robot_runner.core.errors import CommandError as CommandError
     from robot_runner.core.errors import ConditionError as ConditionError
     from robot_runner.core.errors import ConditionTimeout as ConditionTimeout
@@ -64,6 +68,8 @@ if TYPE_CHECKING:
     from robot_runner.core.events.manager import RobotRunnerEvents as RobotRunnerEvents
     from robot_runner.core.events.measure import Measure as Measure
     from robot_runner.core.events.measure import Origin as Origin
+    from robot_runner.core.events.outlook import ExperimentEnd as ExperimentEnd
+    from robot_runner.core.events.outlook import NextRun as NextRun
     from robot_runner.core.execution.from_python import ExperimentResults as ExperimentResults
     from robot_runner.core.execution.from_python import run_experiment as run_experiment
     from robot_runner.core.links.declared_host import Host as Host

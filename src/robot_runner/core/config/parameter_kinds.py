@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from robot_runner.core.config.authors import Author, authors_from_text, is_licence
+from robot_runner.core.config.notify import Notify
+from robot_runner.core.config.operator_steps import OperatorStep
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.events.window import is_phase_name
 from robot_runner.core.links.declared_host import are_hosts, named_hosts
@@ -24,6 +26,8 @@ __all__ = [
     "LICENCE",
     "LINK",
     "NAME",
+    "NOTIFY",
+    "OPERATOR_STEPS",
     "PATH",
     "PHASES",
     "PLAN",
@@ -49,6 +53,7 @@ class Kind:
         from_text: reads a value of the command line; raises ValueError.
         normalise: makes what `Parameters` holds of a value that is accepted.
         type_name: what the documentation calls the type, where the annotation says less.
+        is_secret: whether a malformed value may hold a password, and is not shown.
     """
 
     expected: str
@@ -56,6 +61,7 @@ class Kind:
     from_text: Callable[[str], Any] = str
     normalise: Callable[[Any], Any] = lambda value: value
     type_name: str = ""
+    is_secret: bool = False
 
     def or_none(self) -> Kind:
         """Return the same with None as one more value."""
@@ -169,6 +175,11 @@ SMOKE = Kind(
     dict,
 )
 TEXT = Kind("a text", _is_text)
+OPERATOR_STEPS = replace(
+    instances(OperatorStep, "a list of OperatorStep(...) in the config file; from outside, none"),
+    from_text=lambda text: () if text.casefold() == "none" else _not_from_text(text),
+)
+NOTIFY = Kind("Notify(...) in the config file", lambda value: isinstance(value, Notify), _not_from_text, is_secret=True)
 PHASES = Kind(
     "a list of the names of phases: letters, digits, '_' and '-'",
     lambda value: isinstance(value, list | tuple) and all(map(is_phase_name, value)),
