@@ -51,7 +51,8 @@ class RobotRunnerConfig(ExperimentConfig):
 TABLE = """\
     def create_run_table(self):
         factors = [Factor("Room", ["lab", "hall"]), Factor("Speed", [1, 2, 3])]
-        return RunTableModel(factors, repetitions=4, shuffle=True, blocks="Room", data_columns=["Way", "Mood"])
+        columns = ["Way", "Mood"]
+        return RunTableModel(factors, repetitions=4, shuffle=True, blocks="Room", warm_up=2, data_columns=columns)
 """
 STUDY = """
 plugins = [Lap(room=treatment("Room"))]
@@ -106,8 +107,8 @@ def test_each_treatment_is_executed_once_and_what_it_proves_is_told(
     assert "whole missions: Lap did less (Lap.seconds = 0.05)" in answer.out
     assert "Shortened   Lap.seconds = 0.05; settle_s = 0.0" in answer.out
     assert "what takes longer without settle_s = 0.0" in answer.out
-    assert "24 runs of 1 min 0" in answer.out, "the whole missions, and what opens and closes a run"
-    assert "23 pauses of 1 min 00 s" in answer.out
+    assert "26 runs of 1 min 0" in answer.out, "the whole missions, and what opens and closes a run"
+    assert "25 pauses of 1 min 00 s" in answer.out
     assert not (tmp_path / "results").exists(), "the study's own folder is not touched"
     assert list(scratch.iterdir()) == [], "and nothing is left of the scratch folder"
 

@@ -73,7 +73,7 @@ def _tested(config: Path, settings: Mapping[str, str], folder: Path, *, plain: b
         show_findings(prepared.findings)
         return REFUSED
     plan = list(experiment.model.plan())
-    chosen = covering_runs(plan)
+    chosen = covering_runs([run for run in plan if not run.is_warm_up])
     only = Resumption(only=tuple(run.run_id for run in chosen))
     execution = execute_on_screen(experiment, prepared.findings, plain=plain, resumption=only)
     result = result_of(experiment, plan, chosen, told)

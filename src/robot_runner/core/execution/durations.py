@@ -18,11 +18,12 @@ from robot_runner.core.execution.mission_knowledge import (
     told_apart,
 )
 from robot_runner.core.execution.task import AttemptStatus
+from robot_runner.core.links.declared_host import Reboot
 from robot_runner.core.storage.journal import last_records
 from robot_runner.core.words import counted, enumerated, shown_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.core.config.parameters import Parameters
@@ -363,16 +364,25 @@ def durations_of(
     Raises:
         StorageError: the journal cannot be read.
     """
-    has_operator = parameters.operation_type is OperationType.SEMI or parameters.operator_steps
-    waits = ["the operator between two runs"] if has_operator else []
     durations = Durations(
         MissionKnowledge.of(config, plugins, events, parameters.robot),
         combinations,
         rest_s=parameters.time_between_runs_in_ms / 1000,
-        waits=waits,
+        waits=list(_waits(parameters)),
     )
     durations.learn_from(journal)
     return durations
+
+
+def _waits(parameters: Parameters) -> Iterator[str]:
+    """Yield what comes between two runs besides the rest."""
+    if parameters.operation_type is OperationType.SEMI or parameters.operator_steps:
+        yield "the operator between two runs"
+    if parameters.gates:
+        yield "the gates"
+    restarted = [name for name, host in parameters.hosts.items() if host.reboot is not Reboot.NEVER]
+    if restarted:
+        yield f"starting {enumerated(restarted)} anew"
 
 
 def _seconds(stamp: str) -> float:
