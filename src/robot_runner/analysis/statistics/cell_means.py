@@ -36,6 +36,9 @@ __all__ = ["CellMeans"]
 #: Errors smaller than this, beside the values, are what rounding leaves behind.
 _ROUNDING = 1e-12
 
+#: The same of standard deviations, which are differences of such.
+_NO_VARIATION = 1e-10
+
 #: The standard deviation of normal values in those that are left of them by winsorising a fifth at either end (Algina,
 #: Keselman and Penfield, An alternative to Cohen's standardized mean difference effect size, 2005).
 _WINSORISED = 0.642
@@ -98,8 +101,8 @@ class CellMeans:
 
     @property
     def has_variation(self) -> bool:
-        """Whether chance has a measure, in some combination at least."""
-        return bool(np.any(np.einsum("...gcc->...", self.moments.errors) > 0))
+        """Whether chance has a measure, in some combination at least; of blocks, in how they respond to treatments."""
+        return bool(np.all(self.spread > _NO_VARIATION * np.max(np.abs(self.moments.means), axis=(-2, -1))))
 
     @property
     def spread(self) -> Floats:

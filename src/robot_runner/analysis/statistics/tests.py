@@ -8,8 +8,9 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from scipy import stats
 
-from robot_runner.analysis.statistics.cell_means import CellMeans
+from robot_runner.analysis.statistics.cell_means import BOOTSTRAP, CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.effect_sizes import omega_squared
 from robot_runner.analysis.statistics.layout import MOST_FACTORS, layout_of, relative_ranks
@@ -121,6 +122,8 @@ def _effect(model: CellMeans | FittedModel, found: EffectTest, beside: EffectTes
     size = None
     if is_known and choices.estimand is not Estimand.RANK:
         f_value, both = (statistic**2, (1.0, *freedom)) if len(freedom) == 1 else (statistic, freedom)
+        if found.test.startswith(BOOTSTRAP):  # the interval is to belong to the p-value
+            f_value = float(stats.f.isf(p_value, *both))
         is_partial = len(_factors(model)) > 1
         size = omega_squared(
             f_value, (both[0], both[1]), variance, float(model.spread), alpha=choices.alpha, is_partial=is_partial
