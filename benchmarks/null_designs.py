@@ -117,12 +117,13 @@ class NullDesign:
         cells = np.array([place for _, _, place in rows])
         blocks = np.array([block for block, _, _ in rows])
         spread = np.broadcast_to(np.asarray(self.spread, dtype=np.float64), len(self.cells))[cells]
-        values = DISTRIBUTIONS[self.distribution](random, (experiments, len(rows))) * spread
+        values: Floats = DISTRIBUTIONS[self.distribution](random, (experiments, len(rows))) * spread
         if self.blocks:
             count = blocks.max() + 1
             values += 3 * random.normal(size=(experiments, count))[:, blocks]
             values += self.response * random.normal(size=(experiments, count, len(self.cells)))[:, blocks, cells]
-        return values + self.shift * np.array([cell[-1] == 0 for _, cell, _ in rows])
+        shifts = self.shift * np.array([cell[-1] == 0 for _, cell, _ in rows], dtype=np.float64)
+        return np.asarray(values + shifts, dtype=np.float64)
 
 
 def _shown(numbers: float | Sequence[float]) -> str:

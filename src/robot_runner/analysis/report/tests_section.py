@@ -213,7 +213,7 @@ def _shown_statistic(effect: Effect) -> str:
 
 
 def _shown_size(size: EffectSize) -> str:
-    ends = f" {shown_interval(size.interval, 3)}" if size.interval is not None else ""
+    ends = "" if size.interval is None else f" {shown_interval(size.interval, 3)} ({size.interval.level:.0%})"
     return f"{size.name} = {shown_number(size.value, 3)}{ends}, {size.magnitude.value}"
 
 

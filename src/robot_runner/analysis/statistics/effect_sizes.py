@@ -86,7 +86,7 @@ def cohens_d(
 
     Example:
         >>> round(cohens_d(2.0, 0.5, 18, 1.0).interval.low, 2)
-        0.93
+        0.81
     """
     if not (spread > 0 and error > 0 and math.isfinite(freedom)):
         return None

@@ -14,7 +14,7 @@ from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.design import VALUE
 from robot_runner.analysis.statistics.effect_sizes import cliffs_delta, cohens_d, paired_rank_biserial, vargha_delaney
 from robot_runner.analysis.statistics.linear_model import FittedModel
-from robot_runner.analysis.statistics.tested import Comparison, ContrastTest, Interval, NotComputed, PostHoc
+from robot_runner.analysis.statistics.tested import Comparison, ContrastTest, Interval, NotComputed, PostHoc, TestMethod
 from robot_runner.analysis.statistics.tests import check_estimand, model_of
 from robot_runner.core.design.analysis_plan import Correction, Estimand
 
@@ -37,6 +37,16 @@ _MOST_PAIRS = 105
 
 _QUANTITIES = {Estimand.MEAN: "means", Estimand.TRIMMED_MEAN: "trimmed means", Estimand.RANK: "relative ranks"}
 _T = "t distribution"
+_PAIRED = {
+    TestMethod.WELCH_T: "Welch's t-test",
+    TestMethod.WELCH_ANOVA: "Welch's t-tests",
+    TestMethod.ANOVA_TYPE: "Welch's t-tests",
+    TestMethod.WELCH_JAMES: "Welch's t-tests of unweighted marginal means",
+    TestMethod.PAIRED_T: "paired t-test",
+    TestMethod.BLOCKS: "t-tests of differences within blocks, between them where factors do not differ within",
+    TestMethod.LINEAR_MODEL: "t-tests of the model's marginal means",
+    TestMethod.MIXED_MODEL: "t-tests of the model's marginal means",
+}
 
 
 def compare_pairs(
@@ -65,8 +75,9 @@ def compare_pairs(
             for size in pair.effect_sizes
             if size.interval is None and size.name.endswith(" d")
         ]
-        method = f"{model.method.value}, pair by pair"
-        found.append(PostHoc(factors, method, choices.correction, _QUANTITIES[choices.estimand], compared))
+        found.append(
+            PostHoc(factors, _PAIRED[model.method], choices.correction, _QUANTITIES[choices.estimand], compared)
+        )
     return tuple(found), tuple(missing)
 
 
