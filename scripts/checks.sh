@@ -31,8 +31,11 @@ step "shell scripts" "$bin/shellcheck" scripts/*.sh .ci/run
 if [ "${1:-all}" = all ]; then
     step "command-line page is current" "$bin/python" scripts/generate_cli_page.py --check
     step "documentation" "$bin/mkdocs" build --strict --site-dir .make/site
+    # Tests wait a third of their time for processes, robots and clocks: two at once on each core, eight at most.
+    workers=$((2 * $(getconf _NPROCESSORS_ONLN)))
+    [ "$workers" -le 8 ] || workers=8
     # worksteal: tests of one file stay with one worker, and share what the file sets up, as long as both have work.
-    "$bin/pytest" -q -n 2 --dist worksteal -m "not soak" || failed="$failed, tests"
+    "$bin/pytest" -q -n "$workers" --dist worksteal -m "not soak" || failed="$failed, tests"
 fi
 if [ -n "$failed" ]; then
     printf 'Failed: %s.\n' "${failed#, }"

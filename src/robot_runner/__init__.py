@@ -9,7 +9,39 @@ from robot_runner.core.doors import open_door
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from robot_runner.conditions.bounds import measure_above as measure_above
+    from robot_runner.conditions.bounds import measure_below as measure_below
+    from robot_runner.conditions.combining import all_of as all_of
+    from robot_runner.conditions.combining import any_of as any_of
+    from robot_runner.conditions.combining import not_ as not_
+    from robot_runner.conditions.computer_state import clock_offset_below as clock_offset_below
+    from robot_runner.conditions.computer_state import load_above as load_above
+    from robot_runner.conditions.computer_state import load_below as load_below
+    from robot_runner.conditions.computer_state import temperature_above as temperature_above
+    from robot_runner.conditions.computer_state import temperature_below as temperature_below
+    from robot_runner.conditions.computers import host_answers as host_answers
+    from robot_runner.conditions.computers import process_running as process_running
+    from robot_runner.conditions.computers import throttled as throttled
+    from robot_runner.conditions.graph_presence import node_present as node_present
+    from robot_runner.conditions.graph_presence import service_present as service_present
+    from robot_runner.conditions.graph_presence import topic_present as topic_present
+    from robot_runner.conditions.network_answers import http_answers as http_answers
+    from robot_runner.conditions.network_answers import port_open as port_open
+    from robot_runner.conditions.outputs import file_complete as file_complete
+    from robot_runner.conditions.outputs import text_in as text_in
+    from robot_runner.conditions.topic_messages import battery_above as battery_above
+    from robot_runner.conditions.topic_messages import battery_below as battery_below
+    from robot_runner.conditions.topic_messages import message_on as message_on
+    from robot_runner.conditions.topic_messages import topic_above as topic_above
+    from robot_runner.conditions.topic_messages import topic_below as topic_below
     from robot_runner.core.config.authors import Author as Author
+    from robot_runner.core.config.gate_parameters import Gate as Gate
+    from robot_runner.core.config.gate_parameters import GatePolicy as GatePolicy
+    from robot_runner.core.config.gate_parameters import Guard as Guard
+    from robot_runner.core.config.gate_parameters import GuardAction as GuardAction
+    from robot_runner.core.config.notify import Notify as Notify
+    from robot_runner.core.config.operator_steps import OperatorStep as OperatorStep
+    from robot_runner.core.config.operator_steps import Question as Question
     from robot_runner.core.config.parameters import BadValuePolicy as BadValuePolicy
     from robot_runner.core.config.parameters import ExperimentConfig as ExperimentConfig
     from robot_runner.core.config.parameters import FailurePolicy as FailurePolicy
@@ -23,13 +55,24 @@ if TYPE_CHECKING:
     from robot_runner.core.design.analysis_plan import Statistic as Statistic
     from robot_runner.core.design.factor import Factor as Factor
     from robot_runner.core.design.run_table_model import RunTableModel as RunTableModel
+    from robot_runner.core.design.warm_up import WarmUp as WarmUp
+    from robot_runner.core.errors import CommandError as CommandError
+    from robot_runner.core.errors import ConditionError as ConditionError
+    from robot_runner.core.errors import ConditionTimeout as ConditionTimeout
     from robot_runner.core.errors import RobotRunnerError as RobotRunnerError
+    from robot_runner.core.events.condition import Condition as Condition
+    from robot_runner.core.events.condition import Look as Look
     from robot_runner.core.events.context import ExperimentContext as ExperimentContext
     from robot_runner.core.events.context import RobotRunnerContext as RobotRunnerContext
+    from robot_runner.core.events.host_access import CommandResult as CommandResult
     from robot_runner.core.events.manager import EventSubscriptionController as EventSubscriptionController
     from robot_runner.core.events.manager import RobotRunnerEvents as RobotRunnerEvents
     from robot_runner.core.events.measure import Measure as Measure
     from robot_runner.core.events.measure import Origin as Origin
+    from robot_runner.core.events.outlook import ExperimentEnd as ExperimentEnd
+    from robot_runner.core.events.outlook import NextRun as NextRun
+    from robot_runner.core.links.declared_host import Host as Host
+    from robot_runner.core.links.declared_host import Reboot as Reboot
     from robot_runner.core.treatments import treatment as treatment
 else:
     __getattr__, __dir__ = open_door(__name__)

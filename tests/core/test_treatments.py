@@ -127,12 +127,33 @@ def test_a_plugin_without_bound_parameters_is_left_as_it_is() -> None:
     assert (robot.mission, factors_of(robot)) == (7, {})
 
 
-@pytest.mark.parametrize("value", [[treatment("A")], (1, {"x": treatment("A")}), {treatment("A")}], ids=repr)
-def test_a_treatment_inside_another_value_is_refused(value: object) -> None:
+def test_treatments_inside_lists_tuples_and_mappings_are_bound_each() -> None:
+    command = ["planner", ["--speed=", treatment("Speed")]]
+    robot = Robot(0.1, command=command, arguments={"floor": (treatment("Floor"), 2), "whole": {"x": [1]}})
+    assert factors_of(robot) == {"command[1][1]": "Speed", "arguments['floor'][0]": "Floor"}
+    for speed in (0.1, 0.2):
+        combination = {"Speed": speed, "Floor": "wood"}
+        bind(robot, combination)
+        assert robot.options == {
+            "command": ["planner", ["--speed=", speed]],
+            "arguments": {"floor": ("wood", 2), "whole": {"x": [1]}},
+        }
+        assert values_of(robot, combination) == {"command[1][1]": speed, "arguments['floor'][0]": "wood"}
+
+
+@pytest.mark.parametrize(
+    ("value", "where"),
+    [
+        ({treatment("A")}, "inside a set"),
+        ((1, {"x": {treatment("A")}}), "inside a set"),
+        ({treatment("A"): 1}, "for a key"),
+    ],
+)
+def test_a_treatment_without_a_place_of_its_own_is_refused(value: object, where: str) -> None:
     with pytest.raises(PluginError) as caught:
         Robot(0.1, processes=value)
-    assert caught.value.problem == f"processes holds a treatment(...) inside a {type(value).__name__}"
-    assert caught.value.fix.startswith("Bind processes as a whole")
+    assert caught.value.problem.endswith(f"holds a treatment(...) {where}")
+    assert caught.value.fix.startswith("Bind processes")
 
 
 def test_a_bound_name_is_refused() -> None:

@@ -19,10 +19,11 @@ from robot_runner.plugins.profilers import PsUtil
 from robot_runner.testing import ProfilerContract, make_context, rehearse
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
     from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.events.measure import MeasureValue
     from robot_runner.core.plugin import Plugin
 
 psutil = pytest.importorskip("psutil", reason="psutil samples this machine: pip install 'robot-runner[psutil]'")
@@ -61,8 +62,13 @@ def measured(folder: Path, plugin: PsUtil, seconds: float) -> RobotRunnerContext
 def test_a_busy_core_reads_100_percent(tmp_path: Path, server: SshServer, where: str) -> None:
     with busy_core() as busy:
         place = {"host": "localhost"} if where == "here" else {"host": "robot", "ssh_config": server.config}
-        context = measured(tmp_path, PsUtil(cores=[busy.core], processes=[busy.pid], **place), 1.5)
-    measures = context.measures
+        measures: Mapping[str, MeasureValue] = {}
+        # On a starved machine there may be no two readings within the window, and then rightly no value.
+        for attempt in range(5):
+            context = measured(tmp_path / str(attempt), PsUtil(cores=[busy.core], processes=[busy.pid], **place), 1.5)
+            measures = context.measures
+            if measures[f"CPU_core{busy.core}"] is not None:
+                break
     assert measures[f"CPU_core{busy.core}"] == pytest.approx(100.0, abs=2.0)
     assert 0.0 < measures[f"CPU_{busy.pid}"] <= 100.0
     assert measures["CPU"] >= 100.0 / psutil.cpu_count() - 2.0

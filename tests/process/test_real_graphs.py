@@ -20,6 +20,7 @@ from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.ros1_master import RUDE, needs_ros1
 
 from robot_runner.core.sampling.quality import MINIMUM_COVERAGE
+from robot_runner.core.storage.journal import read_journal
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -181,3 +182,31 @@ def test_a_robot_whose_experiment_is_killed_stands_still_within_a_second(
             assert stood - killed - wait.seconds < 1.0
             experiment.end()
             assert experiment.nobody_is_left()
+
+
+def test_a_robot_whose_topic_s_callback_raises_stands_still_within_a_second(
+    graph: str, start: Start, write_config: Callable[..., Path]
+) -> None:
+    body = f"""
+        robot = {graph!r}
+        plugins = [BasicTurtlebot3(namespace="/erin", task="Video", task_factor=None, sleep_s=0.1, drive_s=60)]
+        def start_run(self, context):
+            connect_robot(context, namespace="/erin").subscribe("odom", "nav_msgs/Odometry", self.look)
+        def look(self, odometry):
+            if odometry["twist"]["twist"]["linear"]["x"] > 0.15:
+                (Path(__file__).parent / "raised").touch()
+                raise RuntimeError("a bump")
+    """
+    imports = "import connect_robot\nfrom robot_runner.plugins.systems import BasicTurtlebot3\n"
+    head = HEAD.replace("import *\n", f"import *\nfrom robot_runner.plugins {imports}", 1)
+    table = TABLE.replace("repetitions=2", "repetitions=1").replace('["Video", "Network"]', "[1]")
+    with simulated_robot(graph, "--namespace", "/erin"), witness(graph, "/erin") as looking:
+        experiment = start(config=write_config(body, table=table.replace('["Energy"]', "[]"), head=head))
+        wait = ProcessorWait(family())
+        raised = experiment.wait_for("raised", meanwhile=wait.restart).stat().st_mtime
+        stood = looking.sees_standstill(since=raised, meanwhile=wait.look)
+        assert stood - raised - wait.seconds < 1.0
+        assert experiment.end() == 1
+    failures = list(read_journal(experiment.folder / "journal.jsonl", kinds=["failure"]))
+    assert [failure["problem"] for failure in failures] == ["the callback of /erin/odom raised RuntimeError: a bump"]
+    assert failures[0]["event"] == "launch_mission"

@@ -8,10 +8,16 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-import pandas as pd
-
 from robot_runner.analysis.exporting import ExportContent, export_results
-from robot_runner.analysis.run_frame import History, RunFrame, column_descriptions, read_history, read_run_frame
+from robot_runner.analysis.run_frame import (
+    History,
+    RunFrame,
+    column_descriptions,
+    excluded_frame,
+    quality_frame,
+    read_history,
+    read_run_frame,
+)
 from robot_runner.analysis.sample_files import (
     PhaseSpans,
     SampleFile,
@@ -25,10 +31,11 @@ from robot_runner.analysis.sample_files import (
 )
 from robot_runner.analysis.samples import SampleRequest, read_samples
 from robot_runner.core.design.analysis_plan import AnalysisPlan
-from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
+from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STATUS
 from robot_runner.core.errors import AnalysisError, StorageError, did_you_mean
-from robot_runner.core.events.measure import QUALITY_SUFFIX, Quality, quality_of_value
+from robot_runner.core.events.measure import QUALITY_SUFFIX
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.excluded_runs import ExcludedRuns
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.manifest import read_manifest
@@ -36,6 +43,8 @@ from robot_runner.core.storage.table_columns import ColumnRole
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    import pandas as pd
 
     from robot_runner.core.errors import Finding
     from robot_runner.core.storage.table_schema import ColumnDescription
@@ -51,6 +60,8 @@ class Results:
         folder: the experiment's folder.
         manifest: the circumstances, as in `manifest.json`.
         columns: what each column of the run table is, by its heading: role, type, unit, owner, origin.
+        with_excluded: whether runs that were excluded are among the others.
+        with_warm_ups: whether warm-up runs are among the others; else they are left out everywhere.
 
     Example:
         >>> results = load_results("experiments/basic_experiment")  # doctest: +SKIP
@@ -61,6 +72,8 @@ class Results:
     folder: Path
     manifest: Mapping[str, Any] = field(repr=False)
     columns: Mapping[str, ColumnDescription] = field(repr=False)
+    with_excluded: bool = False
+    with_warm_ups: bool = False
 
     @property
     def name(self) -> str:
@@ -86,6 +99,16 @@ class Results:
         return blocks if blocks in self.columns else None
 
     @property
+    def batch(self) -> str | None:
+        """The column that says in which batch a run was planned, where the experiment was extended: a block, too."""
+        return next(iter(self._named(ColumnRole.BATCH)), None)
+
+    @property
+    def warm_ups(self) -> tuple[str, ...]:
+        """The ids of the warm-up runs, whether they are among the runs or left out."""
+        return self._run_frame.warm_ups
+
+    @property
     def measures(self) -> tuple[str, ...]:
         """The measures that have a column in the run table, in its order; columns of qualities are left out."""
         named = self._named(ColumnRole.MEASURE)
@@ -95,14 +118,12 @@ class Results:
     @property
     def plan(self) -> AnalysisPlan | None:
         """What was fixed for the analysis before the experiment, or None."""
-        plain = self.manifest.get("analysis")
-        return AnalysisPlan.of_mapping(plain) if plain else None
+        return AnalysisPlan.of_mapping(plain) if (plain := self.manifest.get("analysis")) else None
 
     @property
     def seed(self) -> int | None:
         """What the order of the runs comes from; None where it is not known."""
-        seed = self.manifest.get("seed")
-        return None if seed is None else int(seed)
+        return None if (seed := self.manifest.get("seed")) is None else int(seed)
 
     @property
     def is_running(self) -> bool:
@@ -116,8 +137,7 @@ class Results:
 
     def unit(self, name: str) -> str:
         """Return the unit of a column (SI symbol, `%`, `1`); empty where there is none or it is not known."""
-        column = self.columns.get(name)
-        return column.unit if column else ""
+        return self.columns[name].unit if name in self.columns else ""
 
     def label(self, name: str) -> str:
         """Return a heading for an axis or a table: the name with its unit in brackets, as in `Energy (J)`."""
@@ -126,14 +146,28 @@ class Results:
 
     @property
     def runs(self) -> pd.DataFrame:
-        """The run table: one row a run, in the order of the file.
+        """The run table: one row a run, in the order of the file, without the runs that were excluded.
 
         Columns are those of `run_table.csv`: `run_id` (str), `status` (ordered categorical), time stamps
         (datetime64, UTC), factors (ordered categoricals, in the order in which the config has the treatments), the
-        repetition (Int64), measures (float64, Int64, boolean or str), a user's own columns. What is missing is NaN,
-        NaT or <NA>. `attrs["units"]` has the units.
+        repetition and the batch (Int64), whether it warms up (boolean), measures (float64, Int64, boolean or str), a
+        user's own columns. What is missing is NaN, NaT or <NA>. `attrs["units"]` has the units. With `with_excluded`,
+        all runs are there; where any run was ever excluded, the column `excluded` has the reason.
         """
+        frame = self.all_runs
+        if self.with_excluded or EXCLUDED not in frame:
+            return frame
+        return frame[frame[EXCLUDED].isna()].drop(columns=EXCLUDED).reset_index(drop=True)
+
+    @property
+    def all_runs(self) -> pd.DataFrame:
+        """The whole run table, runs that were excluded among the others, as `runs` has it."""
         return self._run_frame.frame.copy(deep=False)
+
+    @property
+    def excluded(self) -> pd.DataFrame:
+        """The runs that were excluded, as `all_runs` has them: `excluded` is the reason, `excluded_at` when (UTC)."""
+        return excluded_frame(self.all_runs, ExcludedRuns.read(self._files.journal))
 
     @property
     def done(self) -> pd.DataFrame:
@@ -154,7 +188,8 @@ class Results:
 
         One row a value: `run_id`, `measure`, `value` (object), `owner`, `origin`.
         """
-        return self._history.published
+        published = self._history.published
+        return published if self.with_excluded else published[~published["run_id"].isin(self.excluded[RUN_ID])]
 
     @property
     def odd(self) -> pd.DataFrame:
@@ -172,17 +207,7 @@ class Results:
             >>> quality = load_results("experiments/basic_experiment").quality  # doctest: +SKIP
             >>> quality[quality["quality"] != "good"].groupby("measure").size()  # doctest: +SKIP
         """
-        done = self.done
-        rows = [
-            (run_id, name, quality_of_value(None if pd.isna(value) else value, reasons).value, "; ".join(reasons))
-            for name in self.measures
-            if name in done
-            for run_id, value in zip(done[RUN_ID], done[name], strict=True)
-            for reasons in [self._reasons(run_id, name)]
-        ]
-        frame = pd.DataFrame(rows, columns=["run_id", "measure", "quality", "reasons"])
-        frame["quality"] = pd.Categorical(frame["quality"], [each.value for each in Quality], ordered=True)
-        return frame
+        return quality_frame(self.done, self.measures, self._reasons)
 
     def _reasons(self, run_id: str, measure: str) -> tuple[str, ...]:
         """Return what the journal says of a value; the schema, where the journal does not know the run."""
@@ -224,8 +249,7 @@ class Results:
         first = phases.groupby("run_id")["start_s"].transform("min")
         start = phases["run_id"].map(self._history.starts).astype("float64").fillna(first)
         phases = phases.assign(start_s=phases["start_s"] - start, end_s=phases["end_s"] - start)
-        treatments = self.runs[[RUN_ID, *self._labels]]
-        joined = phases.merge(treatments, on=RUN_ID, how="left")
+        joined = phases.merge(self.all_runs[[RUN_ID, *self._labels]], on=RUN_ID, how="left")
         own = [name for name in joined.columns if name not in {RUN_ID, *self._labels}]
         return joined[[RUN_ID, *self._labels, *own]]
 
@@ -268,7 +292,7 @@ class Results:
         """
         kind = choose_file(self.sample_files, plugin, file)
         run_ids = [run_id for run_id in self._chosen(runs) if run_id in kind.paths]
-        table = self.runs.set_index(RUN_ID).loc[run_ids]
+        table = self.all_runs.set_index(RUN_ID).loc[run_ids]
         is_done = table[STATUS] == RunStatus.DONE.value
         windows = {**self._history.windows, **told_windows(kind, run_ids)}
         request = SampleRequest(
@@ -295,10 +319,15 @@ class Results:
         Raises:
             StorageError: a file cannot be written.
         """
+        everything = list(self.all_runs[RUN_ID])
         content = ExportContent(
             self.name,
             self.folder,
-            {"run_table.parquet": self.runs, "phases.parquet": self.phases(), "events.parquet": self.events()},
+            {
+                "run_table.parquet": self.all_runs,
+                "phases.parquet": self.phases(everything),
+                "events.parquet": self.events(everything),
+            },
             self.sample_files,
             lambda kind, runs: self.samples(kind.plugin, file=kind.name, runs=runs),
             self.unit,
@@ -316,11 +345,13 @@ class Results:
 
     @cached_property
     def _run_frame(self) -> RunFrame:
-        return read_run_frame(self._files, tuple(self.columns.values()), self.manifest)
+        read = read_run_frame(self._files, tuple(self.columns.values()), self.manifest)
+        return read if self.with_warm_ups else read.without_warm_ups()
 
     @cached_property
     def _history(self) -> History:
-        return read_history(self._files.journal)
+        history = read_history(self._files.journal)
+        return history if self.with_warm_ups else history.without(self.warm_ups)
 
     @cached_property
     def _run_files(self) -> dict[tuple[str, str], dict[str, Path]]:
@@ -338,20 +369,23 @@ class Results:
         return tuple(column.name for column in self.columns.values() if column.role is role)
 
     def _chosen(self, runs: Sequence[str] | None) -> list[str]:
-        known = list(self._run_frame.frame[RUN_ID])
         if runs is None:
-            return known
+            return list(self.runs[RUN_ID])
+        known = list(self._run_frame.frame[RUN_ID])
         wanted = [runs] if isinstance(runs, str) else list(runs)
         for run_id in set(wanted).difference(known):
             raise AnalysisError(f"there is no run {run_id!r}", where=self.name, fix=did_you_mean(run_id, known))
         return wanted
 
 
-def load_results(folder: Path | str) -> Results:
+def load_results(folder: Path | str, *, with_excluded: bool = False, with_warm_ups: bool = False) -> Results:
     """Read the results of an experiment.
 
     Args:
         folder: the experiment's folder: the one that holds `run_table.csv` and `manifest.json`.
+        with_excluded: whether runs that were excluded (`robot-runner exclude`) are among the others. By default they
+            are in `excluded` and `all_runs` alone, and in no statistics.
+        with_warm_ups: whether warm-up runs are among the others; `Results.warm_ups` names them in any case.
 
     Raises:
         StorageError: there is no experiment here, or it cannot be read.
@@ -363,4 +397,4 @@ def load_results(folder: Path | str) -> Results:
         raise StorageError("there is a run table here, but no manifest.json", where=str(folder), fix=fix)
     manifest = read_manifest(files.manifest)
     columns = {column.name: column for column in column_descriptions(files, manifest)}
-    return Results(root, MappingProxyType(manifest), MappingProxyType(columns))
+    return Results(root, MappingProxyType(manifest), MappingProxyType(columns), with_excluded, with_warm_ups)

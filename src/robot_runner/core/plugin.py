@@ -37,7 +37,7 @@ _log = logging.getLogger(__name__)
 # The two kinds of plugin and what validation asks them.
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
-_RESERVED_NAMES = frozenset({"config", "log"})
+_RESERVED_NAMES = frozenset({"config", "log", "operator"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +84,23 @@ class Plugin(Bindable):
         """Return what stands in the way of using this plugin; nothing is changed by asking."""
         del circumstances
         return ()
+
+    def duration_s(self, combination: Mapping[str, Any]) -> float | None:
+        """Return how long this plugin's part of a run takes, s of real time; None where that is not known.
+
+        What all plugins of an experiment say adds up, so that each counts what it does itself: a mission, or the time
+        that a device needs to settle. A config may have a method of this name, too.
+
+        Args:
+            combination: the treatment of each factor; parameters that are bound to factors have their values already.
+        """
+        del combination
+        return None
+
+    @property
+    def knows_duration(self) -> bool:
+        """Whether this kind of plugin has something to say of how long a run takes."""
+        return type(self).duration_s is not Plugin.duration_s
 
 
 class System(Plugin):

@@ -101,7 +101,8 @@ class _Binding:
     """What a plugin was given.
 
     Attributes:
-        factors: the factor of each bound parameter, by the parameter's name.
+        factors: the factor of each bound parameter, by the parameter's name; of one inside a list, a tuple or a mapping
+            by its place there as well, such as `command[1]` or `arguments['speed']`.
     """
 
     positional: tuple[Any, ...]
@@ -113,21 +114,15 @@ class _Binding:
         """Return what binds a plugin of this kind to factors, or None where nothing does.
 
         Raises:
-            PluginError: a treatment stands inside another value, or for the name.
+            PluginError: a treatment stands in a set, for a key, or for the name.
             TypeError: the plugin has no such parameters.
         """
         given = (*positional, *keywords.values())
         if not any(map(_holds_treatment, given)):
             return None
-        named = dict(_named(kind, positional, keywords))
-        for name, value in named.items():
-            if not isinstance(value, Treatment) and _holds_treatment(value):
-                raise PluginError(
-                    f"{name} holds a treatment(...) inside a {type(value).__name__}",
-                    where=kind.__name__,
-                    fix=f"Bind {name} as a whole: the treatments of its factor may be of any type.",
-                )
-        factors = {name: value.factor for name, value in named.items() if isinstance(value, Treatment)}
+        factors: dict[str, str] = {}
+        for name, value in _named(kind, positional, keywords):
+            factors |= {place: each.factor for place, each in _places(kind, name, value)}
         if "name" in factors:
             raise PluginError(
                 f"the name of a plugin is the same in all runs, and is bound to the factor {factors['name']!r}",
@@ -160,19 +155,47 @@ def _named(kind: type, positional: tuple[Any, ...], keywords: Mapping[str, Any])
 
 def _holds_treatment(value: object) -> bool:
     if isinstance(value, Mapping):
-        return any(map(_holds_treatment, value.values()))
+        return any(map(_holds_treatment, (*value, *value.values())))
     if isinstance(value, list | tuple | set | frozenset):
         return any(map(_holds_treatment, value))
     return isinstance(value, Treatment)
 
 
+def _places(kind: type, name: str, value: object) -> Iterator[tuple[str, Treatment]]:
+    """Yield where treatments stand in a parameter.
+
+    Raises:
+        PluginError: one stands in a set, which has no places, or for a key.
+    """
+    if isinstance(value, Treatment):
+        yield name, value
+    elif isinstance(value, list | tuple):
+        for place, each in enumerate(value):
+            yield from _places(kind, f"{name}[{place}]", each)
+    elif isinstance(value, Mapping) and not any(map(_holds_treatment, value)):
+        for key, each in value.items():
+            yield from _places(kind, f"{name}[{key!r}]", each)
+    elif _holds_treatment(value):
+        where = "for a key" if isinstance(value, Mapping) else f"inside a {type(value).__name__}"
+        fix = f"Bind {name} as a whole: the treatments of its factor may be of any type."
+        raise PluginError(f"{name} holds a treatment(...) {where}", where=kind.__name__, fix=fix)
+
+
 def _resolved(value: Any, combination: Mapping[str, Any]) -> Any:
-    if not isinstance(value, Treatment):
+    if isinstance(value, Treatment):
+        return _treatment_of(value, combination)
+    if not _holds_treatment(value):
         return value
-    if value.factor not in combination:
-        fix = did_you_mean(value.factor, combination) or "Give the run a treatment of it."
-        raise PluginError(f"the run has no treatment of the factor {value.factor!r}", where=repr(value), fix=fix)
-    return combination[value.factor]
+    if isinstance(value, Mapping):
+        return {key: _resolved(each, combination) for key, each in value.items()}
+    return type(value)(_resolved(each, combination) for each in value)
+
+
+def _treatment_of(bound: Treatment, combination: Mapping[str, Any]) -> Any:
+    if bound.factor not in combination:
+        fix = did_you_mean(bound.factor, combination) or "Give the run a treatment of it."
+        raise PluginError(f"the run has no treatment of the factor {bound.factor!r}", where=repr(bound), fix=fix)
+    return combination[bound.factor]
 
 
 class Bindable:
@@ -186,7 +209,7 @@ class Bindable:
         """Make an instance, and have it wait where one of the arguments is `treatment(...)`.
 
         Raises:
-            PluginError: a treatment stands inside another value, or for the name.
+            PluginError: a treatment stands in a set, for a key, or for the name.
             TypeError: something is bound that is no parameter.
         """
         make: Any = super().__new__

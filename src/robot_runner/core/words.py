@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = ["counted", "enumerated", "listed", "one_line", "plain", "shown_duration", "shown_treatment", "shown_value"]
+__all__ = [
+    "counted",
+    "enumerated",
+    "listed",
+    "one_line",
+    "plain",
+    "shown_commit",
+    "shown_duration",
+    "shown_treatment",
+    "shown_value",
+]
 
 _MINUTE = 60
 _HOUR = 3600
@@ -63,6 +74,22 @@ def enumerated(words: Iterable[str]) -> str:
     """
     *most, last = list(words) or [""]
     return f"{', '.join(most)} and {last}" if most else last
+
+
+def shown_commit(facts: object) -> str:
+    """Return what is recorded of a repository, as a person reads it; nothing where there is nothing to read.
+
+    Example:
+        >>> shown_commit({"commit": "1a2b3c4d5e6f7a8b", "branch": "main", "is_dirty": True})
+        '1a2b3c4d5e6f (main), with changes that were not committed'
+    """
+    if not isinstance(facts, Mapping) or not isinstance(facts.get("commit"), str):
+        return ""
+    places = [str(facts[name]) for name in ("branch", "origin", "repository") if facts.get(name)]
+    where = f" ({' of '.join(places)})" if places else ""
+    return one_line(
+        f"{facts['commit'][:12]}{where}{', with changes that were not committed' if facts.get('is_dirty') else ''}"
+    )
 
 
 def shown_duration(seconds: float) -> str:

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from robot_runner.core.errors import LinkError, PluginError, did_you_mean
+from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_host
@@ -29,7 +29,6 @@ from robot_runner.core.sampling.evaluation import publish_measures
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from robot_runner.core.errors import Finding
     from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.links.host import HostLink, UtilisationSample, UtilisationSampler
     from robot_runner.core.plugin import Circumstances
@@ -58,7 +57,8 @@ class PsUtil(Profiler):
             computer of a simulated robot.
         rate_hz: samples a second, Hz.
         processes: what to measure besides the whole computer: names (`"talker"`), process ids (`4711`), or ROS nodes
-            (`"node:/talker"`, found by the name that they were given on their command line).
+            (`"node:/talker"`, found by the name that they were given on their command line), or software under test
+            with all that it has started (`"subject:Nav"`, the name of a `Program` or `RosLaunch`).
         cores: the numbers of cores to measure each by itself.
         is_streamed: whether another computer sends its samples while it takes them.
         ssh_config: a file to take the place of your ssh config.
@@ -131,7 +131,12 @@ class PsUtil(Profiler):
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no computer is named, or it cannot be reached."""
-        return host_findings(
+        names = [each.name for each in circumstances.plugins]
+        for kind, _, name in (each.partition(":") for each in self.selection.processes):
+            if kind == "subject" and name not in names:
+                problem = f"no plugin is named {name!r}, whose processes are to be measured"
+                yield Finding.error(f"plugin {self.name}", problem, did_you_mean(name, names))
+        yield from host_findings(
             self.name,
             circumstances.robot,
             host=self.host,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding
+from robot_runner.core.words import shown_commit
 from robot_runner.replication.contents import CRATE, DESCRIBED, SUMS
 
 if TYPE_CHECKING:
@@ -217,6 +218,7 @@ def readme(about: About, manifest: Mapping[str, Any], names: Sequence[str], left
         "Cite": about.citation,
         "Robot": manifest.get("robot") or "none, or as the config says",
         "Seed": str(manifest.get("seed")),
+        "Commit of the config": shown_commit((manifest.get("executions") or [{}])[-1].get("repository")),
     }
     present = {*names, *(f"{name.partition('/')[0]}/" for name in names), CRATE, SUMS}
     text = _README.format(

@@ -41,6 +41,8 @@ DESCRIBED = {
     TABLE: "all runs in their order: status, time stamps of the events, treatments, measures",
     SCHEMA: "type, unit, meaning and owner of each column of the run table (Table Schema)",
     "runs/": "the raw data and the log of each run",
+    "revisions/": "what was printed while revisions of a repository were built",
+    "subjects/": "the output of software under test that went on through all runs",
     "config/": "the config and the local modules that it imports, as executed",
     "report/": "the report, with its tables and figures",
     MANIFEST: "the circumstances: host, versions, seed, what was set by hand",
@@ -130,7 +132,9 @@ ALL, NONE = "all", "none"
 CONFIG_OWNER = "config"
 
 _RUN_FILES = frozenset({"log.txt", "refused.jsonl"})
-_TRANSIENT = re.compile(r"\.lock|\.control|current_log\.txt|.*\.tmp|.*\.pyc|\.DS_Store|Thumbs\.db|.*~")
+_TRANSIENT = re.compile(
+    r"\.(?:lock|control|alive|outliving)|current_log\.txt|.*\.tmp|.*\.pyc|\.DS_Store|Thumbs\.db|.*~"
+)
 _TRANSIENT_FOLDERS = frozenset({"__pycache__", ".git", ".ipynb_checkpoints", ".venv"})
 
 

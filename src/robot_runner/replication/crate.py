@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.table_columns import ColumnRole
+from robot_runner.core.words import shown_commit
 from robot_runner.replication.contents import CRATE, DESCRIBED, REQUIREMENTS, SUMS, media_type_of
 
 if TYPE_CHECKING:
@@ -197,7 +198,7 @@ class _Crate:
             endTime=_iso(ended or executions[-1].get("started_at")),
             agent=list(authors),
             instrument=self._robot_runner(),
-            object=[parts[name] for name in inputs],
+            object=[*(parts[name] for name in inputs), *self._sources()],
             result=[
                 *(parts[name] for name in results),
                 *(folders[name] for name in ("runs/", "report/") if name in folders),
@@ -205,6 +206,20 @@ class _Crate:
             actionStatus=f"http://schema.org/{status}",
             error=error,
         )
+
+    def _sources(self) -> Iterator[Any]:
+        """Yield the commits that were executed: of the config's repository, and of the software under test."""
+        executions = [each.get("repository") for each in self._manifest.get("executions") or ()]
+        revisions = (self._manifest.get("revisions") or {}).values()
+        found = [*filter(None, executions), *(facts for factor in revisions for facts in factor.values())]
+        for facts in {each["commit"]: each for each in found}.values():
+            yield self._entity(
+                f"#commit-{facts['commit']}",
+                "SoftwareSourceCode",
+                name=shown_commit(facts),
+                version=facts["commit"],
+                codeRepository=facts.get("origin") or facts.get("repository"),
+            )
 
     def _robot_runner(self) -> Any:
         return self._entity(

@@ -2,32 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.columns import RUN_ID, STATUS
+from robot_runner.core.design.columns import BATCH, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.errors import StorageError, did_you_mean
 from robot_runner.core.events.measure import quality_text
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.storage.executed_runs import executed_order, moved_runs
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.safe_write import storage_error
-from robot_runner.core.storage.table_columns import ColumnRole, TableLayout
+from robot_runner.core.storage.table_columns import MARKS, ColumnRole, TableLayout
 from robot_runner.core.storage.table_schema import ColumnDescription, read_schema
+from robot_runner.core.words import shown_commit, shown_duration
 from robot_runner.replication.config_lines import ConfigLine, ConfigLines
 from robot_runner.replication.contents import CONFIG_OWNER
+from robot_runner.replication.run_history import RunHistory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
-    from typing import Self
 
 __all__ = ["Explanation", "RunExplanation", "explain_run"]
 
 _ORCHESTRATED = frozenset({"before_run", "continue"})
-_KINDS = ("attempt_started", "attempt_finished", "event", "finding", "clock", "bound")
 _UNMEASURED = {"simulated": "simulated, not measured", "estimated": "estimated by a model, not measured"}
 
 
@@ -78,74 +78,6 @@ def explain_run(root: Path, run_id: str, names: Sequence[str] = ()) -> RunExplan
     return _Explaining(root, run_id).explain(names)
 
 
-@dataclass(slots=True)
-class _RunHistory:
-    """What the journal has of one run.
-
-    Attributes:
-        attempt: the number of the last attempt; 0 where there was none.
-        started_at, finished_at: of the last attempt (UTC).
-        measures: what it published: a mapping with `value`, `owner`, `origin` for each.
-        clocks: when its events were emitted, s on the run's clock.
-        doubts: what the owners of measures found odd about their samples, by owner.
-        hosts: other computers that were measured, with the offsets of their clocks.
-        failures: why earlier attempts failed, by number.
-        bound: plugin, parameter, factor and value of each parameter that was bound to a factor.
-        readers: who read the treatment of each factor.
-    """
-
-    attempt: int = 0
-    started_at: str | None = None
-    finished_at: str | None = None
-    measures: dict[str, dict[str, Any]] = field(default_factory=dict)
-    clocks: dict[str, float] = field(default_factory=dict)
-    doubts: dict[str, list[str]] = field(default_factory=dict)
-    hosts: list[str] = field(default_factory=list)
-    failures: dict[int, str] = field(default_factory=dict)
-    bound: list[tuple[str, str, str, Any]] = field(default_factory=list)
-    readers: dict[str, list[str]] | None = None
-
-    @classmethod
-    def read(cls, journal: Path, run_id: str) -> Self:
-        """Read what the journal has of a run; a journal that does not exist has nothing.
-
-        Raises:
-            StorageError: it cannot be read.
-        """
-        history = cls()
-        for record in read_journal(journal, kinds=_KINDS):
-            if record.get("run") == run_id:
-                history._take(record)
-        return history
-
-    def _take(self, record: dict[str, Any]) -> None:
-        match record["kind"]:
-            case "attempt_started":
-                self._begin(record)
-            case "attempt_finished":
-                self.finished_at = record["at"]
-                self.measures = record["measures"]
-                self.readers = record.get("readers")
-                if record.get("failure"):
-                    self.failures[self.attempt] = str(record["failure"])
-            case "event" if isinstance(record.get("clock"), int | float):
-                self.clocks[str(record["event"])] = float(record["clock"])
-            case "finding":
-                self.doubts.setdefault(str(record.get("owner")), []).append(str(record["problem"]))
-            case "bound":
-                each = record["parameters"].items()
-                self.bound += [(record["owner"], name, bound["factor"], bound["value"]) for name, bound in each]
-            case "clock":
-                offset = (record.get("before") or record.get("after") or {}).get("wall_offset")
-                told = f", its clock {offset:+.6f} s to ours" if isinstance(offset, int | float) else ""
-                self.hosts.append(f"{record.get('host')} (measured by {record.get('owner')}{told})")
-
-    def _begin(self, record: dict[str, Any]) -> None:
-        self.attempt, self.started_at, self.finished_at = int(record["attempt"]), record["at"], None
-        self.measures, self.clocks, self.doubts, self.hosts = {}, {}, {}, []
-        self.bound, self.readers = [], None
-
-
 class _Explaining:
     def __init__(self, root: Path, run_id: str) -> None:
         self._files = ExperimentFolder.found_at(root)
@@ -158,8 +90,9 @@ class _Explaining:
             raise StorageError(f"there is no run {run_id!r}", where=str(root), fix=did_you_mean(run_id, known))
         self._run_id = run_id
         self._number, self._count = place + 1, len(rows)
+        self._run_ids = [rows.run_id(each) for each in range(len(rows))]
         self._row = rows.row(place)
-        self._history = _RunHistory.read(self._files.journal, run_id)
+        self._history = RunHistory.read(self._files.journal, run_id)
         try:
             self._lines = ConfigLines(root)
         except OSError as error:
@@ -175,7 +108,7 @@ class _Explaining:
         return RunExplanation(
             str(self._manifest.get("experiment_name", self._files.root.name)),
             self._run_id,
-            tuple(self._run_facts()),
+            tuple(fact for fact in self._run_facts() if fact[1]),
             tuple(map(self._explained, names or known)),
         )
 
@@ -186,6 +119,8 @@ class _Explaining:
             ColumnRole.MEASURE: self._measure_facts,
             ColumnRole.FACTOR: self._factor_facts,
             ColumnRole.REPETITION: self._factor_facts,
+            ColumnRole.BATCH: self._batch_facts,
+            ColumnRole.WARM_UP: self._progress_facts,
             ColumnRole.TIMESTAMP: self._stamp_facts,
             ColumnRole.PROGRESS: self._progress_facts,
             ColumnRole.EXTRA: self._extra_facts,
@@ -197,28 +132,76 @@ class _Explaining:
     def _run_facts(self) -> Iterator[tuple[str, str]]:
         history = self._history
         yield "Status", _plain(self._row[STATUS])
+        excluded = history.excluded.present.get(self._run_id)
+        if excluded is not None:
+            yield "Excluded", f"{excluded.reason} ({excluded.at}): not in the statistics"
+        if len(history.corrections) > (excluded is not None):
+            yield from (("Correction", told) for told in history.corrections)
         yield "Place", f"run {self._number} of {self._count}, {self._order()}"
+        if self._mark(WARM_UP):
+            yield "Warm-up", "the run was executed and kept, and is not analysed"
+        yield "Executed", self._executed()
+        yield from self._attempt_facts()
+        if history.stopped:
+            yield "Mission", history.stopped
+        yield from history.waits
+        if history.waited:
+            yield "Waited in all", shown_duration(history.waited)
+        yield "Robot", str(self._manifest.get("robot") or "as the config says")
+        yield "Host", self._host()
+        yield "Commit", history.commit
+        for host in history.hosts:
+            yield "Other host", host
+        for subject in history.subjects:
+            yield "Subject", subject
+        for owner, name, factor, value in history.bound:
+            yield "Parameter", f"{name} of {owner} = {value}, bound to the factor {factor}"
+
+    def _attempt_facts(self) -> Iterator[tuple[str, str]]:
+        history = self._history
         if history.attempt:
             yield "Attempt", f"{history.attempt}, {history.started_at} to {history.finished_at or 'no end'}"
         for number, failure in history.failures.items():
             yield f"Attempt {number}", f"failed: {failure}"
-        yield "Robot", str(self._manifest.get("robot") or "as the config says")
-        yield "Host", self._host()
-        for host in history.hosts:
-            yield "Other host", host
-        for owner, name, factor, value in history.bound:
-            yield "Parameter", f"{name} of {owner} = {value}, bound to the factor {factor}"
 
     def _order(self) -> str:
         design = self._manifest.get("design") or {}
         if design.get("source") not in {None, "config"}:
             return f"in the order of {design['source']}, which was written by hand"
-        blocks = f" within blocks of {design['blocks']}" if design.get("blocks") else ""
-        seed = self._manifest.get("seed")
+        batch = self._batch or {}
+        order = batch if batch.get("batch", 1) > 1 else {**design, "seed": self._manifest.get("seed")}
+        blocks = f" within blocks of {order['blocks']}" if order.get("blocks") else ""
         planned = (
-            f"randomised{blocks} from seed {seed}" if design.get("shuffle") else f"in the order of the config{blocks}"
+            f"randomised{blocks} from seed {order['seed']}"
+            if order.get("shuffle")
+            else f"in the order of the config{blocks}"
         )
+        planned = f"{planned}, in batch {batch['batch']}" if batch else planned
         return f"changed by hand in run_table.csv; planned: {planned}" if design.get("is_reordered") else planned
+
+    def _mark(self, name: str) -> Any:
+        """Return how the run was planned; None where a column of that name is somebody else's."""
+        return self._row[name] if name in self._columns and self._columns[name].role is MARKS[name].role else None
+
+    @property
+    def _batch(self) -> Mapping[str, Any] | None:
+        """The batch in which the run was planned, as the manifest has it; None where there is only one plan."""
+        batches = (self._manifest.get("design") or {}).get("batches") or ()
+        return next((each for each in batches if each.get("batch") == self._mark(BATCH)), None)
+
+    def _batch_facts(self, column: ColumnDescription) -> Iterator[tuple[str, str]]:
+        yield "From", f"Robot Runner: {column.description}"
+        batch = self._batch
+        if batch is not None:
+            added = f", added at {batch['at']} by `robot-runner extend`" if batch.get("at") else ""
+            yield "Runs", f"{batch['runs']} ({batch['first']} to {batch['last']}){added}"
+
+    def _executed(self) -> str:
+        """Return where the run came in the order that was executed, where that is another than the table's."""
+        executed = executed_order(self._files.journal)
+        if self._run_id not in moved_runs(self._run_ids, executed):
+            return ""
+        return f"as number {executed.index(self._run_id) + 1} of the {len(executed)} runs so far: not in its place"
 
     def _host(self) -> str:
         host = self._manifest.get("host") or {}
@@ -285,11 +268,22 @@ class _Explaining:
         if design.get("source") not in {None, "config"}:
             yield "From", f"{design['source']}, which was written by hand before the first run"
         if column.role is ColumnRole.FACTOR:
+            yield "Assumed", self._assumed(column.name)
             bound = [f"{name} of {owner}" for owner, name, factor, _ in self._history.bound if factor == column.name]
+            for name, facts in ((self._manifest.get("revisions") or {}).get(column.name) or {}).items():
+                yield "Revision", f"{name} is {shown_commit(facts)}"
             yield "Bound to", ", ".join(bound)
             yield "Read by", self._read_by(column.name)
         found = self._lines.of_factor(column.name)
         yield "Config", _shown(found or self._lines.of_method("create_run_table"))
+
+    def _assumed(self, factor: str) -> str:
+        """Return that the run was planned before the factor was added, where that is so."""
+        batches = (self._manifest.get("design") or {}).get("batches") or ()
+        added = next((each["batch"] for each in batches if factor in each.get("defaults", {})), 0)
+        if (self._mark(BATCH) or 1) >= added:
+            return ""
+        return f"the factor was added with batch {added}, and runs before count as having had this treatment"
 
     def _read_by(self, factor: str) -> str:
         if self._history.readers is None:  # not executed, or by a version that did not look

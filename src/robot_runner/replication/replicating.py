@@ -6,10 +6,14 @@ import hashlib
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.config.checks import runs_listed_in
 from robot_runner.core.config.dialects import prepare
+from robot_runner.core.config.experiment import grown_model
+from robot_runner.core.design.batches import EXTENDED, records_of
 from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.recovery import table_differences
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
@@ -173,7 +177,8 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
     _refuse_missing(root, manifest)
     settings = {**original_settings(manifest), **deviations, _PATH: str(target)}
     _refuse_redacted(settings)
-    preparation = prepare(config, settings)
+    with runs_listed_in(files.run_table):
+        preparation = prepare(config, settings)
     if preparation.experiment is None:
         raise ConfigError.of_findings(preparation.findings)
     facts = _facts(files, manifest, deviations)
@@ -185,6 +190,7 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
         _refuse_other(experiment, facts)
     else:
         experiment.model.take_seed(int(manifest["seed"]))
+        experiment = _with_batches(experiment, files)
         findings += _settle_table(experiment, files, manifest, has_deviations=bool(deviations))
     return Replication(experiment, root, deviations, tuple(findings))
 
@@ -248,7 +254,8 @@ def _settle_table(
     experiment: Experiment, files: ExperimentFolder, manifest: Mapping[str, Any], *, has_deviations: bool
 ) -> list[Finding]:
     """Make sure that the runs are the original ones; return a finding where the config plans others."""
-    rows = read_run_table(files.run_table, experiment.table_layout())
+    layout = replace(experiment.table_layout(), has_exclusions=_has_exclusions(files))
+    rows = read_run_table(files.run_table, layout)
     plan = experiment.model.plan(manifest["seed"])
     by_hand = (manifest.get("design") or {}).get("source") != "config"
     same_ids = [run.run_id for run in plan] == [rows.run_id(place) for place in range(len(rows))]
@@ -267,16 +274,41 @@ def _settle_table(
     return [Finding.warning(str(files.run_table), problem, fix)]
 
 
-def _put_table(experiment: Experiment, rows: RunTableRows) -> None:
-    """Write the original's runs as if by hand, all of them still to be executed."""
-    for place in range(len(rows)):
-        rows.clear(rows.run_id(place))
-    folder = experiment.folder.root
+def _with_batches(experiment: Experiment, files: ExperimentFolder) -> Experiment:
+    """Return the experiment with the batches that the original was extended by, which its own journal then has.
+
+    Raises:
+        DesignError: the config lacks a treatment that runs of the original have.
+    """
+    model = grown_model(experiment.model, files)
+    if not model.batches:
+        return experiment
+    _make(experiment.folder.root)
+    with Journal(experiment.folder.journal) as journal:
+        if not experiment.model.batches:  # else an earlier try has come this far
+            for fields in records_of(model.batches):
+                journal.append(EXTENDED, flush=True, **fields)
+    return replace(experiment, model=model)
+
+
+def _make(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise storage_error(folder, "made", error) from error
+
+
+def _put_table(experiment: Experiment, rows: RunTableRows) -> None:
+    """Write the original's runs as if by hand, all of them to be executed, those that were excluded there as well."""
+    for place in range(len(rows)):
+        rows.clear(rows.run_id(place))
+    rows = rows.without_exclusions()
+    _make(experiment.folder.root)
     write_run_table(experiment.folder.run_table, rows)
+
+
+def _has_exclusions(files: ExperimentFolder) -> bool:
+    return files.schema.exists() and TableLayout.of_schema(read_schema(files.schema)).has_exclusions
 
 
 @dataclass(frozen=True, slots=True)
@@ -302,7 +334,7 @@ class Sameness:
 
 
 def identical_values(original: Path, replication: Path) -> dict[str, Sameness]:
-    """Compare the run tables of two experiments run by run, by the runs' ids.
+    """Compare the run tables of two experiments run by run, by the runs' ids; excluded runs are passed over.
 
     Returns:
         Each measure that both have.
@@ -316,6 +348,8 @@ def identical_values(original: Path, replication: Path) -> dict[str, Sameness]:
         for place in range(len(ours))
         if (other := theirs.place_of(ours.run_id(place))) is not None
         and ours.status(place) is theirs.status(other) is RunStatus.DONE
+        and ours.excluded(place) is theirs.excluded(other) is None
+        and not ours.is_warm_up(place)
     ]
     return {
         name: _sameness(ours, theirs, name, pairs) for name in ours.layout.measures if name in theirs.layout.measures

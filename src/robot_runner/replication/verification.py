@@ -36,6 +36,7 @@ _SHAPES: dict[str, dict[str, str]] = {
         "host": "mapping",
         "executions": "list of mappings",
         "plugins": "list of mappings",
+        "revisions": "mapping of mappings",
         "seed": "number",
         "experiment_name": "text",
     },

@@ -157,6 +157,9 @@ _TURN_NS = 1_000_000_000
 
 _END_SECONDS = 5.0
 
+#: A reader from which so many times nothing can be taken is broken.
+_MOST_FAULTS = 10
+
 
 def delete(entity: Any) -> None:
     """Delete a DDS entity now, and not when the last name of it goes."""
@@ -173,6 +176,7 @@ class Source:
         self.condition = ReadCondition(reader, _ANY)
         self.is_open = True
         self.is_busy = False
+        self.faults = 0
 
 
 class Reception:
@@ -286,6 +290,12 @@ class Reception:
         except DDSException:
             if source.is_open:
                 raise
+            return
+        except Exception:  # cyclonedds cannot always make an object of what a leaving participant announces
+            source.faults += 1
+            if source.faults > _MOST_FAULTS:
+                raise
+            _logger.exception("a sample of %s cannot be read", source.where)
             return
         source.is_busy = True
         for sample in samples:

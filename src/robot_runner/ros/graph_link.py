@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.unhandled import raised_in_thread
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros.graph_links import full_name, namespace_prefix
 from robot_runner.ros.graph_transport import check_type
@@ -51,6 +52,7 @@ class _Opened:
         self.is_open = True
         self.inner: Any = None
         self.fault_count = 0
+        self.has_failed_run = False
         self._forget = forget
 
     def close(self) -> None:
@@ -113,8 +115,8 @@ class GraphLink:
     It owns the full names within the robot's namespace, the completion of messages by their types, all publishers,
     subscriptions and offers until they are closed in reverse order, the deadline of `wait_for`, and the last stop:
     where it published a velocity, it publishes zero before it leaves. A callback that raises does not end its
-    subscription; on a transport with threads of its own, where nobody sees the exception, it is logged and raised by
-    `close`, so that the run fails as it does on the simulated robot.
+    subscription, and fails the run at once, whatever the transport. Where no run is going on, it is raised where the
+    callback is called from or, on a transport with threads of its own, logged and raised by `close`.
 
     Args:
         connect: joins the graph.
@@ -221,15 +223,18 @@ class GraphLink:
         types.request(service_type)
         shape = types.response(service_type)
 
-        def respond(request: Message) -> Message:
-            try:
-                return completed(shape, answer(request), where=f"the answer of {name}")
-            except Exception:
-                if self._transport.has_threads:
-                    _logger.exception("the service %s failed", name)
-                raise
+        def serve(opened: _Opened) -> Subscription:
+            def respond(request: Message) -> Message:
+                try:
+                    return completed(shape, answer(request), where=f"the answer of {name}")
+                except Exception as fault:
+                    if not self._fails_run(opened, fault, "answer") and self._transport.has_threads:
+                        _logger.exception("the service %s failed", name)
+                    raise
 
-        return self._open(name, service_type, lambda _: self._transport.serve(name, plain_type(service_type), respond))
+            return self._transport.serve(name, plain_type(service_type), respond)
+
+        return self._open(name, service_type, serve)
 
     def topics(self) -> Mapping[str, str]:
         """Return the type of each topic that is published or subscribed, by full name; `*` where nothing tells it."""
@@ -330,18 +335,29 @@ class GraphLink:
             try:
                 deliver(reception)
             except Exception as fault:
+                if self._fails_run(opened, fault, "callback"):
+                    return
                 if not self._transport.has_threads:
                     raise
                 self._note_fault(opened, fault)
 
         return receive
 
-    def _note_fault(self, opened: _Opened, fault: Exception) -> None:
+    def _fails_run(self, opened: _Opened, fault: Exception, what: str) -> bool:
+        """Fail the run, if there is one, for what a callback raised; once for each, not a hundred times a second."""
         opened.fault_count += 1
+        # A callback that was at work while its subscription ended may trip over what its owner has closed.
+        if not opened.is_open or self._is_closed:
+            return False
+        if opened.fault_count > 1:
+            return opened.has_failed_run
+        opened.has_failed_run = raised_in_thread(fault, f"the {what} of {opened.name}")
+        return opened.has_failed_run
+
+    def _note_fault(self, opened: _Opened, fault: Exception) -> None:
         # With its traceback once, not a hundred times a second.
         level = logging.ERROR if opened.fault_count == 1 else logging.DEBUG
         _logger.log(level, "the callback of %s raised", opened.name, exc_info=fault)
-        # A callback that was at work while its subscription ended may trip over what its owner has closed.
         if opened.is_open and not self._is_closed and self._first_fault is None:
             self._first_fault = opened.name, fault
 

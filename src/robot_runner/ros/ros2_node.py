@@ -15,6 +15,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.unhandled import raised_in_thread
 from robot_runner.ros.shapes import plain_type
 
 if TYPE_CHECKING:
@@ -144,8 +145,9 @@ class GraphNode:
         while (todo := self._todo.get()) is not None:
             try:
                 todo()
-            except Exception:
-                _logger.exception("a callback raised")
+            except Exception as error:
+                if not raised_in_thread(error, "a callback of ROS 2"):
+                    _logger.exception("a callback raised")
 
 
 class _Spinning:

@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.unhandled import fails_run
 from robot_runner.core.links.robot import Encoding, RobotLink, Subscription
 from robot_runner.testing.plugin_contract import require
 
@@ -224,6 +225,25 @@ class RobotLinkContract:
         error = refusal(link.close)
         require("a fault of the callback" in error.problem, f"the fault is not named: {error}")
 
+    def test_a_fault_of_a_callback_fails_the_run_at_once(self) -> None:
+        """Hold that a mission does not go on over a callback that raised, whoever calls it; it is told once."""
+        if not self.publishes:
+            return
+        told: list[str] = []
+        called: list[Message] = []
+
+        def receive(message: Message) -> None:
+            called.append(message)
+            raise ValueError("a fault of the callback")
+
+        with fails_run(lambda fault, where: told.append(f"{where}: {fault}")), self.opened() as link:
+            link.subscribe(self.topic, _ODOMETRY, receive)
+            self.until(lambda: told, "the run was not told")
+            count = len(called)
+            self.until(lambda: len(called) > count, "the subscription ended")
+            full_name = f"/{self.topic.strip('/')}"
+            require(told == [f"the callback of {full_name}: a fault of the callback"], f"the run was told {told}")
+
     # --- services ---
 
     def test_a_service_that_is_not_there_is_refused_in_time(self) -> None:
@@ -272,6 +292,20 @@ class RobotLinkContract:
         with self.opened() as robot, self.opened() as link:
             robot.offer("lamp", _TRIGGER, answer)
             refusal(lambda: link.call("lamp", _TRIGGER, timeout=2.0))
+
+    def test_a_fault_of_an_offered_service_fails_the_run_at_once(self) -> None:
+        """Hold that a mission does not go on over a service of its own that raised."""
+        told: list[str] = []
+
+        def answer(request: Message) -> Message:
+            raise LinkError(f"the lamp is broken, asked {request}", where="lamp", fix="Change it.")
+
+        run = fails_run(lambda fault, where: told.append(f"{where}: {fault}"))
+        with run, self.opened() as robot, self.opened() as link:
+            robot.offer("lamp", _TRIGGER, answer)
+            refusal(lambda: link.call("lamp", _TRIGGER, timeout=2.0))
+        require(len(told) == 1 and "the lamp is broken, asked {}" in told[0], f"the run was told {told}")
+        require(told[0].startswith("the answer of /lamp: "), f"the service is not named: {told}")
 
     # --- the graph ---
 

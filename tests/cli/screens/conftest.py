@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.execution.durations import TimeLeft
 
 
 @pytest.fixture
@@ -61,15 +62,21 @@ class Notices:
     def task(number: int = 1, *, attempt: int = 1, treatment: object = "Video") -> RunTask:
         return RunTask(f"r_{number}", number, 4, attempt, {"Task": treatment}, 1, 1, 1)
 
-    def begun(self, number: int = 1, **changes: Any) -> AttemptStarted:
-        return AttemptStarted(self.task(number, **changes))
+    def begun(self, number: int = 1, *, left: TimeLeft | None = None, **changes: Any) -> AttemptStarted:
+        return AttemptStarted(self.task(number, **changes), left)
 
     def done(
-        self, number: int = 1, *, value: object = 877.1234, seconds: float = 10.0, origin: Origin = Origin.MEASURED
+        self,
+        number: int = 1,
+        *,
+        value: object = 877.1234,
+        seconds: float = 10.0,
+        origin: Origin = Origin.MEASURED,
+        left: TimeLeft | None = None,
     ) -> AttemptFinished:
         measure = PublishedMeasure("Energy", value, "Ina219", "J", origin)
         outcome = RunOutcome(AttemptStatus.DONE, measures={"Energy": measure}, seconds=seconds)
-        return AttemptFinished(self.task(number), outcome, is_last=True)
+        return AttemptFinished(self.task(number), outcome, is_last=True, left=left)
 
     def failed(self, number: int = 1, *, is_last: bool = True, attempt: int = 1) -> AttemptFinished:
         failure = RunFailure("no [bold]odometry[/bold]\nat all", "start_run", "BasicTurtlebot3")

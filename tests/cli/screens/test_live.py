@@ -10,6 +10,7 @@ import pytest
 
 from robot_runner.cli.screens import live
 from robot_runner.cli.screens.live import LiveScreen
+from robot_runner.core.execution.durations import TimeLeft
 from robot_runner.core.execution.notices import RunRecord, WaitingForUser
 
 if TYPE_CHECKING:
@@ -47,7 +48,8 @@ def shown(experiment: Experiment, clock: Any, screenful: Any, monkeypatch: pytes
 
 def test_the_run_that_is_executed_is_shown_with_its_event_and_phase(shown: Shown, notices: Any) -> None:
     with shown.screen:
-        shown.take(notices.started(), notices.begun(1), notices.done(1, seconds=10), notices.begun(2))
+        shown.take(notices.started(), notices.begun(1), notices.done(1, seconds=10))
+        shown.take(notices.begun(2, left=TimeLeft(2.0, 4.0)))
         shown.take(RunRecord("r_2", "event", {"event": "launch_mission"}))
         phase = {"phase": "forward", "phase_number": 2, "phase_count": 12}
         shown.take(RunRecord("r_2", "shared", {"owner": "BasicTurtlebot3", "values": phase}))

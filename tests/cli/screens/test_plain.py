@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from robot_runner.cli.screens import plain
-from robot_runner.cli.screens.plain import PlainScreen
+from robot_runner.cli.screens.plain import PlainScreen, opening
 from robot_runner.core.errors import Finding
+from robot_runner.core.execution.durations import TimeLeft
 from robot_runner.core.execution.notices import WaitingForUser
 
 if TYPE_CHECKING:
@@ -74,3 +75,9 @@ def test_warnings_are_seen_before_the_experiment_goes_on(said: Any, notices: Any
 def test_nobody_at_the_keyboard_is_told_of_the_other_way_to_go_on(said: Any) -> None:
     lines = said(WaitingForUser(Path.cwd() / "my results" / "trial", 2, 4))
     assert lines == ["Waiting before run 2 of 4. To go on: robot-runner continue 'my results/trial'"]
+
+
+def test_how_long_it_takes_is_told_at_the_beginning_where_somebody_would_wait_for_it(notices: Any) -> None:
+    assert opening(notices.started(left=TimeLeft(0.0, 5940.0, is_least=True)))[1] == "at least 1 h 39 min left"
+    assert len(opening(notices.started(left=TimeLeft(0.0, 12.0)))) == 1
+    assert len(opening(notices.started())) == 1

@@ -7,6 +7,7 @@ import pytest
 
 from robot_runner.cli.screens.progress import Progress
 from robot_runner.core.events.measure import Origin
+from robot_runner.core.execution.durations import TimeLeft
 from robot_runner.core.execution.notices import RunRecord, WaitingForUser
 
 if TYPE_CHECKING:
@@ -48,44 +49,23 @@ def test_an_interrupted_run_is_still_to_do(progress: Progress, notices: Any) -> 
     assert (progress.done, progress.failed, list(progress.run_ids)) == (0, 0, [])
 
 
-def test_the_time_left_is_unknown_before_a_run_has_ended(progress: Progress, notices: Any) -> None:
+def test_the_time_left_is_unknown_where_the_orchestrator_does_not_know_it(progress: Progress, notices: Any) -> None:
     assert progress.seconds_left is None
     progress.take(notices.begun(1))
     assert progress.seconds_left is None
+    assert progress.left_in_words == ""
 
 
-def test_the_time_left_comes_from_the_mean_of_the_runs(progress: Progress, clock: Any, notices: Any) -> None:
-    for number, seconds in ((1, 10), (2, 20)):
-        progress.take(notices.begun(number))
-        clock.now += seconds
-        progress.take(notices.done(number))
+def test_the_time_left_goes_by(progress: Progress, clock: Any, notices: Any) -> None:
+    progress.take(notices.begun(3, left=TimeLeft(15.0, 15.0)))
     assert progress.seconds_left == pytest.approx(2 * 15.0)
-    progress.take(notices.begun(3))
     clock.now += 5
     assert progress.seconds_left == pytest.approx(2 * 15.0 - 5)
     clock.now += 1000  # a run that takes longer than the others does not make the rest shorter
     assert progress.seconds_left == pytest.approx(15.0)
-
-
-def test_the_time_that_the_user_takes_does_not_count(progress: Progress, clock: Any, notices: Any) -> None:
-    for number in (1, 2):
-        progress.take(notices.begun(number))
-        clock.now += 10
-        progress.take(notices.done(number))
-        progress.take(WaitingForUser(Path("x"), number + 1, 4))
-        clock.now += 3600
-    progress.take(notices.begun(3))
-    assert progress.seconds_left == pytest.approx(20)
-
-
-def test_a_run_takes_as_long_as_all_its_attempts(progress: Progress, clock: Any, notices: Any) -> None:
-    progress.take(notices.begun(1))
-    clock.now += 10
-    progress.take(notices.failed(1, is_last=False))
-    progress.take(notices.begun(1, attempt=2))
-    clock.now += 5
-    progress.take(notices.done(1))
-    assert progress.seconds_left == pytest.approx(3 * 15)
+    assert progress.left_in_words == "about 15 s left"
+    progress.take(notices.done(3, left=TimeLeft(0.0, 12.0, is_least=True)))
+    assert progress.left_in_words == "at least 12 s left"
 
 
 def test_what_happens_in_a_run_is_known(progress: Progress, clock: Any, notices: Any) -> None:

@@ -159,10 +159,10 @@ def test_without_a_run_table_nothing_is_said_of_factors(write_config: Write) -> 
     assert finding.where.endswith(".create_run_table")
 
 
-def test_a_treatment_inside_a_list_is_refused_at_its_line(write_config: Write) -> None:
-    (finding,) = found(write_config, "Meter(port=['a', treatment('Port')])", RATES)
+def test_a_treatment_inside_a_set_is_refused_at_its_line(write_config: Write) -> None:
+    (finding,) = found(write_config, "Meter(port={'a', treatment('Port')})", RATES)
     assert "config.py:" in finding.where
-    assert finding.problem == "port holds a treatment(...) inside a list"
+    assert finding.problem == "port holds a treatment(...) inside a set"
 
 
 def test_a_class_that_takes_no_part_in_being_built_is_found(write_config: Write) -> None:

@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 Execute = Callable[..., Any]
 
 LISTENING = """
-def before_experiment(self, context): self.note("before_experiment")
+def before_experiment(self, context):
+    self.note("before_experiment")
+    return True
 def before_run(self, context): self.note("before_run")
 def start_run(self, context): self.note("start_run")
 def start_measurement(self, context): self.note("start_measurement")
@@ -93,6 +95,7 @@ def test_what_before_run_and_continue_set_is_seen_in_the_next_run(execute: Execu
         """
         operation_type = OperationType.SEMI
         runs = continued = 0
+        def before_experiment(self): return True
         def before_run(self, context): self.runs += 1
         def continue_experiment(self, context):
             self.continued += 10
@@ -347,7 +350,7 @@ def test_two_orchestrators_on_one_experiment_are_one_too_many(execute: Execute) 
     assert executed.finished.done_count == 4
 
 
-def test_a_fresh_interpreter_that_cannot_load_the_config_leaves_the_reason_in_the_journal(execute: Execute) -> None:
+def test_a_fresh_interpreter_that_cannot_load_the_config_says_the_cause(execute: Execute) -> None:
     head = """\
 from pathlib import Path
 from robot_runner import *
@@ -361,3 +364,4 @@ class RobotRunnerConfig(ExperimentConfig):
     (failure,) = executed.journal("failure")
     assert "RuntimeError while it was loaded: the camera is busy" in failure["problem"]
     assert executed.finished.failed_count == 1
+    assert "the camera is busy" in executed.finished.failures[0], "that it exited with code 1 is not the cause"

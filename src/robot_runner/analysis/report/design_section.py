@@ -9,7 +9,8 @@ from robot_runner.analysis.report.charts import points_chart
 from robot_runner.analysis.report.material import correction_in_words
 from robot_runner.analysis.report.tables import build_table, field, interval, number, text
 from robot_runner.analysis.wording import ALPHA, MINUS, listed, sentence, with_unit
-from robot_runner.core.words import counted, shown_duration
+from robot_runner.core.storage.executed_runs import moved_in_words
+from robot_runner.core.words import counted, shown_commit, shown_duration
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -48,6 +49,9 @@ def _facts(material: Material) -> Iterator[tuple[str, str]]:
         yield "Config", f"{config['file']}, class {config.get('class', '?')}"
     yield "Design", material.statistics.design.sentence
     yield "Order", order_in_words(material)
+    yield from _batches(material)
+    if material.results.warm_ups:
+        yield "Warm-up", f"{listed(material.results.warm_ups)}: executed and kept, not analysed"
     yield "Robot", str(material.manifest("robot", default="not recorded"))
     deviations = material.manifest("deviations", default={})
     if deviations:
@@ -62,13 +66,27 @@ def _facts(material: Material) -> Iterator[tuple[str, str]]:
 
 
 def order_in_words(material: Material) -> str:
-    """Return how the order of the runs came about."""
+    """Return how the order of the runs came about, and how many were executed out of it."""
+    moved = moved_in_words(material.moved, material.executed)
+    return f"{_order_of_table(material)}; {moved}" if moved else _order_of_table(material)
+
+
+def _order_of_table(material: Material) -> str:
     design = material.manifest("design", default={})
     if design.get("source") == "run_table.csv":
         return "as in a run table that was made by hand"
     if design.get("is_reordered"):
         return f"changed by hand in run_table.csv; planned: {_planned_order(material, design)}"
     return _planned_order(material, design)
+
+
+def _batches(material: Material) -> Iterator[tuple[str, str]]:
+    """Yield how each batch was added to an experiment that was extended."""
+    for batch in material.manifest("design", "batches", default=[])[1:]:
+        blocks = f" within blocks of {batch['blocks']}" if batch.get("blocks") else ""
+        order = f"randomised{blocks} from seed {batch['seed']}" if batch.get("shuffle") else f"as written{blocks}"
+        runs = f"{counted(batch['runs'], 'run')} ({batch['first']} to {batch['last']})"
+        yield f"Batch {batch['batch']}", f"{runs}, added on {shown_stamp(batch.get('at', ''))}; {order}"
 
 
 def _planned_order(material: Material, design: Mapping[str, Any]) -> str:
@@ -145,6 +163,13 @@ def _machine(material: Material) -> Iterator[tuple[str, str]]:
             yield "Processor", ", ".join(filter(None, parts))
     if software.get("robot_runner"):
         yield "Robot Runner", str(software["robot_runner"])
+    commits = dict.fromkeys(
+        shown_commit(each.get("repository")) for each in material.manifest("executions", default=[])
+    )
+    if any(commits):
+        yield "Config's repository", "; ".join(filter(None, commits))
+    for factor, revisions in material.manifest("revisions", default={}).items():
+        yield from ((f"{factor} {name}", shown_commit(facts)) for name, facts in revisions.items())
     if software.get("python"):
         yield "Python", f"{software['python']} ({software.get('implementation', '')})".replace(" ()", "")
     seconds = material.results.attempts["seconds"].dropna()

@@ -29,8 +29,8 @@ _COHEN_D = {"small": 0.2, "medium": 0.5, "large": 0.8}
 _COHEN_F = {"small": 0.1, "medium": 0.25, "large": 0.4}
 
 _NOTE = (
-    "Figures are for a test of independent groups with equal spreads, with as many runs in each as in the groups on average "
-    "(harmonic mean). Plan with the effect that matters to you."
+    "Figures are for a test of independent groups with equal spreads, with as many runs in each as in the groups on "
+    "average (harmonic mean). Plan with the effect that matters to you."
 )
 _NOTE_ON_BLOCKS = "Blocks are left out of account: where they differ from each other, the power is higher than this."
 

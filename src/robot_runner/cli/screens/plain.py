@@ -18,24 +18,33 @@ from robot_runner.cli.screens.progress import Progress
 from robot_runner.core.design.columns import REPETITION, numbered_run_id
 from robot_runner.core.events.measure import Quality
 from robot_runner.core.execution.notices import (
+    AnswersRefused,
     AttemptFinished,
     AttemptStarted,
     ExperimentStarted,
     FindingsNoticed,
+    GatePassed,
+    GateWaiting,
+    HostRestarts,
     InterruptionNoticed,
     Notice,
+    Paused,
+    PreparationStarted,
     ProbeStarted,
+    QuestionAsked,
     WaitingForUser,
 )
 from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.words import counted, enumerated, one_line, shown_duration, shown_treatment, shown_value
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
     from typing import Self
 
     from robot_runner.cli.console import UserConsole
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.config.operator_steps import Question
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.events.measure import PublishedMeasure
     from robot_runner.core.execution.task import RunOutcome, RunTask
@@ -43,15 +52,23 @@ if TYPE_CHECKING:
 __all__ = [
     "PlainScreen",
     "RunRows",
+    "announced",
     "closing",
+    "continue_command",
     "forget_typed",
+    "gate_passed",
     "heading_of",
     "opening",
-    "probing",
+    "pausing",
+    "question_asked",
+    "refusals",
     "request",
+    "run_to_come",
     "shown_measure",
     "terminal_input",
     "treatments_in_words",
+    "waited_so_far",
+    "waiting_at_gate",
 ]
 
 
@@ -61,6 +78,8 @@ __all__ = [
 _MEASURE = 10
 _TOOK = 11
 _INDENT = "  "
+#: A shorter experiment is over before its duration is read, s.
+_WORTH_TELLING = 60.0
 
 
 def heading_of(measure: str, unit: str) -> str:
@@ -80,10 +99,12 @@ def shown_measure(published: PublishedMeasure | None) -> str:
     return shown_value(published.value) + ("?" if published.quality is Quality.DOUBTFUL else "")
 
 
-def treatments_in_words(task: RunTask, model: RunTableModel) -> str:
+def treatments_in_words(task: RunTask | WaitingForUser, model: RunTableModel) -> str:
     """Return what a run varies, as `Task=Video, Repetition=3`."""
     parts = [f"{name}={shown_treatment(treatment)}" for name, treatment in task.combination.items()]
-    if model.repetitions > 1:
+    if task.is_warm_up:
+        parts.append("warm-up")
+    elif model.repetitions > 1:
         parts.append(f"{REPETITION}={task.repetition}")
     return ", ".join(parts)
 
@@ -130,7 +151,11 @@ class RunRows:
         return columns[: fitting(columns, width - len(_INDENT))]
 
 
-# What a screen says beside its rows: how an experiment begins, and what SEMI asks of the user.
+# What a screen says beside its rows: how an experiment begins, and what is asked of the user.
+
+
+#: How often a log is told of a gate that is awaited, s.
+_GATE_EVERY = 60.0
 
 
 def terminal_input() -> int | None:
@@ -148,20 +173,26 @@ def forget_typed(descriptor: int | None) -> None:
             termios.tcflush(descriptor, termios.TCIFLUSH)
 
 
-def probing(started: ProbeStarted) -> str:
-    """Return what is said while the profilers are tried."""
-    return f"Trying {enumerated(started.plugins)} for a moment, before anything moves ..."
-
-
 def opening(started: ExperimentStarted) -> list[str]:
     """Return what is said when an experiment starts."""
     before = f", {started.done_count:,} of them done before" if started.done_count else ""
     runs = f"{counted(started.run_count, 'run')}{before}, seed {started.seed}"
     lines = [f"{started.experiment_name}: {runs}, results in {shown_path(started.folder)}"]
+    if started.left is not None and started.left.others >= _WORTH_TELLING:
+        lines.append(started.left.in_words())
     if started.overrides:
         parts = ", ".join(f"{name}={value}" for name, value in started.overrides.items())
         lines.append(f"set by hand, and recorded as a deviation from the config: {parts}")
     return lines
+
+
+def announced(notice: PreparationStarted | ProbeStarted | HostRestarts) -> str:
+    """Return what is said of something that takes a while and shows nothing meanwhile."""
+    if isinstance(notice, PreparationStarted):
+        return f"{notice.what} ..."
+    if isinstance(notice, ProbeStarted):
+        return f"Trying {enumerated(notice.plugins)} for a moment, before anything moves ..."
+    return f"Starting {notice.host} anew before {notice.next_run}, and waiting until it is ready ..."
 
 
 def closing(run_id: str) -> str:
@@ -170,12 +201,75 @@ def closing(run_id: str) -> str:
 
 
 def request(waiting: WaitingForUser, *, by_key: bool) -> str:
-    """Return what the user is asked for between two runs."""
-    command = f"robot-runner continue {shlex.quote(shown_path(waiting.folder))}"
+    """Return what the user is asked for before a run."""
+    command = continue_command(waiting.folder, waiting.questions)
     run = f"run {waiting.next_run_number} of {waiting.run_count}"
-    if by_key:
-        return f"Press ENTER to start {run}, or in another terminal: {command}"
-    return f"Waiting before {run}. To go on: {command}"
+    if not by_key:
+        return f"Waiting before {run}. To go on: {command}"
+    if waiting.questions:
+        return f"Answer when it is done, or in another terminal: {command}"
+    wanted = "when it is done" if waiting.step else f"to start {run}"
+    return f"Press ENTER {wanted}, or in another terminal: {command}"
+
+
+def continue_command(folder: Path, questions: Sequence[Question] = ()) -> str:
+    """Return the command that lets an experiment go on, with a place for each answer that it needs."""
+    answers = [f"--answer {shlex.quote(question.name)}=..." for question in questions if not question.optional]
+    return " ".join(["robot-runner continue", shlex.quote(shown_path(folder)), *answers])
+
+
+def run_to_come(waiting: WaitingForUser, model: RunTableModel) -> list[str]:
+    """Return what is said of the run that the user is asked about: its treatments, and how much is left."""
+    if not waiting.run_id:
+        return []
+    treatments = treatments_in_words(waiting, model)
+    run = f"{waiting.run_id}, run {waiting.next_run_number} of {waiting.run_count}"
+    lines = [f"Next is {run}{f': {treatments}' if treatments else ''}"]
+    if waiting.runs_left is not None:
+        about = f", {waiting.left.in_words()}" if waiting.left is not None else " left"
+        lines.append(f"{counted(waiting.runs_left, 'run')}{about}")
+    if waiting.step:
+        lines.append(f"To do: {waiting.step}")
+    return lines
+
+
+def question_asked(question: Question) -> str:
+    """Return what stands before the place where an answer is typed."""
+    return f"  {question.asked}: "
+
+
+def refusals(refused: AnswersRefused) -> list[str]:
+    """Return why answers are not taken, a line each."""
+    return [one_line(f"  {found.where}: {found.problem}. {found.fix}".rstrip()) for found in refused.findings]
+
+
+def pausing(paused: Paused, *, by_key: bool) -> str:
+    """Return what is said while the experiment is paused."""
+    key = "press ENTER, or in another terminal: " if by_key else ""
+    run = f"run {paused.next_run_number} of {paused.run_count}"
+    return f"Paused before {run}. To go on: {key}robot-runner continue {shlex.quote(shown_path(paused.folder))}"
+
+
+def waiting_at_gate(waiting: GateWaiting) -> str:
+    """Return what is said once a run has to wait for a gate."""
+    return (
+        f"run {waiting.run_number} of {waiting.run_count} ({waiting.run_id}) waits until {one_line(waiting.condition)}"
+    )
+
+
+def waited_so_far(waiting: GateWaiting) -> str:
+    """Return what was seen last while a gate is awaited, and for how long it has been."""
+    most = f" of {shown_duration(waiting.timeout_s)}" if waiting.timeout_s is not None else ""
+    seen = f"{one_line(waiting.seen)}   " if waiting.seen else ""
+    return f"{seen}{shown_duration(waiting.seconds)}{most}"
+
+
+def gate_passed(passed: GatePassed) -> str:
+    """Return what is said once the wait for a gate is over."""
+    waited = f"{passed.run_id} waited {shown_duration(passed.seconds)} until {one_line(passed.condition)}"
+    if passed.state == "open":
+        return f"{waited}: {one_line(passed.seen)}" if passed.seen else waited
+    return f"{waited}, which {passed.state}: {one_line(passed.problem)}"
 
 
 class PlainScreen:
@@ -198,6 +292,7 @@ class PlainScreen:
         self._console = console
         self._model = experiment.model
         self._units: Mapping[str, str] = {}
+        self._gate_told: float | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -209,8 +304,8 @@ class PlainScreen:
         """Print what is worth a line."""
         self.progress.take(notice)
         match notice:
-            case ProbeStarted():
-                self._print(probing(notice))
+            case PreparationStarted() | ProbeStarted() | HostRestarts():
+                self._print(announced(notice))
             case ExperimentStarted():
                 self._units = notice.columns
                 self._print(*opening(notice))
@@ -224,9 +319,36 @@ class PlainScreen:
                 print_findings(self._console, findings)
             case InterruptionNoticed(run_id):
                 self._print(closing(run_id))
+            case _:
+                self._take_part(notice)
+
+    def _take_part(self, notice: Notice) -> None:
+        match notice:
             case WaitingForUser():
                 forget_typed(self.user_input)
-                self._print(request(notice, by_key=self.user_input is not None))
+                self._print(*run_to_come(notice, self._model), request(notice, by_key=self.user_input is not None))
+            case Paused():
+                forget_typed(self.user_input)
+                self._print(pausing(notice, by_key=self.user_input is not None))
+            case QuestionAsked(question):
+                self._console.file.write(question_asked(question))
+                self._console.file.flush()
+            case AnswersRefused():
+                self._print(*refusals(notice))
+            case GateWaiting() | GatePassed():
+                self._tell_of_gate(notice)
+
+    def _tell_of_gate(self, notice: GateWaiting | GatePassed) -> None:
+        if isinstance(notice, GatePassed):
+            if self._gate_told is not None or notice.problem:
+                self._print(gate_passed(notice))
+            self._gate_told = None
+            return
+        if self._gate_told is None:
+            self._print(waiting_at_gate(notice))
+        if self._gate_told is None or notice.seconds - self._gate_told >= _GATE_EVERY:
+            self._gate_told = notice.seconds
+            self._print(f"  {waited_so_far(notice)}")
 
     def refresh(self) -> None:
         """Do nothing: a line that was printed stays as it is."""

@@ -11,7 +11,11 @@ from robot_runner.core.execution.notices import (
     AttemptStarted,
     ExperimentFinished,
     ExperimentStarted,
+    GatePassed,
+    GateWaiting,
+    Paused,
     RunRecord,
+    UserHasContinued,
     WaitingForUser,
 )
 from robot_runner.core.execution.task import AttemptStatus
@@ -20,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from robot_runner.core.events.measure import PublishedMeasure
+    from robot_runner.core.execution.durations import TimeLeft
     from robot_runner.core.execution.notices import Notice
     from robot_runner.core.execution.task import RunTask
 
@@ -57,15 +62,17 @@ class Progress:
         run_ids: the runs that were executed in this session.
         origins: where the values of the run table came from, with the measures of each origin.
         bad_values: the runs of this session whose values are not good, by measure and quality.
-        is_waiting: whether the user is asked to go on.
+        is_waiting: whether the user is asked to go on, or the experiment is paused.
+        gate: what is awaited before the next run, if anything is.
+        gate_seconds: how long gates were awaited in this session, those that are over, s of their clocks.
         has_begun: whether any run was begun in this session.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
         self._began = clock()
-        self._run_since = self._began
-        self._seconds_of_runs = 0.0
+        self._left: TimeLeft | None = None
+        self._left_since = self._began
         self._columns: tuple[str, ...] = ()
         self.run_count = 0
         self.done = 0
@@ -75,6 +82,8 @@ class Progress:
         self.origins: dict[str, dict[str, None]] = {}
         self.bad_values: dict[str, dict[str, list[str]]] = {}
         self.is_waiting = False
+        self.gate: GateWaiting | None = None
+        self.gate_seconds = 0.0
         self.has_begun = False
 
     @property
@@ -89,37 +98,46 @@ class Progress:
 
     @property
     def seconds_left(self) -> float | None:
-        """How long the rest will take if runs go on as they did, in seconds; None before any run has ended.
+        """How long the rest takes, in seconds, as the orchestrator estimated it last; None where that is not known."""
+        return self._left.after(self._clock() - self._left_since) if self._left is not None else None
 
-        A run counts with all its attempts and with the rest before it, and without the time that the user took.
-        """
-        if not self.run_ids:
-            return None
-        mean = self._seconds_of_runs / len(self.run_ids)
-        left = self.run_count - self.done - self.failed
-        return max(0.0, mean * left - min(mean, self.elapsed_in_run))
+    @property
+    def left_in_words(self) -> str:
+        """The same in words; nothing where it is not known."""
+        return self._left.in_words(self._clock() - self._left_since) if self._left is not None else ""
 
     def take(self, notice: Notice) -> None:
         """Take a notice into account."""
         match notice:
             case ExperimentStarted():
-                self._began = self._run_since = self._clock()
+                self._began = self._clock()
+                self._take_left(notice.left)
                 self.run_count, self.done = notice.run_count, notice.done_count
                 self._columns = tuple(notice.columns)
             case AttemptStarted():
-                if self.is_waiting:
-                    self._run_since = self._clock()
                 self.is_waiting = False
+                self._take_left(notice.left)
                 self.has_begun = True
                 self.current = CurrentRun(notice.task, self._clock())
             case RunRecord():
                 self._take_record(notice.kind, notice.fields)
             case AttemptFinished():
                 self._take_end(notice)
-            case WaitingForUser():
+                self._take_left(notice.left)
+            case WaitingForUser() | Paused():
                 self.is_waiting = True
+            case UserHasContinued():
+                self.is_waiting = False
+            case GateWaiting():
+                self.gate = notice
+            case GatePassed():
+                self.gate = None
+                self.gate_seconds += notice.seconds
             case ExperimentFinished():
                 self.done, self.failed = notice.done_count, notice.failed_count
+
+    def _take_left(self, left: TimeLeft | None) -> None:
+        self._left, self._left_since = left, self._clock()
 
     def _take_record(self, kind: str, fields: Mapping[str, object]) -> None:
         if self.current is None:
@@ -144,9 +162,6 @@ class Progress:
         if notice.is_last:
             if status is AttemptStatus.DONE:
                 self._take_qualities(notice.task.run_id, notice.outcome.measures)
-            now = self._clock()
-            self._seconds_of_runs += now - self._run_since
-            self._run_since = now
             self.run_ids[notice.task.run_id] = None
             self.done += status is AttemptStatus.DONE
             self.failed += status is AttemptStatus.FAILED

@@ -6,21 +6,44 @@ checked, normalised, read from the command line and documented.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
-from robot_runner.core.config.authors import Author, authors_from_text, is_licence
-from robot_runner.core.design.analysis_plan import AnalysisPlan
+from robot_runner.core.config.gate_parameters import Gate, Guard
+from robot_runner.core.config.parameter_kinds import (
+    AUTHORS,
+    FLAG,
+    HOSTS,
+    LICENCE,
+    LINK,
+    NAME,
+    NOTIFY,
+    OPERATOR_STEPS,
+    PATH,
+    PHASES,
+    PLAN,
+    ROS_DISTRIBUTION,
+    ROS_GENERATION,
+    SECONDS,
+    TEXT,
+    Kind,
+    choice,
+    instances,
+    whole,
+)
 from robot_runner.core.errors import ConfigError
-from robot_runner.core.events.window import is_phase_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Mapping, Sequence
 
+    from robot_runner.core.config.authors import Author
+    from robot_runner.core.config.notify import Notify
+    from robot_runner.core.config.operator_steps import OperatorStep
+    from robot_runner.core.design.analysis_plan import AnalysisPlan
     from robot_runner.core.design.run_table_model import RunTable, RunTableModel
+    from robot_runner.core.links.declared_host import Host
     from robot_runner.core.plugin import Plugin
 
 __all__ = [
@@ -38,7 +61,7 @@ __all__ = [
 
 
 class OperationType(Enum):
-    """Whether the next run starts by itself (AUTO), or once the user says so (SEMI: to swap a battery, say)."""
+    """Whether a run starts by itself (AUTO), or once the user says so (SEMI: to swap a battery, say)."""
 
     AUTO = "auto"
     SEMI = "semi"
@@ -82,44 +105,6 @@ REQUIRED: Any = object()
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
-    """What the values of a static parameter are.
-
-    Attributes:
-        expected: completes the sentence "it must be ...".
-        accepts: says whether a value is well formed.
-        from_text: reads a value of the command line; raises ValueError.
-        normalise: makes what `Parameters` holds of a value that is accepted.
-        type_name: what the documentation calls the type, where the annotation says less.
-    """
-
-    expected: str
-    accepts: Callable[[Any], bool]
-    from_text: Callable[[str], Any] = str
-    normalise: Callable[[Any], Any] = lambda value: value
-    type_name: str = ""
-
-    def or_none(self) -> Kind:
-        """Return the same with None as one more value."""
-        return replace(
-            self,
-            expected=f"{self.expected}, or None",
-            accepts=lambda value: value is None or self.accepts(value),
-            from_text=lambda text: None if text.casefold() == "none" else self.from_text(text),
-            normalise=lambda value: None if value is None else self.normalise(value),
-        )
-
-    def or_any(self, expected: str) -> Kind:
-        """Return the same with None and `any` (the word, or Python's function) as two more values."""
-        return replace(
-            self.or_none(),
-            expected=expected,
-            accepts=lambda value: value is None or _is_any(value) or self.accepts(value),
-            normalise=lambda value: "any" if _is_any(value) else value,
-        )
-
-
-@dataclass(frozen=True, slots=True)
 class Parameter:
     """One static parameter, as it is declared in `StaticParameters`."""
 
@@ -150,191 +135,134 @@ def _declared(cls: type[StaticParameters]) -> type[StaticParameters]:
     return cls
 
 
-def _is_integer(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _is_seconds(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < float("inf")
-
-
-def _is_any(value: Any) -> bool:
-    return value is any or (isinstance(value, str) and value.casefold() == "any")
-
-
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str) and value.strip() != ""
-
-
-def _are_authors(value: Any) -> bool:
-    return isinstance(value, list | tuple) and all(isinstance(each, Author) or _is_text(each) for each in value)
-
-
-def _not_from_text(text: str) -> NoReturn:
-    raise ValueError(f"{text!r} cannot be set from outside")
-
-
-def _truth(text: str) -> bool:
-    return ("false", "true").index(text.casefold()) == 1
-
-
-def _whole(least: int, what: str) -> Kind:
-    return Kind(f"a whole number{what}, {least} or more", lambda value: _is_integer(value) and value >= least, int)
-
-
-def _flag_from_text(text: str) -> bool | str:
-    """Return what a text says; one that says neither is returned as it is, and found to be malformed."""
-    return {"true": True, "false": False}.get(text.strip().casefold(), text)
-
-
-def _choice(choices: type[Enum]) -> Kind:
-    return Kind(
-        f"one of {', '.join(f'{choices.__name__}.{choice.name}' for choice in choices)}",
-        lambda value: isinstance(value, choices),
-        lambda text: choices(text.casefold().rpartition(".")[2]),
-    )
-
-
-_FOLDER_NAME = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9 ._-]{0,126}[A-Za-z0-9_-])?")
-_NAME = Kind(
-    "a name that can name a folder: letters, digits, blanks, '.', '_' and '-', 128 at most",
-    lambda value: isinstance(value, str) and _FOLDER_NAME.fullmatch(value) is not None,
-)
-_PATH = Kind(
-    "a path, such as Path('~/results')",
-    lambda value: isinstance(value, str | Path) and "\0" not in str(value) and str(value) != "",
-    Path,
-    Path,
-)
-_LINK = Kind('the name of a robot link, such as "simulated"', lambda value: isinstance(value, str) and value != "")
-_ROS_GENERATION = Kind(
-    "", lambda value: _is_integer(value) and value in {1, 2}, lambda text: int(text) if text.isdigit() else text
-).or_any("1, 2, any or None")
-_ROS_DISTRIBUTION = Kind("", _is_text).or_any('the name of a ROS distribution, such as "noetic", any or None')
-_SECONDS = Kind("a positive number of seconds", _is_seconds, float)
-_FLAG = Kind("True or False", lambda value: isinstance(value, bool), _flag_from_text)
-_PLAN = Kind("an AnalysisPlan(...) in the config file", lambda value: isinstance(value, AnalysisPlan), _not_from_text)
-_AUTHORS = Kind(
-    "a list of names or Author(...)",
-    _are_authors,
-    authors_from_text,
-    lambda value: tuple(each if isinstance(each, Author) else Author(each.strip()) for each in value),
-)
-_LICENCE = Kind('an SPDX identifier such as "CC-BY-4.0", a URL', is_licence)
-_TEXT = Kind("a text", _is_text)
-_YES_OR_NO = Kind("True or False", lambda value: isinstance(value, bool), _truth)
-
-
-_PHASES = Kind(
-    "a list of the names of phases: letters, digits, '_' and '-'",
-    lambda value: isinstance(value, list | tuple) and all(map(is_phase_name, value)),
-    lambda text: [name.strip() for name in text.split(",")],
-    lambda value: tuple(dict.fromkeys(value)),
-)
-
-
 @_declared
 class StaticParameters:
     """What can be set in a config, beside what the experiment does and measures."""
 
-    experiment_name: str = _declare("Names the experiment and its folder.", _NAME)
+    experiment_name: str = _declare("Names the experiment and its folder.", NAME)
     results_output_path: Path | str = _declare(
         "The folder in which the experiment's folder is made; `~` is the home folder, and a relative path begins "
         "where the config file is.",
-        _PATH,
+        PATH,
         Path("experiments"),
     )
     operation_type: OperationType = _declare(
-        "AUTO starts each run by itself; SEMI waits after each run until the user says to go on.",
-        _choice(OperationType),
+        "AUTO starts each run by itself; SEMI waits before each run, the first one of a session included, until the "
+        "user says to go on.",
+        choice(OperationType),
         OperationType.AUTO,
     )
+    operator_steps: Sequence[OperatorStep] = _declare(
+        "What a person does before a run, and what they are asked: `OperatorStep(...)`.", OPERATOR_STEPS, ()
+    )
     time_between_runs_in_ms: int = _declare(
-        "How long the robot rests between two runs, in milliseconds.", _whole(0, " of milliseconds"), 0
+        "How long the robot rests between two runs, in milliseconds.", whole(0, " of milliseconds"), 0
     )
     robot: str | None = _declare(
         'How the robot is reached: "simulated" is the embedded TurtleBot3, which is never chosen silently; real ones '
         "by ros1, ros2, dds, rosbridge://host:9090 or auto.",
-        _LINK.or_none(),
+        LINK.or_none(),
         None,
+    )
+    hosts: Mapping[str, Host | str] = _declare(
+        "The computers that take part, by name: an address as for ssh, `local` for this machine, or "
+        "`Host(address=..., fetch=[...], reboot=...)`; `context.host(name)` executes commands there.",
+        HOSTS,
+        {},
     )
     required_ros_version: Any = _declare(
         "The ROS generation that the experiment needs: 1, 2, `any`, or None for none at all.",
-        replace(_ROS_GENERATION, type_name="int | None"),
+        replace(ROS_GENERATION, type_name="int | None"),
         None,
     )
     required_ros_distro: Any = _declare(
         'The ROS distribution that the experiment needs, such as "noetic"; `any` or None where it does not matter.',
-        replace(_ROS_DISTRIBUTION, type_name="str | None"),
+        replace(ROS_DISTRIBUTION, type_name="str | None"),
         None,
     )
     phases: Sequence[str] = _declare(
-        "The phases of the mission for which measures are published, too, each as `<measure>.<phase>`.", _PHASES, ()
+        "The phases of the mission for which measures are published, too, each as `<measure>.<phase>`.", PHASES, ()
     )
     on_failure: FailurePolicy = _declare(
         "What follows a run that failed: CONTINUE with the next one, or STOP the experiment.",
-        _choice(FailurePolicy),
+        choice(FailurePolicy),
         FailurePolicy.CONTINUE,
     )
-    attempts: int = _declare("How often a run is tried before it counts as failed.", _whole(1, ""), 1)
+    attempts: int = _declare("How often a run is tried before it counts as failed.", whole(1, ""), 1)
     on_bad_value: BadValuePolicy = _declare(
         "What follows a value of the run table that is missing, or beyond its measure's `low` or `high`: KEEP it with "
         "the reason, TRY_AGAIN while there are attempts left, or FAIL the attempt.",
-        _choice(BadValuePolicy),
+        choice(BadValuePolicy),
         BadValuePolicy.KEEP,
     )
     quality_columns: bool = _declare(
         "Whether each measure has a column `<measure>.quality` in the run table: good, doubtful or missing, and why.",
-        _FLAG,
+        FLAG,
         default=False,
     )
     probe: bool = _declare(
         "Whether each profiler is tried for a moment before the first run, so that one that is silent is found before "
         "the robot moves.",
-        _FLAG,
+        FLAG,
         default=True,
     )
     run_deadline_in_s: float | None = _declare(
-        "How long a run may take, in seconds of real time; None for no limit.", _SECONDS.or_none(), None
+        "How long a run may take, in seconds of real time; None for no limit.", SECONDS.or_none(), None
     )
     event_deadline_in_s: float | None = _declare(
-        "How long one event of a run may take, in seconds of real time; None for no limit.", _SECONDS.or_none(), None
+        "How long one event may take, in seconds of real time; None for no limit. It holds for the events of the "
+        "orchestrator, too.",
+        SECONDS.or_none(),
+        None,
     )
     grace_in_s: float = _declare(
         "How long a run that is told to end may take to stop its robot and close its profilers before it is killed, "
         "in seconds.",
-        _SECONDS,
+        SECONDS,
         10.0,
     )
     run_process: RunProcess = _declare(
         "Where a run is executed: in a process that is forked (FORK), in a fresh interpreter (SPAWN), or in the "
         "orchestrator itself (IN_PROCESS).",
-        _choice(RunProcess),
+        choice(RunProcess),
         RunProcess.FORK,
+    )
+    gates: Sequence[Gate] = _declare(
+        "What must hold before each attempt at a run: conditions that are awaited, one after another.",
+        instances(Gate, "a list of Gate(...), such as [Gate(temperature_below(50), timeout_s=600)]"),
+        (),
+    )
+    guards: Sequence[Guard] = _declare(
+        "What must not come true while a run is measured: conditions that are watched.",
+        instances(Guard, "a list of Guard(...), such as [Guard(battery_below(15), GuardAction.STOP)]"),
+        (),
     )
     watch_machines: bool = _declare(
         "Whether the computers that profilers measure are watched for what else goes on there: load by others, swap, "
         "throttling.",
-        _YES_OR_NO,
-        True,  # noqa: FBT003 - the default of the declaration
+        FLAG,
+        default=True,
+    )
+    notify: Notify | None = _declare(
+        "Who is told how the experiment goes on, and of what: `Notify(...)`.", NOTIFY.or_none(), None
     )
     analysis: AnalysisPlan | None = _declare(
         "What is fixed for the analysis before the experiment: measures, level of significance, hypotheses.",
-        _PLAN.or_none(),
+        PLAN.or_none(),
         None,
     )
     authors: Sequence[Author | str] = _declare(
         "Who made the experiment: names, or `Author(name, orcid=..., affiliation=..., affiliation_url=...)`.",
-        _AUTHORS,
+        AUTHORS,
         (),
     )
     licence: str | None = _declare(
         'Under which terms others may use the results: an SPDX identifier such as "CC-BY-4.0", or a URL.',
-        _LICENCE.or_none(),
+        LICENCE.or_none(),
         None,
     )
     citation: str | None = _declare(
-        "What to cite when the results are used: a DOI, a URL or a sentence.", _TEXT.or_none(), None
+        "What to cite when the results are used: a DOI, a URL or a sentence.", TEXT.or_none(), None
     )
 
 
@@ -347,10 +275,14 @@ class Parameters(StaticParameters):
     """
 
     results_output_path: Path
+    hosts: Mapping[str, Host]
     required_ros_version: int | str | None
     required_ros_distro: str | None
     authors: tuple[Author, ...]
     phases: tuple[str, ...]
+    operator_steps: tuple[OperatorStep, ...]
+    gates: tuple[Gate, ...]
+    guards: tuple[Guard, ...]
 
     def __init__(self, **values: Any) -> None:
         vars(self).update(values)

@@ -9,6 +9,7 @@ from itertools import islice, product, repeat
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import name_findings
+from robot_runner.core.design.revision import Revision, is_revision_name
 from robot_runner.core.errors import DesignError, Finding, nearest
 
 if TYPE_CHECKING:
@@ -163,6 +164,29 @@ class Factor:
         object.__setattr__(self, "texts", texts)
         object.__setattr__(self, "_positions", {text: place for place, text in enumerate(texts)})
 
+    @classmethod
+    def revisions(cls, name: str, repository: Any, revisions: Iterable[str], *, build: str = "") -> Factor:
+        """Make a factor of revisions of a git repository: each has a work tree of its own, built once.
+
+        Args:
+            name: the column of the run table.
+            repository: the path of a repository on this machine, or a URL that git can clone.
+            revisions: tags, branches or hashes of commits.
+            build: a command for the shell, executed in each work tree, such as `make -j2`; empty for none.
+
+        Raises:
+            DesignError: the name or a revision cannot be.
+
+        Example:
+            >>> Factor.revisions("Version", "~/planner", ["v1.0", "main"], build="make").texts
+            ('v1.0', 'main')
+        """
+        listed, findings = _listed(f"factor {name!r}", revisions)
+        findings += [_no_revision(name, each) for each in listed if not is_revision_name(each)]
+        if findings:
+            raise DesignError.of_findings(findings)
+        return cls(name, [Revision(str(repository), each, build=build) for each in listed])
+
     def __hash__(self) -> int:
         return hash(self.name)  # treatments need not be hashable
 
@@ -191,6 +215,11 @@ class Factor:
         shown = ", ".join(map(repr, self.treatments[:_SHOWN]))
         more = len(self.treatments) - _SHOWN
         return f"Choose one of: {shown}{f' and {more} more' if more > 0 else ''}."
+
+
+def _no_revision(name: str, value: object) -> Finding:
+    fix = "Name a tag, a branch or a commit, such as 'v1.0' or 'main'."
+    return Finding.error(f"factor {name!r}", f"{value!r} names no revision", fix)
 
 
 def _listed(where: str, treatments: object) -> tuple[tuple[Any, ...], list[Finding]]:

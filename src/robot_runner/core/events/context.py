@@ -6,9 +6,13 @@ import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast, runtime_checkable
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TypeVar, cast, runtime_checkable
 
+from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.core.events.early_end import EndingInPlace
 from robot_runner.core.events.measure import MeasureValue, Origin, PublishedMeasure
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.outliving import program_name, spare
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -16,9 +20,23 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.errors import Finding
+    from robot_runner.core.events.early_end import Ending
+    from robot_runner.core.events.host_access import HostAccess
+    from robot_runner.core.events.outlook import ExperimentEnd, NextRun
     from robot_runner.core.events.window import MissionTimes, Phase, Window
 
-__all__ = ["Clock", "Closable", "ExperimentContext", "Resources", "RobotRunnerContext", "RunBroker", "SystemClock"]
+__all__ = [
+    "Clock",
+    "Closable",
+    "ExperimentContext",
+    "HostDoor",
+    "NoHosts",
+    "Resources",
+    "RobotRunnerContext",
+    "RunBroker",
+    "StartedProgram",
+    "SystemClock",
+]
 
 
 # The clock that a run lives by: the machine's own, or that of a simulated robot.
@@ -96,6 +114,15 @@ class Resources:
         self._closing.close()
 
 
+class StartedProgram(Protocol):
+    """A program that was started, such as a `subprocess.Popen`."""
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        ...
+
+
 class RunBroker(Protocol):
     """Where a run's context passes things on to: the event manager's side of a context."""
 
@@ -115,8 +142,12 @@ class RunBroker(Protocol):
         """Record a warning finding that makes values of this run doubtful."""
         ...
 
-    def note_clock(self, owner: str, facts: Mapping[str, object]) -> None:
-        """Keep how another computer's clock stood to the run's."""
+    def doubt_run(self, owner: str, problem: str, fix: str) -> None:
+        """Record a warning finding that makes all values of this run doubtful."""
+        ...
+
+    def note(self, owner: str, kind: str, facts: Mapping[str, object]) -> None:
+        """Report something else that happened in this run, as a record of this kind."""
         ...
 
     @property
@@ -135,6 +166,29 @@ class RunBroker(Protocol):
         ...
 
 
+class HostDoor(Protocol):
+    """What a context opens hosts by."""
+
+    def open(self, name: str, context: RobotRunnerContext) -> HostAccess:
+        """Return the host of this name; its connection is kept until the run ends."""
+        ...
+
+
+class NoHosts:
+    """The hosts of a config that names none."""
+
+    def open(self, name: str, context: RobotRunnerContext) -> NoReturn:
+        """Refuse.
+
+        Raises:
+            LinkError: always.
+        """
+        del context
+        raise LinkError(
+            f"there is no host {name!r}", where="hosts", fix=f"Name it in the config: hosts = {{{name!r}: 'pi@robot'}}."
+        )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExperimentContext:
     """What the callbacks of `before_experiment` and `after_experiment` are told.
@@ -144,12 +198,14 @@ class ExperimentContext:
         experiment_folder: where everything of this experiment is kept.
         robot: how the robot is reached (`"simulated"`, ...), or None where the config names none.
         seed: the seed of the experiment, from which the runs' order and the runs' own seeds come.
+        ended: how the experiment ended, in `after_experiment`; None before.
     """
 
     experiment_name: str
     experiment_folder: Path
     robot: str | None = None
     seed: int = 0
+    ended: ExperimentEnd | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -161,14 +217,18 @@ class RobotRunnerContext(ExperimentContext):
         run_number: its place in the order of execution, from 1.
         run_count: how many runs the experiment has.
         attempt: how often this run has been tried, this time included, from 1.
+        attempts_left: how often it is tried again where this attempt fails.
         combination: the treatment of each factor, by the factor's name.
-        repetition: which repetition of the combination this is, from 1.
+        repetition: which repetition of the combination this is, from 1; 0 for a warm-up run.
         run_seed: a seed for this run alone, the same each time that it is executed.
         clock: the clock to sleep on; on a simulated robot it is the simulation's.
         resources: links and devices that the run's plugins share.
         owner: who this context was made for: a plugin's name, or `config`.
         times: when the mission and its phases began and ended.
+        ending: what ends the run or its mission; ask for it through `fail` and `stop_mission`.
+        hosts: what opens the hosts of the config; ask for one through `host`.
         run_path: where the run's folder is once something is kept in it; ask for `run_folder` to keep something.
+        next_run: in `continue_experiment`, the run that comes next; all else there is about the run that is over.
     """
 
     run_id: str
@@ -184,6 +244,15 @@ class RobotRunnerContext(ExperimentContext):
     owner: str
     times: MissionTimes = field(repr=False)
     broker: RunBroker = field(repr=False)
+    attempts_left: int = 0
+    ending: Ending = field(default_factory=EndingInPlace, repr=False)
+    hosts: HostDoor = field(default_factory=NoHosts, repr=False)
+    next_run: NextRun | None = None
+
+    @property
+    def is_warm_up(self) -> bool:
+        """Whether the run only warms up: it is executed and kept like any other, and not analysed."""
+        return self.repetition == 0
 
     @property
     def run_folder(self) -> Path:
@@ -255,6 +324,16 @@ class RobotRunnerContext(ExperimentContext):
         """
         self.broker.publish(self.owner, name, value, origin)
 
+    def host(self, name: str) -> HostAccess:
+        """Return a host of the config's `hosts`, to execute commands there, copy to it and fetch from it.
+
+        Its one connection is kept until the run ends; in `before_run`, until that has been heard by all.
+
+        Raises:
+            LinkError: the config names no such host; the nearest is named.
+        """
+        return self.hosts.open(name, self)
+
     def share(self, **values: object) -> None:
         """Pass key-value pairs on to the subscribers of the following events (`plugin_data`), and to the screen.
 
@@ -279,9 +358,48 @@ class RobotRunnerContext(ExperimentContext):
         """
         self.broker.doubt(self.owner, problem, fix, measures)
 
+    def fail(self, reason: str) -> None:
+        """Fail this run and end it at once: what is open is closed, and the robot is made safe.
+
+        Call it from anywhere: a callback of an event, which it ends, or of a topic, or any thread. In another thread
+        than the run's own it returns.
+        """
+        self.ending.fail(self.owner, reason)
+
+    def stop_mission(self, reason: str) -> None:
+        """End the mission at once, and the measured window at this moment; the run goes on and is not failed.
+
+        Call it from anywhere, as `fail`. Once the mission is over it does nothing.
+
+        Raises:
+            PluginError: the mission has not begun.
+        """
+        if self.times.stop():
+            self.ending.stop_mission(self.owner, reason)
+
+    def outlives(self, process: StartedProgram | int) -> None:
+        """Let a program that this run started go on when the run has ended, with all that it starts itself.
+
+        Nobody ends it then but you.
+
+        Args:
+            process: the program, as `subprocess.Popen` returns it, or its process id.
+
+        Raises:
+            PluginError: there is no such process.
+            StorageError: it cannot be noted in the experiment's folder.
+        """
+        pid = process if isinstance(process, int) else process.pid
+        name = program_name(pid)
+        if name is None:
+            fix = "Give it the Popen object, or its pid, while it is alive."
+            raise PluginError(f"process {pid!r} cannot outlive the run: it is not alive", where=self.owner, fix=fix)
+        spare(ExperimentFolder(self.experiment_folder).outliving, pid)
+        self.broker.note(self.owner, "outlives", {"pid": pid, "program": name})
+
     def note_clock(self, facts: Mapping[str, object]) -> None:
         """Say how another computer's clock stood to the run's, as `ClockRecord.facts` tells it.
 
         It is kept in the journal, run by run, and summed up for each computer in the manifest.
         """
-        self.broker.note_clock(self.owner, facts)
+        self.broker.note(self.owner, "clock", facts)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import threading
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -124,6 +125,8 @@ class MissionTimes:
         self._narrowed: list[_Moment | None] = [None, None]
         self._phases: list[tuple[str, _Moment, _Moment]] = []
         self._at_edges: list[Callable[[], None]] = []
+        self._is_stopped = False
+        self._stopping = threading.Lock()  # any thread may stop the mission
 
     def at_edges(self, look: Callable[[], None]) -> None:
         """Have `look` called just before the mission begins, and just after it has ended.
@@ -136,7 +139,7 @@ class MissionTimes:
         """Begin the mission."""
         for look in self._at_edges:
             look()
-        self._begun, self._ended = self._now(), None
+        self._begun, self._ended, self._is_stopped = self._now(), None, False
         self._narrowed, self._phases = [None, None], []
 
     def end(self, *, has_failed: bool = False) -> None:
@@ -154,6 +157,21 @@ class MissionTimes:
         self._at_edges.clear()
         if window is not None:
             self._report("window", {"start": window.start, "end": window.end})
+
+    def stop(self) -> bool:
+        """End the window now, unless it has ended; return whether the mission is to be stopped by this call.
+
+        Raises:
+            PluginError: the mission has not begun.
+        """
+        if self._begun is None:
+            self._check_going_on("stop_mission")
+        with self._stopping:
+            if self._ended is not None or self._is_stopped:
+                return False
+            self._is_stopped = True
+            self._narrowed[1] = self._narrowed[1] or self._now()
+            return True
 
     def begin_window(self) -> None:
         """Begin the window here instead of at the beginning of the mission.
@@ -207,6 +225,8 @@ class MissionTimes:
 
     def _narrow(self, edge: int) -> None:
         self._check_going_on("window")
+        if self._is_stopped:
+            return  # it ended when the mission was stopped
         if edge == 0 and self._narrowed[1] is not None:
             raise PluginError(
                 "the window has ended already", where="window", fix="Call begin_window() before end_window()."

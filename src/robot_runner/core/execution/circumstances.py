@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.execution.recovery import config_files
 from robot_runner.core.plugin import described_circumstances, installed_plugins
+from robot_runner.core.storage.git_repository import LARGEST_DIFF, repository_state, uncommitted_changes
 from robot_runner.core.storage.journal import read_journal, utc_now
 from robot_runner.core.storage.manifest import describe_host, describe_software, is_damaged, read_manifest
 from robot_runner.core.storage.safe_write import storage_error
@@ -20,9 +22,19 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.plugin import Plugin
 
-__all__ = ["RestoredManifest", "keep_config", "manifest_of", "note_clock", "restored_manifest", "resumed_manifest"]
+__all__ = [
+    "RestoredManifest",
+    "described_design",
+    "keep_config",
+    "keep_config_files",
+    "manifest_of",
+    "note_clock",
+    "restored_manifest",
+    "resumed_manifest",
+]
 
 
 # What is written down beside the results, so that others can judge and repeat them.
@@ -39,13 +51,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         # What was set from outside the config file: a replication has to know.
         "deviations": dict(experiment.overrides),
         "robot": experiment.parameters.robot,
-        "design": {
-            "source": "run_table.csv" if by_hand else "config",
-            "factors": {factor.name: list(factor.texts) for factor in model.factors},
-            "repetitions": model.repetitions,
-            "shuffle": model.shuffle,
-            "blocks": model.blocks,
-        },
+        "design": {"source": "run_table.csv" if by_hand else "config", **described_design(model)},
         "seed": model.seed,
         "seed_is_given": model.seed_is_given,
         # What was fixed for the analysis before the first run: statistics tell it from what is exploratory.
@@ -62,6 +68,21 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
     }
 
 
+def described_design(model: RunTableModel) -> dict[str, Any]:
+    """Return what the manifest says of a design: factors, repetitions, order, warm-up runs, batches."""
+    design: dict[str, Any] = {
+        "factors": {factor.name: list(factor.texts) for factor in model.factors},
+        "repetitions": model.repetitions,
+        "shuffle": model.shuffle,
+        "blocks": model.blocks,
+    }
+    if model.warm_up is not None:
+        design["warm_up"] = asdict(model.warm_up)
+    if model.batches:
+        design["batches"] = [batch.summary() for batch in model.batches]
+    return design
+
+
 def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[str, Any]:
     """Return the manifest of an experiment that goes on.
 
@@ -75,6 +96,8 @@ def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[s
             fix="Choose another experiment_name or results_output_path.",
         )
     manifest["executions"].append(_execution(experiment))
+    if experiment.model.batches:  # the journal has them, and an extension that broke off left the manifest behind
+        manifest["design"] |= described_design(experiment.model)
     if _analysis(experiment) != manifest.get("analysis"):
         manifest.setdefault("analysis_changes", []).append({"at": utc_now(), "analysis": _analysis(experiment)})
     return manifest
@@ -114,6 +137,8 @@ def restored_manifest(experiment: Experiment) -> RestoredManifest | None:
     manifest = manifest_of(experiment)
     manifest["seed"] = started["seed"]
     manifest["design"]["source"] = started.get("design", "config")
+    if not experiment.model.batches:  # the config may have changed since
+        manifest["design"] |= {name: started[name] for name in ("factors", "repetitions") if name in started}
     manifest["restored_at"] = utc_now()
     deviations = [
         {name: record[name] for name in ("at", "run", "column", "was", "is")}
@@ -126,8 +151,23 @@ def restored_manifest(experiment: Experiment) -> RestoredManifest | None:
     return RestoredManifest(manifest, Finding.warning(str(folder.manifest), told))
 
 
-def keep_config(experiment: Experiment) -> None:
-    """Copy the config file and the local modules that it imported, as executed; changed ones replace earlier copies.
+def keep_config(experiment: Experiment, manifest: dict[str, Any]) -> None:
+    """Copy the config file and the local modules that it imported, as executed, as `keep_config_files` does.
+
+    What was not committed to the repository of the config is kept as well, and the manifest says where.
+
+    Raises:
+        StorageError: the copy cannot be written.
+    """
+    keep_config_files(experiment)
+    try:
+        _keep_uncommitted(experiment, manifest)
+    except OSError as error:
+        raise storage_error(experiment.folder.config, "written", error) from error
+
+
+def keep_config_files(experiment: Experiment) -> None:
+    """Copy the config file and the local modules that it imported; changed ones replace earlier copies.
 
     Earlier copies are kept beside, numbered in the order in which they were executed.
 
@@ -137,13 +177,12 @@ def keep_config(experiment: Experiment) -> None:
     kept = experiment.folder.config
     files = config_files(experiment)
     try:
-        if kept.exists() and all(_is_same(source, target) for source, target in files.items()):
-            return
-        if kept.exists():
-            kept.rename(_free(experiment.folder.earlier_configs))
-        for source, target in files.items():
-            target.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(source, target)
+        if not kept.exists() or not all(_is_same(source, target) for source, target in files.items()):
+            if kept.exists():
+                kept.rename(_free(experiment.folder.earlier_configs))
+            for source, target in files.items():
+                target.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(source, target)
     except OSError as error:
         raise storage_error(kept, "written", error) from error
 
@@ -163,7 +202,25 @@ def _analysis(experiment: Experiment) -> dict[str, Any] | None:
 
 
 def _execution(experiment: Experiment) -> dict[str, Any]:
-    return {"started_at": utc_now(), "pid": os.getpid(), "deviations": dict(experiment.overrides)}
+    execution = {"started_at": utc_now(), "pid": os.getpid(), "deviations": dict(experiment.overrides)}
+    state = repository_state(experiment.config_path.parent)
+    return execution if state is None else execution | {"repository": state.facts()}
+
+
+def _keep_uncommitted(experiment: Experiment, manifest: dict[str, Any]) -> None:
+    """Keep what was changed in the config's repository since the commit, so that what was executed can be had again.
+
+    Each difference has a file of its own, as it may change from one execution to the next.
+    """
+    repository = manifest["executions"][-1].get("repository") or {}
+    changes = uncommitted_changes(experiment.config_path.parent) if repository.get("is_dirty") else b""
+    if not changes:
+        return
+    repository["diff_sha256"] = digest = hashlib.sha256(changes).hexdigest()
+    if len(changes) <= LARGEST_DIFF:
+        kept = experiment.folder.uncommitted(digest)
+        kept.write_bytes(changes)
+        repository["diff"] = kept.relative_to(experiment.folder.root).as_posix()
 
 
 def _described(plugin: Plugin) -> dict[str, Any]:

@@ -38,14 +38,17 @@ class Watch:
     Attributes:
         report: takes each record as it arrives.
         refresh: called every `refresh_interval` seconds; never where that is None.
+        tend: called after each record, and when the time is over that it returned last, in seconds; None where nothing
+            is due.
         noticed_interruption: called once the run has been asked to stop because the user interrupted.
     """
 
     interruption: Interruption
-    report: Report
-    refresh: Callable[[], None]
-    refresh_interval: float | None
-    noticed_interruption: Callable[[], None]
+    report: Report = lambda _kind, _fields: None
+    refresh: Callable[[], None] = lambda: None
+    refresh_interval: float | None = None
+    noticed_interruption: Callable[[], None] = lambda: None
+    tend: Callable[[], float | None] = lambda: None
 
 
 class Executor(Protocol):
@@ -81,7 +84,7 @@ class _ProcessExecutor:
     def execute(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunOutcome:
         parameters = self._experiment.parameters
         limits = _Limits(parameters.run_deadline_in_s, parameters.event_deadline_in_s, parameters.grace_in_s)
-        with Keeper(partial(self._start, self._experiment, task), limits.grace) as keeper:
+        with Keeper(partial(self._start, self._experiment, task), limits.grace, self._experiment.folder) as keeper:
             return _Supervision(keeper, builder, limits, watch).follow()
 
 
@@ -95,6 +98,7 @@ class _InProcessExecutor:
             watch.report(kind, fields)
             if watch.refresh_interval is not None:
                 watch.refresh()
+            watch.tend()
 
         with LazyLog(self._experiment.folder) as log, redirect_stdout(log), redirect_stderr(log):
             gate = InterruptGate()
@@ -129,6 +133,8 @@ class _Supervision:
         self._reader = RecordReader(keeper.records)
         self._started = self._event_started = time.monotonic()
         self._give_up_at: float | None = None
+        self._leave_by: tuple[float, str] | None = None
+        self._tend_in: float | None = watch.tend()
         self._is_interrupted = False
         self._is_killed = False
         self._because = ""
@@ -147,6 +153,7 @@ class _Supervision:
             self._enforce()
             if self._watch.refresh_interval is not None:
                 self._watch.refresh()
+            self._tend_in = self._watch.tend()
         if self._keeper.was_killed:
             self._keeper.end_abandoned_run(self._limits.grace, meanwhile=self._take_records)
         self._take_records()  # the last ones before it ended
@@ -157,6 +164,10 @@ class _Supervision:
         for kind, fields in records:
             if kind == "event":
                 self._event_started = time.monotonic()
+                self._leave_by = None
+            elif kind == "mission_stopped" or fields.get("ends_event"):
+                reason = fields.get("reason") or fields["problem"]
+                self._leave_by = self._leave_by or (time.monotonic() + self._limits.grace, reason)
             self._builder.take(kind, fields)
             self._watch.report(kind, fields)
         if not is_open:
@@ -165,9 +176,13 @@ class _Supervision:
 
     def _milliseconds(self) -> float | None:
         now = time.monotonic()
-        waits = [deadline - now for deadline in (self._give_up_at, *self._deadlines()) if deadline is not None]
+        leave_by = None if self._leave_by is None or self._because else self._leave_by[0]
+        deadlines = (self._give_up_at, leave_by, *self._deadlines())
+        waits = [deadline - now for deadline in deadlines if deadline is not None]
         if self._watch.refresh_interval is not None:
             waits.append(self._watch.refresh_interval)
+        if self._tend_in is not None:
+            waits.append(self._tend_in)
         return max(0.0, min(waits)) * 1000 + 1 if waits else None
 
     def _deadlines(self) -> tuple[float | None, float | None]:
@@ -191,6 +206,10 @@ class _Supervision:
             self._stop(f"the run took longer than run_deadline_in_s = {self._limits.run:g} s")
         elif event_deadline is not None and now >= event_deadline:
             self._stop(f"the event took longer than event_deadline_in_s = {self._limits.event:g} s")
+        elif self._leave_by is not None and now >= self._leave_by[0] and not self._because:
+            self._stop(
+                f"{self._leave_by[1]}; {self._builder.event} had not ended grace_in_s = {self._limits.grace:g} s later"
+            )
         if self._interruption.is_urgent and not self._is_killed:
             self._is_killed = self._is_interrupted = True
             self._keeper.kill()

@@ -4,37 +4,45 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Self
+
+from robot_runner.core.events.early_end import RunInterrupted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from types import FrameType
 
-__all__ = ["STOP_SIGNALS", "InterruptGate", "Interruption", "RunInterrupted"]
+__all__ = ["STOP_SIGNALS", "InterruptGate", "Interruption"]
 
 #: The signals that ask the orchestrator, or a run, to stop.
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+#: Wakes the main thread of a run. It tells of urgent data on a socket: hardly any program uses it, and a process that
+#: does not expect it passes over it.
+_WAKE = signal.SIGURG
 
 #: A terminal that closes sends SIGHUP twice in a row, and some shells repeat SIGTERM: within this many seconds, that
 #: is one request and not two.
 _SAME_REQUEST = 1.0
 
 
-class RunInterrupted(BaseException):
-    """Raised in a run's callback when the run is to stop. A BaseException, so that callbacks do not swallow it."""
-
-    def __init__(self) -> None:
-        super().__init__("the run was told to end")
-
-
 class InterruptGate:
-    """Lets a stop request end a callback, and never the closing of what callbacks opened."""
+    """Lets a stop request end a callback, and never the closing of what callbacks opened.
+
+    Requests come from signals, and from any thread that ends the run or its mission. A thread cannot raise anything in
+    another one: it sends a signal to the main thread, whose handler does, also in a sleep, a wait or a join.
+    """
 
     def __init__(self) -> None:
         self._armed = False
-        self._requested = False
+        self._is_mission = False
+        self._runner = threading.get_ident()
+        self._is_listening = False
+        self._run_ends: RunInterrupted | None = None
+        self._mission_ends: RunInterrupted | None = None
 
     def listen(self) -> None:
         """Take the stop signals of this process, also those that came while they were blocked.
@@ -45,37 +53,76 @@ class InterruptGate:
             signal.signal(number, self._take_signal)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
 
-    def arm(self) -> None:
+    @contextmanager
+    def woken_by_threads(self) -> Iterator[None]:
+        """While this lasts, what another thread asks for reaches the callback that this thread executes.
+
+        Where this is not the process's main thread, the request waits for the next event: Python tells no other
+        thread of signals.
+        """
+        self._runner = threading.get_ident()
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        earlier = signal.signal(_WAKE, lambda _number, _frame: self._raise_request())
+        self._is_listening = True
+        try:
+            yield
+        finally:
+            self._is_listening = False
+            signal.signal(_WAKE, earlier)
+
+    def arm(self, *, is_mission: bool = False) -> None:
         """Have a stop request raised from now on, until `disarm`; before and after, it waits.
+
+        Args:
+            is_mission: whether what is executed now is what `end_mission` ends.
 
         Raises:
             RunInterrupted: a request comes, or came before.
         """
-        self._armed = True
-        if self._requested:
-            self._raise()
+        self._armed, self._is_mission = True, is_mission
+        self._raise_request()
 
     def disarm(self) -> None:
         """Have stop requests wait again."""
         self._armed = False
 
     def request(self, *, at_once: bool = False) -> None:
-        """Ask to stop; `at_once` does not even wait for the closing.
+        """Ask to stop; `at_once` does not even wait for the closing. Call it in the thread that executes the run.
 
         Raises:
             RunInterrupted: a callback is being executed (or anything is, with `at_once`).
         """
-        self._requested = True
-        if self._armed or at_once:
-            self._raise()
+        self._run_ends = self._run_ends or RunInterrupted()
+        self._armed = self._armed or at_once
+        self._raise_request()
+
+    def end_run(self, error: RunInterrupted) -> None:
+        """Have `error` raised in the callback that is being executed; call it in any thread."""
+        self._run_ends = self._run_ends or error
+        self._wake()
+
+    def end_mission(self, error: RunInterrupted) -> None:
+        """Have `error` raised in the mission, if it is still being executed; call it in any thread."""
+        self._mission_ends = self._mission_ends or error
+        self._wake()
+
+    def _wake(self) -> None:
+        if threading.get_ident() == self._runner:
+            self._raise_request()
+        elif self._is_listening:
+            signal.pthread_kill(self._runner, _WAKE)
 
     def _take_signal(self, number: int, frame: FrameType | None) -> None:
         del number, frame
         self.request()
 
-    def _raise(self) -> None:
-        self._armed = False  # once: what comes now is the closing
-        raise RunInterrupted
+    def _raise_request(self) -> None:
+        error = self._run_ends or (self._mission_ends if self._is_mission else None)
+        if self._armed and error is not None:
+            self._armed = False  # once: what comes now is the closing
+            raise error
 
 
 class Interruption:

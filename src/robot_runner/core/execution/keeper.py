@@ -26,21 +26,26 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Self
 
 from robot_runner.core.execution.interruption import STOP_SIGNALS
+from robot_runner.core.execution.left_over import RunMark, end_left_over
 from robot_runner.core.execution.processes import (
     adopt_orphans,
     children,
     end_group,
     forked,
     has_children,
+    is_killed,
     kill_group,
     leave_after,
     stop_with_parent,
     use_no_streams,
 )
 from robot_runner.core.execution.task import RecordWriter
+from robot_runner.core.storage.outliving import is_spared, outliving
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from robot_runner.core.storage.layout import ExperimentFolder
 
 __all__ = ["Keeper"]
 
@@ -61,15 +66,19 @@ class Keeper:
         was_killed: whether the keeper died before it told how the run ended.
     """
 
-    def __init__(self, start: Callable[[RecordWriter], None], grace: float) -> None:
+    def __init__(
+        self, start: Callable[[RecordWriter], None], grace: float, folder: ExperimentFolder | None = None
+    ) -> None:
         """Prepare a keeper.
 
         Args:
             start: executes the run; called in the run's own process.
             grace: how long a run that is asked to stop may take to close what it opened, s.
+            folder: the experiment's; its run is marked, so that it is found should its keeper be killed.
         """
         self._start = start
         self._grace = grace
+        self._folder = folder
         self._numbers = b""
         self._status: int | None = None
         self.was_killed = False
@@ -85,7 +94,7 @@ class Keeper:
             for descriptor in (self._requests, self.told, self.records):
                 os.close(descriptor)
             report = RecordWriter(records)
-            process = _KeeperProcess(requests, tell, report, self._start, self._grace)
+            process = _KeeperProcess(requests, tell, report, self._start, self._grace, self._folder)
             leave_after(process.keep, report)
         for descriptor in (requests, tell, records):
             os.close(descriptor)
@@ -121,14 +130,16 @@ class Keeper:
             os.kill(self._pid, signal.SIGKILL)
 
     def end_abandoned_run(self, grace: float, meanwhile: Callable[[], object]) -> None:
-        """Do the work of a keeper that was killed: end the run and its process group.
+        """Do the work of a keeper that was killed: end the run, its process group, and what else it left alive.
 
         Args:
             grace: how long the run may take to close what it opened, s.
             meanwhile: called again and again while we wait: reads the run's records, or the run would wait for that.
         """
         if self._numbers:  # else the run had not begun, and does not begin without a keeper
-            end_group(_number(self._numbers[:_NUMBER_BYTES]), grace, meanwhile)
+            end_group(_number(self._numbers[:_NUMBER_BYTES]), grace, meanwhile, _spared(self._folder))
+        if self._folder is not None:
+            end_left_over(self._folder)
 
     def death(self) -> str:
         """Return how the run's process died, or its keeper's if that was killed; empty if it exited with 0."""
@@ -157,8 +168,15 @@ class _KeeperProcess:
     """The keeper's own process."""
 
     def __init__(
-        self, requests: int, tell: int, report: RecordWriter, start: Callable[[RecordWriter], None], grace: float
+        self,
+        requests: int,
+        tell: int,
+        report: RecordWriter,
+        start: Callable[[RecordWriter], None],
+        grace: float,
+        folder: ExperimentFolder | None,
     ) -> None:
+        self._folder = folder
         self._requests = requests
         self._tell = tell
         self._report = report
@@ -171,10 +189,11 @@ class _KeeperProcess:
         os.setsid()  # what happens to the orchestrator's terminal does not reach us
         use_no_streams()
         adopt_orphans()
+        self._mark = None if self._folder is None else RunMark(self._folder)
         self._fork_run()
         self._report.close()  # the run's alone from here on
         status = self._watch()
-        kill_group(self._run)
+        kill_group(self._run, _spared(self._folder))
         self._end_orphans()
         with suppress(BrokenPipeError):  # the orchestrator is gone
             os.write(self._tell, _bytes(status))
@@ -198,6 +217,8 @@ class _KeeperProcess:
         # Not before: as long as we hold it, the orchestrator does not take the keeper for dead.
         os.close(self._tell)
         os.close(self._requests)
+        if self._mark is not None:
+            self._mark.sign()
         if os.getppid() == keeper:  # else it died before the system would have told us
             self._start(self._report)
 
@@ -212,7 +233,7 @@ class _KeeperProcess:
                 if descriptor == self._requests and not self._obey():
                     poll.unregister(self._requests)
             if self._kill_at is not None and time.monotonic() >= self._kill_at:
-                kill_group(self._run)
+                kill_group(self._run, _spared(self._folder))
                 self._kill_at = time.monotonic() + self._grace
         return status
 
@@ -245,19 +266,16 @@ class _KeeperProcess:
         """Kill what the run left behind, also what has a session or a process group of its own, and reap it."""
         deadline = time.monotonic() + _REAPING
         while has_children() and time.monotonic() < deadline:
-            orphans = [orphan for orphan in children() if _is_killed(orphan)]
+            spared = _spared(self._folder)
+            orphans = [orphan for orphan in children() if not is_spared(orphan, spared) and is_killed(orphan)]
             if not orphans:
                 return
             time.sleep(_LOOK)
 
 
-def _is_killed(pid: int) -> bool:
-    """Kill a process and return whether that is allowed: one that became another user by `sudo` stays."""
-    try:
-        os.kill(pid, signal.SIGKILL)
-    except (PermissionError, ProcessLookupError):
-        return False
-    return True
+def _spared(folder: ExperimentFolder | None) -> frozenset[int]:
+    """Return the processes that may outlive the run that started them."""
+    return frozenset() if folder is None else outliving(folder.outliving)
 
 
 def _bytes(number: int) -> bytes:

@@ -9,23 +9,40 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from robot_runner.core.config.operator_steps import Question
     from robot_runner.core.errors import Finding
+    from robot_runner.core.execution.durations import TimeLeft
     from robot_runner.core.execution.task import RunOutcome, RunTask
 
 __all__ = [
+    "AnswersRefused",
     "AttemptFinished",
     "AttemptStarted",
     "ExperimentFinished",
     "ExperimentStarted",
     "FindingsNoticed",
+    "GatePassed",
+    "GateWaiting",
+    "HostRestarts",
     "InterruptionNoticed",
     "Notice",
     "Observer",
+    "Paused",
+    "PreparationStarted",
     "ProbeStarted",
+    "QuestionAsked",
     "RunRecord",
     "SilentObserver",
+    "UserHasContinued",
     "WaitingForUser",
 ]
+
+
+@dataclass(frozen=True, slots=True)
+class PreparationStarted:
+    """Something that the runs need is being made, before anything else happens, and may take its time."""
+
+    what: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +59,7 @@ class ExperimentStarted:
     Attributes:
         run_count: all runs of the table; `done_count` of them were done before.
         columns: the measure columns with their units, without those that tell of others' quality.
+        left: how long it takes from here; None where that is not known.
     """
 
     experiment_name: str
@@ -52,13 +70,15 @@ class ExperimentStarted:
     columns: Mapping[str, str]
     overrides: Mapping[str, str]
     findings: Sequence[Finding] = ()
+    left: TimeLeft | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class AttemptStarted:
-    """An attempt at a run begins."""
+    """An attempt at a run begins; `left` says how long it and the others take, where that is known."""
 
     task: RunTask
+    left: TimeLeft | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,11 +92,12 @@ class RunRecord:
 
 @dataclass(frozen=True, slots=True)
 class AttemptFinished:
-    """An attempt at a run has ended; `is_last` unless the run is tried again."""
+    """An attempt at a run has ended; `is_last` unless the run is tried again, and `left` as in `AttemptStarted`."""
 
     task: RunTask
     outcome: RunOutcome
     is_last: bool
+    left: TimeLeft | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,11 +109,100 @@ class FindingsNoticed:
 
 @dataclass(frozen=True, slots=True)
 class WaitingForUser:
-    """SEMI: the next run starts once the user says so."""
+    """The next run starts once the user says so (SEMI), or says that a step is done.
+
+    Attributes:
+        run_id, combination, repetition: of the next run.
+        step: what the user is to do; empty where they are only asked whether the run may start.
+        questions: what they are asked then.
+        runs_left: how many runs are to come in this session, the next one included; None where that is not known.
+        left: how long these will take; None where that is not known.
+    """
 
     folder: Path
     next_run_number: int
     run_count: int
+    run_id: str = ""
+    combination: Mapping[str, Any] = field(default_factory=dict)
+    repetition: int = 1
+    step: str = ""
+    questions: Sequence[Question] = ()
+    runs_left: int | None = None
+    left: TimeLeft | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class QuestionAsked:
+    """Somebody at the keyboard is to answer this next."""
+
+    question: Question
+
+
+@dataclass(frozen=True, slots=True)
+class AnswersRefused:
+    """What was answered is not taken, and asked for again."""
+
+    findings: Sequence[Finding]
+
+
+@dataclass(frozen=True, slots=True)
+class UserHasContinued:
+    """The user has said to go on, or has interrupted."""
+
+
+@dataclass(frozen=True, slots=True)
+class HostRestarts:
+    """A host is started anew before the next run, and awaited."""
+
+    host: str
+    next_run: str
+
+
+@dataclass(frozen=True, slots=True)
+class Paused:
+    """Somebody asked for a pause: the next run starts once it is ended."""
+
+    folder: Path
+    next_run_number: int
+    run_count: int
+
+
+@dataclass(frozen=True, slots=True)
+class GateWaiting:
+    """The condition of a gate does not hold yet; told about twice a second.
+
+    Attributes:
+        run_id, run_number: the run that waits.
+        condition: what is awaited, so that it completes the sentence "waiting until ...".
+        seen: what was seen last, in words.
+        seconds: how long it has been awaited, s.
+        timeout_s: how long it is to be awaited, s; None for as long as it takes.
+    """
+
+    run_id: str
+    run_number: int
+    run_count: int
+    condition: str
+    seen: str
+    seconds: float
+    timeout_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class GatePassed:
+    """The wait for a gate is over.
+
+    Attributes:
+        state: `open` where its condition holds, else `timed out`, `failed` or `interrupted`.
+        problem: why it was not passed; empty where it was.
+    """
+
+    run_id: str
+    condition: str
+    seen: str
+    seconds: float
+    state: str
+    problem: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,12 +217,15 @@ class ExperimentFinished:
     """The experiment has ended.
 
     Attributes:
-        done_count, failed_count, todo_count: the state of the run table.
+        done_count, failed_count, todo_count: the state of the run table; runs that are excluded are neither failed nor
+            to do.
         failed: the ids of the runs that failed.
         interrupted: whether the user asked for the end.
-        stopped_by_policy: whether a failed run ended it (`on_failure` STOP).
+        stopped_by_policy: whether the config ended it before its last run.
+        stopped_by: by what: `on_failure`, `a gate` or `a guard`.
         findings: what looked odd.
         seconds: real time.
+        excluded: the ids of the runs that are left out.
     """
 
     folder: Path
@@ -126,16 +239,26 @@ class ExperimentFinished:
     failures: Sequence[str] = ()
     findings: Sequence[Finding] = field(default_factory=tuple)
     seconds: float = 0.0
+    excluded: Sequence[str] = ()
+    stopped_by: str = "on_failure"
 
 
 Notice = (
-    ProbeStarted
+    PreparationStarted
+    | ProbeStarted
     | ExperimentStarted
     | AttemptStarted
     | RunRecord
     | AttemptFinished
     | FindingsNoticed
     | WaitingForUser
+    | HostRestarts
+    | Paused
+    | QuestionAsked
+    | AnswersRefused
+    | UserHasContinued
+    | GateWaiting
+    | GatePassed
     | InterruptionNoticed
     | ExperimentFinished
 )
@@ -151,7 +274,7 @@ class Observer(Protocol):
 
     @property
     def user_input(self) -> int | None:
-        """The descriptor on which the user says to go on by a line (SEMI), or None where nobody sits there."""
+        """The descriptor on which the user answers, or says to go on, by lines; None where nobody sits there."""
         ...
 
     def notice(self, notice: Notice) -> None:

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import gc
 import logging
-import os
-import select
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from robot_runner.core.config.parameters import FailurePolicy, OperationType
-from robot_runner.core.errors import ExecutionError, StorageError
-from robot_runner.core.events.context import ExperimentContext, Resources, SystemClock
-from robot_runner.core.events.manager import CallbackFailure, Emission, RobotRunnerEvents
+from robot_runner.core.config.gate_parameters import GuardAction
+from robot_runner.core.config.parameters import FailurePolicy
+from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, StorageError
+from robot_runner.core.events.manager import RobotRunnerEvents
+from robot_runner.core.events.outlook import ExperimentEnd
+from robot_runner.core.execution.between_runs import BetweenRuns
 from robot_runner.core.execution.executor import Watch, executor_for
-from robot_runner.core.execution.interruption import InterruptGate, Interruption, RunInterrupted
+from robot_runner.core.execution.gates import Gates, Passage
+from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.notices import (
     AttemptFinished,
     AttemptStarted,
@@ -26,78 +27,35 @@ from robot_runner.core.execution.notices import (
     InterruptionNoticed,
     Notice,
     Observer,
+    PreparationStarted,
     ProbeStarted,
     RunRecord,
-    WaitingForUser,
 )
+from robot_runner.core.execution.notifications import Notifications
+from robot_runner.core.execution.operator import Operator
+from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
+from robot_runner.core.execution.patience import Patience
+from robot_runner.core.execution.prepared_treatments import prepared_treatments
 from robot_runner.core.execution.probe import Probe, probe_profilers, probed_profilers
 from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
 from robot_runner.core.execution.recovery import Resumption
-from robot_runner.core.execution.run_events import failure_fields, run_contexts
+from robot_runner.core.execution.run_ending import failure_fields
 from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder, RunOutcome, RunTask
-from robot_runner.core.storage.journal import utc_now
-from robot_runner.core.storage.lock import Command, forget_command, take_command
 from robot_runner.core.treatments import bind, factors_of, values_of
 from robot_runner.core.words import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
+    from collections.abc import Mapping, Sequence
     from typing import Any
 
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.errors import Finding
     from robot_runner.core.execution.task import Report
 
-__all__ = ["Patience", "execute_experiment", "rest", "wait_for_user"]
+__all__ = ["execute_experiment"]
 
 
-# Between two runs: the robot rests, or the user swaps its battery and says to go on.
-
-#: How often a second terminal is listened to, in seconds.
-_LISTEN = 0.2
-
-
-@dataclass(frozen=True, slots=True)
-class Patience:
-    """What goes on while the orchestrator waits.
-
-    Attributes:
-        refresh: called every `refresh_interval` seconds; never where that is None.
-    """
-
-    interruption: Interruption
-    refresh: Callable[[], None]
-    refresh_interval: float | None
-
-    def wait(self, seconds: float, user_input: int | None = None) -> bytes | None:
-        """Wait this long at most, for the user's interruption or input; return the latter, or None."""
-        descriptors = [self.interruption.descriptor, *([] if user_input is None else [user_input])]
-        readable, _, _ = select.select(descriptors, [], [], min(seconds, self.refresh_interval or seconds))
-        if self.interruption.descriptor in readable:
-            self.interruption.forget_wakeups()
-        if self.refresh_interval is not None:
-            self.refresh()
-        return os.read(user_input, 4096) if user_input is not None and user_input in readable else None
-
-
-def rest(seconds: float, patience: Patience) -> None:
-    """Let this much real time go by, or less if the user interrupts."""
-    end = time.monotonic() + seconds
-    while not patience.interruption.is_requested and (left := end - time.monotonic()) > 0:
-        patience.wait(left)
-
-
-def wait_for_user(control: Path, user_input: int | None, patience: Patience) -> None:
-    """Wait for a line on `user_input`, for `robot-runner continue` from elsewhere, or for an interruption."""
-    forget_command(control)
-    while not patience.interruption.is_requested:
-        said = patience.wait(_LISTEN, user_input)
-        if said == b"":  # the end of the input
-            user_input = None
-        elif said is not None or take_command(control) is Command.CONTINUE:
-            return
-
+#: How often the run table is looked after between two runs, in seconds.
+_LOOK_AT_TABLE = 1.0
 
 _log = logging.getLogger(__name__)
 
@@ -132,13 +90,24 @@ def execute_experiment(
         seen.refuse_silent()
         return seen
 
+    def prepare(known: Mapping[str, Any]) -> dict[str, Any]:
+        return prepared_treatments(
+            experiment, known, interruption, lambda what: _tell(observer, PreparationStarted(what))
+        )
+
     is_probed = resumption.probe and experiment.parameters.probe
     probed = [profiler.name for profiler in probed_profilers(experiment)] if is_probed else []
     with (
         Interruption() as interruption,
-        ProgressManager(experiment, resumption, probe if probed else None) as progress,
+        ProgressManager(experiment, resumption, probe if probed else None, prepare) as progress,
     ):
         return _Orchestrator(experiment, progress, interruption, observer).execute(findings)
+
+
+def _findings_of(error: BaseException) -> Sequence[Finding]:
+    if isinstance(error, RobotRunnerError):
+        return error.findings
+    return (Finding.error("", f"{type(error).__name__}: {error}", ""),)
 
 
 def _tell(observer: Observer, notice: Notice) -> None:
@@ -162,56 +131,116 @@ class _Orchestrator:
         self._interruption = interruption
         self._observer = observer
         self._executor = executor_for(experiment)
+        patience = Patience(interruption, self._while_waiting, observer.refresh_interval or _LOOK_AT_TABLE)
+        self._events = OrchestratorEvents(experiment, progress, patience)
+        self._operator = Operator(experiment, progress, observer.user_input, self._notice, patience)
+        self._between_runs = BetweenRuns(
+            experiment, progress, self._events, self._operator, observer, self._notice, patience
+        )
+        self._gates = Gates(experiment, progress, self._notice, patience)
+        self._notifications = Notifications(experiment, progress.note)
         self._started = time.monotonic()
-        self._stopped_by_policy = False
+        self._stopped_by = ""
 
     def execute(self, findings: Sequence[Finding]) -> ExperimentFinished:
         """Execute the runs between `before_experiment` and `after_experiment`; the latter comes whatever happens."""
         self._notice(self._start_notice(findings))
         try:
-            self._emit_to_experiment(RobotRunnerEvents.BEFORE_EXPERIMENT)
-            self._execute_runs()
-        finally:
-            with suppress(StorageError):  # said again when everything is brought up to date
-                self._progress.bring_table_up_to_date()
-            self._emit_to_experiment(RobotRunnerEvents.AFTER_EXPERIMENT)
+            self._execute_between_events(findings)
+        except BaseException as error:
+            self._notifications.tell_failure(_findings_of(error)[0])
+            self._notifications.findings(self._interruption)
+            raise
         finished = self._finish_notice(findings)
         self._progress.finish(interrupted=finished.interrupted)
+        self._notifications.take(finished)
+        untold = self._notifications.findings(self._interruption)
+        finished = replace(finished, findings=(*finished.findings, *untold))
         self._notice(finished)
         return finished
 
-    def _execute_runs(self) -> None:
+    def _execute_between_events(self, findings: Sequence[Finding]) -> None:
+        try:
+            returned = self._events.emit_to_experiment(RobotRunnerEvents.BEFORE_EXPERIMENT)
+            self._execute_runs(is_cleared=any(value is True for value in returned))
+        except BaseException as error:
+            self._end_after(error, findings)
+            raise
+        self._end_events(findings)
+
+    def _end_after(self, error: BaseException, findings: Sequence[Finding]) -> None:
+        """Emit `after_experiment` after what ended the experiment; where that raises as well, both are told.
+
+        Raises:
+            ExecutionError: both raised.
+        """
+        found = _findings_of(error)
+        try:
+            self._end_events(findings, failure=str(found[0]))
+        except ExecutionError as later:
+            raise ExecutionError.of_findings([*found, *later.findings]) from error
+
+    def _end_events(self, findings: Sequence[Finding], *, failure: str = "") -> None:
+        with suppress(StorageError):  # said again when everything is brought up to date
+            self._progress.bring_table_up_to_date()
+        finished = self._finish_notice(findings)
+        ended = ExperimentEnd(
+            done=finished.done_count,
+            failed=finished.failed_count,
+            todo=finished.todo_count,
+            is_interrupted=finished.interrupted,
+            is_stopped_by_policy=finished.stopped_by_policy,
+            failure=failure,
+            failures=finished.failures,
+            findings=finished.findings,
+        )
+        self._events.emit_to_experiment(RobotRunnerEvents.AFTER_EXPERIMENT, ended)
+
+    def _execute_runs(self, *, is_cleared: bool) -> None:
         gc.collect()
         gc.freeze()  # what a forked run does not collect it does not have to copy
         try:
-            pending = list(self._progress.pending())
-            for place, run in enumerate(pending):
+            finished = None
+            for run in self._progress.pending():
+                self._between_runs.prepare(run, finished, is_cleared=is_cleared and finished is None)
                 if self._interruption.is_requested or not self._execute_run(run):
                     return
-                if place + 1 < len(pending):
-                    self._pause(run, pending[place + 1])
+                finished = run
         finally:
             gc.unfreeze()
 
     def _execute_run(self, run: PendingRun) -> bool:
         """Try to execute a run as often as the config allows; return whether the experiment goes on."""
         for attempts_left in reversed(range(self._parameters.attempts)):
-            task = self._progress.begin(run)
-            self._notice(AttemptStarted(task))
-            outcome = self._attempt(task, has_attempts_left=attempts_left > 0)
-            is_last = attempts_left == 0 or outcome.status is not AttemptStatus.FAILED
+            if attempts_left < self._parameters.attempts - 1:
+                self._between_runs.prepare_again(run)
+            passage = Passage() if self._interruption.is_requested else self._gates.pass_before(run)
+            if self._interruption.is_requested or self._is_stopped_by(passage.stop, run):
+                return False
+            entered = self._operator.answers(run.run_id)
+            task = replace(self._progress.begin(run), attempts_left=attempts_left, entered=entered)
+            self._notice(AttemptStarted(task, self._progress.time_left))
+            outcome = self._attempt(task, passage, has_attempts_left=attempts_left > 0)
+            is_last = attempts_left == 0 or outcome.status is not AttemptStatus.FAILED or bool(self._stopped_by)
             noticed = self._progress.record_outcome(task, outcome, is_last=is_last)
-            self._notice(AttemptFinished(task, outcome, is_last))
+            self._notice(AttemptFinished(task, outcome, is_last, self._progress.time_left))
             if noticed:
                 self._notice(FindingsNoticed(noticed))
             if is_last:
                 break
-        self._stopped_by_policy = (
-            outcome.status is AttemptStatus.FAILED and self._parameters.on_failure is FailurePolicy.STOP
-        )
-        return outcome.status is not AttemptStatus.INTERRUPTED and not self._stopped_by_policy
+        if outcome.status is AttemptStatus.FAILED and self._parameters.on_failure is FailurePolicy.STOP:
+            self._stopped_by = self._stopped_by or "on_failure"
+        return outcome.status is not AttemptStatus.INTERRUPTED and not self._stopped_by
 
-    def _attempt(self, task: RunTask, *, has_attempts_left: bool) -> RunOutcome:
+    def _is_stopped_by(self, reason: str, run: PendingRun) -> bool:
+        """Stop the experiment where there is a reason to; the run that it was about to execute is still to do."""
+        if reason:
+            self._stopped_by = "a gate"
+            fix = "See to it, and start the experiment again: it resumes."
+            self._progress.find(Finding.warning(f"before {run.run_id}", f"stopped, as {reason}", fix))
+        return bool(reason)
+
+    def _attempt(self, task: RunTask, passage: Passage, *, has_attempts_left: bool) -> RunOutcome:
         builder = OutcomeBuilder(
             task.run_id,
             self._experiment.columns,
@@ -222,14 +251,18 @@ class _Orchestrator:
         def report(kind: str, fields: dict[str, Any]) -> None:
             self._progress.record(task, kind, fields)
             self._notice(RunRecord(task.run_id, kind, fields))
+            if kind == "guard" and fields["action"] == GuardAction.STOP.value:
+                self._stopped_by = "a guard"
 
         def report_own(kind: str, fields: dict[str, Any]) -> None:
             builder.take(kind, fields)
             report(kind, fields)
 
+        self._operator.hand_over(task, report_own)
+        passage.report_to(report_own, [column.name for column in self._experiment.columns.declared])
         self._bind_plugins(task, report_own)
         if not builder.has_failed:
-            self._emit_to_run(RobotRunnerEvents.BEFORE_RUN, task, report_own)
+            self._events.emit_to_run(RobotRunnerEvents.BEFORE_RUN, task, report_own)
         if builder.has_failed or self._interruption.is_requested:
             return builder.outcome(interrupted=self._interruption.is_requested)
         watch = Watch(
@@ -238,6 +271,7 @@ class _Orchestrator:
             refresh=self._refresh,
             refresh_interval=self._observer.refresh_interval,
             noticed_interruption=lambda: self._notice(InterruptionNoticed(task.run_id)),
+            tend=self._progress.tend_table,
         )
         return self._executor.execute(task, builder, watch)
 
@@ -255,83 +289,6 @@ class _Orchestrator:
             except Exception as error:  # noqa: BLE001 - a stranger's code
                 report("failure", {"event": "", "owner": plugin.name, **failure_fields(error)})
 
-    def _pause(self, finished: PendingRun, following: PendingRun) -> None:
-        if self._parameters.operation_type is OperationType.SEMI and not self._user_has_continued(finished):
-            folder = self._experiment.folder
-            self._progress.note("waiting", next_run=following.run_id)
-            self._notice(WaitingForUser(folder.root, following.number, self._progress.run_count))
-            wait_for_user(folder.control, self._observer.user_input, self._patience())
-            self._progress.note("continued")
-        rest(self._parameters.time_between_runs_in_ms / 1000, self._patience())
-
-    def _patience(self) -> Patience:
-        return Patience(self._interruption, self._refresh, self._observer.refresh_interval)
-
-    def _user_has_continued(self, finished: PendingRun) -> bool:
-        """Emit `continue`; a callback that returns True has asked the user itself."""
-        task = self._progress.task_of(finished)
-        returned: list[object] = []
-
-        def report(kind: str, fields: dict[str, Any]) -> None:
-            self._progress.record(task, kind, fields)
-            if kind == "failure" and not self._interruption.is_requested:
-                raise ExecutionError(
-                    fields["problem"], where=f"continue of {fields['owner']}", fix="Mend this callback, and resume."
-                )
-
-        returned += self._emit_to_run(RobotRunnerEvents.CONTINUE, task, report)
-        return any(value is True for value in returned)
-
-    def _emit_to_run(self, event: RobotRunnerEvents, task: RunTask, report: Any) -> list[object]:
-        """Emit an event of a run in this process; a callback that raises is reported as a failure of the run."""
-        report("event", {"event": event.value, "at": utc_now(), "clock": time.monotonic()})
-        if not self._experiment.events.subscribers(event):
-            return []
-        resources = Resources()
-        context_for = run_contexts(self._experiment, task, clock=SystemClock(), resources=resources, report=report)
-        try:
-            emission = self._emit(event, context_for)
-            for failure in emission.failures:
-                report("failure", {"event": event.value, "owner": failure.owner, **failure_fields(failure.error)})
-            return [returned for _, returned in emission.returned]
-        finally:
-            resources.close()
-
-    def _emit(self, event: RobotRunnerEvents, context_for: Callable[[str], object]) -> Emission:
-        """Emit an event in this process; Ctrl-C ends the callback that is being executed."""
-        gate = InterruptGate()
-        try:
-            with self._interruption.passed_on(gate):
-                if event is not RobotRunnerEvents.AFTER_EXPERIMENT:
-                    gate.arm()
-                return self._experiment.events.emit(event, context_for)
-        except RunInterrupted as error:  # between two callbacks
-            return Emission((), (), (CallbackFailure(event, "", error),))
-
-    def _emit_to_experiment(self, event: RobotRunnerEvents) -> None:
-        """Emit an event of the whole experiment.
-
-        Raises:
-            ExecutionError: a callback raised.
-        """
-        context = ExperimentContext(
-            experiment_name=self._parameters.experiment_name,
-            experiment_folder=self._experiment.folder.root,
-            robot=self._parameters.robot,
-            seed=self._progress.seed,
-        )
-        self._progress.note("event", event=event.value)
-        for failure in self._emit(event, lambda _: context).failures:
-            if isinstance(failure.error, RunInterrupted):
-                return
-            fields = failure_fields(failure.error)
-            self._progress.note("failure", event=event.value, owner=failure.owner, problem=fields["problem"])
-            raise ExecutionError(
-                fields["problem"],
-                where=f"{event.value} of {failure.owner}",
-                fix="Mend this callback and start the experiment again: it resumes.",
-            ) from failure.error
-
     def _start_notice(self, findings: Sequence[Finding]) -> ExperimentStarted:
         columns = self._experiment.columns.in_table
         return ExperimentStarted(
@@ -343,6 +300,7 @@ class _Orchestrator:
             columns={column.name: column.measure.unit for column in columns if not column.tells_of},
             overrides=self._experiment.overrides,
             findings=(*findings, *self._progress.findings),
+            left=self._progress.time_left,
         )
 
     def _finish_notice(self, findings: Sequence[Finding]) -> ExperimentFinished:
@@ -352,17 +310,26 @@ class _Orchestrator:
             run_table=self._experiment.folder.run_table,
             done_count=progress.done_count,
             failed_count=len(progress.failed),
-            todo_count=progress.run_count - progress.done_count - len(progress.failed),
+            todo_count=progress.todo_count,
             failed=progress.failed,
             failures=progress.failures,
             interrupted=self._interruption.is_requested,
-            stopped_by_policy=self._stopped_by_policy,
+            stopped_by_policy=bool(self._stopped_by),
+            stopped_by=self._stopped_by,
             findings=(*findings, *progress.findings),
             seconds=time.monotonic() - self._started,
+            excluded=progress.excluded,
         )
 
     def _notice(self, notice: Notice) -> None:
         _tell(self._observer, notice)
+        if not isinstance(notice, ExperimentFinished):  # which is told once everything is on the disk
+            self._notifications.take(notice)
+
+    def _while_waiting(self) -> None:
+        if self._observer.refresh_interval is not None:
+            self._refresh()
+        self._progress.tend_table()
 
     def _refresh(self) -> None:
         try:

@@ -5,20 +5,16 @@ from __future__ import annotations
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.errors import ExecutionError, Finding
-from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents, methods_of
-from robot_runner.core.events.measure import CONFIG_OWNER
-from robot_runner.core.execution.executor import Watch, executor_for
+from robot_runner.core.events.manager import EventManager, RobotRunnerEvents
+from robot_runner.core.execution.aside import execute_aside
+from robot_runner.core.execution.executor import Watch
 from robot_runner.core.execution.interruption import Interruption
-from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder, RunTask, seed_of_run
+from robot_runner.core.execution.task import AttemptStatus, RunTask, seed_of_run
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.plugin import Profiler
-from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import ExperimentLock
 from robot_runner.core.treatments import built_with, factors_of
 from robot_runner.core.words import enumerated
@@ -29,8 +25,18 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.events.measure import MeasureColumn, PublishedMeasure
     from robot_runner.core.execution.task import RunOutcome
+    from robot_runner.core.plugin import Plugin
 
-__all__ = ["Probe", "Probed", "probe_experiment", "probe_profilers", "probed_profilers", "without_values"]
+__all__ = [
+    "Probe",
+    "Probed",
+    "probe_experiment",
+    "probe_profilers",
+    "probe_window_of",
+    "probed_plugins",
+    "probed_profilers",
+    "without_values",
+]
 
 #: The id of the run that a probe is, in its findings and in the contexts of its callbacks.
 _RUN = "probe"
@@ -128,11 +134,21 @@ def probed_profilers(experiment: Experiment) -> list[Profiler]:
     so (`probe_s` is None), has no measures, or sets something up in `before_experiment` or `before_run`, which a probe
     does not call.
     """
-    if is_simulated(experiment.parameters.robot):
+    return probed_plugins(experiment.plugins, experiment.events, experiment.parameters.robot)
+
+
+def probed_plugins(plugins: Sequence[Plugin], events: EventManager, robot: str | None) -> list[Profiler]:
+    """Return the same of the parts of an experiment."""
+    if is_simulated(robot):
         return []
-    set_up = {each.owner for event in _SET_UP for each in experiment.events.subscribers(event)}
-    profilers = [plugin for plugin in experiment.plugins if isinstance(plugin, Profiler)]
+    set_up = {each.owner for event in _SET_UP for each in events.subscribers(event)}
+    profilers = [plugin for plugin in plugins if isinstance(plugin, Profiler)]
     return [each for each in profilers if each.name not in set_up and (_can_tell(each) or factors_of(each))]
+
+
+def probe_window_of(profilers: Sequence[Profiler]) -> float:
+    """Return how long these profilers measure in a probe, s: all at once, as long as the slowest needs."""
+    return max((each.probe_s or 0.0 for each in profilers), default=0.0)
 
 
 def _can_tell(profiler: Profiler) -> bool:
@@ -168,7 +184,7 @@ def probe_profilers(experiment: Experiment, task: RunTask, interruption: Interru
     # A parameter that is bound to a factor has its treatment only in a run, and so has what follows from it.
     built = [built_with(each, task.combination) for each in probed_profilers(experiment)]
     left, seen = list(filter(_can_tell, built)), []
-    window = max((each.probe_s or 0.0 for each in left), default=0.0)
+    window = probe_window_of(left)
     while left:
         outcome = _tried(experiment, left, window, task, interruption)
         if outcome.status is AttemptStatus.INTERRUPTED:
@@ -217,39 +233,12 @@ def _probed(profiler: Profiler, experiment: Experiment, outcome: RunOutcome) -> 
 def _tried(
     experiment: Experiment, profilers: Sequence[Profiler], window: float, task: RunTask, interruption: Interruption
 ) -> RunOutcome:
-    with TemporaryDirectory(prefix="robot-runner-probe-", ignore_cleanup_errors=True) as folder:
-        trial = _trial_of(experiment, profilers, window, Path(folder))
-        watch = Watch(
-            interruption=interruption,
-            report=lambda _kind, _fields: None,
-            refresh=lambda: None,
-            refresh_interval=None,
-            noticed_interruption=lambda: None,
-        )
-        builder = OutcomeBuilder(_RUN, trial.columns)
-        return executor_for(trial).execute(replace(task, run_id=_RUN), builder, watch)
-
-
-def _trial_of(experiment: Experiment, profilers: Sequence[Profiler], window: float, folder: Path) -> Experiment:
-    """Return an experiment of these profilers alone, whose mission is that so much real time goes by."""
-    changed = {
-        "phases": (),
-        "run_deadline_in_s": None,
-        "event_deadline_in_s": window + _PATIENCE,
-        "run_process": RunProcess.FORK,  # always: what a profiler leaves open or broken must not stay in this process
-    }
-    events = EventManager()
-    for profiler in profilers:
-        for event, callback in methods_of(profiler):
-            if event in _PROBED:
-                events.subscribe(event, callback, owner=profiler.name, kind=OwnerKind.PROFILER)
-    events.subscribe(
-        RobotRunnerEvents.LAUNCH_MISSION, lambda: time.sleep(window), owner=CONFIG_OWNER, kind=OwnerKind.CONFIG
-    )
-    return replace(
+    return execute_aside(
         experiment,
-        parameters=Parameters(**{**vars(experiment.parameters), **changed}),
-        plugins=tuple(profilers),
-        events=events,
-        folder=ExperimentFolder(folder),
+        replace(task, run_id=_RUN),
+        lambda: time.sleep(window),
+        Watch(interruption),
+        deadline_s=window + _PATIENCE,
+        profilers=profilers,
+        events=_PROBED,
     )

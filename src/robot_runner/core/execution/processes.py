@@ -11,10 +11,11 @@ import time
 import warnings
 from contextlib import suppress
 from io import TextIOWrapper
-from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from robot_runner.core.execution.run_events import failure_fields
+from robot_runner.core.execution.run_ending import failure_fields
+from robot_runner.core.execution.task import FINISHED
+from robot_runner.core.storage.outliving import is_spared, process_stat, processes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -27,6 +28,7 @@ __all__ = [
     "end_group",
     "forked",
     "has_children",
+    "is_killed",
     "kill_group",
     "leave_after",
     "settle_streams",
@@ -36,6 +38,9 @@ __all__ = [
 
 #: Where nothing wakes us, we look this often, in seconds.
 _LOOK = 0.02
+
+# Fields of /proc/<pid>/stat behind the program's name.
+_PARENT, _GROUP, _SESSION = 1, 2, 3
 
 # From <linux/prctl.h>; Python's library has no prctl.
 _PR_SET_PDEATHSIG = 1
@@ -81,6 +86,7 @@ def leave_after(work: Callable[[], None], report: Report) -> NoReturn:
         code = 0
     except BaseException as error:  # noqa: BLE001 - the last resort: it must be known before the process ends
         report("failure", {"event": "", "owner": "", **failure_fields(error)})
+        report(FINISHED, {})  # the exit code that follows says less
     finally:
         with suppress(OSError, ValueError):  # a full disk, or a stream that a callback closed
             sys.stdout.flush()
@@ -115,21 +121,19 @@ def has_children() -> bool:
 
 
 def children() -> Iterator[int]:
-    """Yield the ids of this process's children, of adopted ones too; of none where there is no /proc (macOS)."""
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        with suppress(OSError):  # it ended meanwhile
-            # The second field is the program's name in brackets, and may hold anything; the fourth is the parent.
-            if int(stat.read_text(errors="replace").rpartition(")")[2].split()[1]) == os.getpid():
-                yield int(stat.parent.name)
+    """Return the ids of this process's children, of adopted ones too; of none where there is no /proc (macOS)."""
+    own = str(os.getpid())
+    return (pid for pid in processes() if process_stat(pid)[_PARENT:_GROUP] == [own])
 
 
-def end_group(leader: int, grace: float, meanwhile: Callable[[], object]) -> None:
+def end_group(leader: int, grace: float, meanwhile: Callable[[], object], spared: frozenset[int]) -> None:
     """Ask a process that is not our child to stop; kill it, and its group, when it has not after `grace` seconds.
 
     Args:
         leader: the id of the process, and of its group.
         grace: how long it may take.
         meanwhile: called again and again while we wait.
+        spared: those of the group that may go on.
     """
     deadline = time.monotonic() + grace
     with suppress(ProcessLookupError):
@@ -138,10 +142,24 @@ def end_group(leader: int, grace: float, meanwhile: Callable[[], object]) -> Non
             meanwhile()
             time.sleep(_LOOK)
             os.kill(leader, 0)  # raises once the process is gone
-    kill_group(leader)
+    kill_group(leader, spared)
 
 
-def kill_group(leader: int) -> None:
-    """Kill what is left of a process group."""
+def kill_group(leader: int, spared: frozenset[int] = frozenset()) -> None:
+    """Kill what is left of a process group, but for `spared`, and what those have started."""
+    if spared:
+        for pid in processes():
+            if process_stat(pid)[_GROUP:_SESSION] == [str(leader)] and not is_spared(pid, spared):
+                is_killed(pid)
+        return
     with suppress(ProcessLookupError, PermissionError):  # macOS: no permission where all of them are zombies
         os.killpg(leader, signal.SIGKILL)
+
+
+def is_killed(pid: int) -> bool:
+    """Kill a process and return whether that is allowed: one that became another user by `sudo` stays."""
+    try:
+        os.kill(pid, signal.SIGKILL)
+    except (PermissionError, ProcessLookupError):
+        return False
+    return True

@@ -5,14 +5,16 @@ from __future__ import annotations
 import time
 from collections import Counter
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.config.plugin_checks import check_treatments
+from robot_runner.core.config.treatment_makers import PREPARED, known_treatments
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.watched_combination import unread
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.events.manager import RUN_EVENTS, RobotRunnerEvents
+from robot_runner.core.events.measure import OPERATOR_OWNER
 from robot_runner.core.execution.circumstances import (
     keep_config,
     manifest_of,
@@ -20,33 +22,51 @@ from robot_runner.core.execution.circumstances import (
     restored_manifest,
     resumed_manifest,
 )
+from robot_runner.core.execution.durations import durations_of
+from robot_runner.core.execution.extension import refuse_unplanned, unplanned_additions
+from robot_runner.core.execution.left_over import await_left_over
+from robot_runner.core.execution.mission_knowledge import combination_key
 from robot_runner.core.execution.recovery import config_changes, selected_places
+from robot_runner.core.execution.table_on_disk import TableOnDisk
 from robot_runner.core.execution.table_recovery import recover_table, texts_of
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome, RunTask, seed_of_run
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import Journal, utc_now
-from robot_runner.core.storage.layout import keep_log, keep_refused, put_earlier_attempt_away
-from robot_runner.core.storage.lock import ExperimentLock
+from robot_runner.core.storage.layout import drop_empty_log, keep_log, keep_refused, put_earlier_attempt_away
+from robot_runner.core.storage.lock import ExperimentLock, forget_pause
 from robot_runner.core.storage.manifest import read_manifest, write_manifest
-from robot_runner.core.storage.run_table_rows import write_run_table
 from robot_runner.core.storage.safe_write import fsync_folder, storage_error
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.execution.durations import Durations, TimeLeft
     from robot_runner.core.execution.probe import Probe
     from robot_runner.core.execution.recovered_table import RecoveredTable
     from robot_runner.core.execution.recovery import Resumption
 
 __all__ = ["PendingRun", "ProgressManager"]
 
-#: The run table is brought up to date at most so often that this share of the time goes into writing it, so that
-#: the cost of recording a run does not grow with the number of runs. The journal has every run at once.
-_SHARE_FOR_TABLE = 1 / 50
-
 #: What a run reports that is kept in the journal; measures are kept with the end of the attempt.
-_KEPT = frozenset({"event", "window", "phase", "shared", "finding", "refused", "failure", "clock", "bound"})
+_KEPT = frozenset(
+    {
+        "event",
+        "window",
+        "phase",
+        "shared",
+        "finding",
+        "refused",
+        "failure",
+        "clock",
+        "bound",
+        "waited",
+        "guard",
+        "subject",
+        "mission_stopped",
+        "outlives",
+    }
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +89,7 @@ class ProgressManager:
         experiment: what is executed.
         resumption: which runs, and what may differ from before.
         probe: tries the profilers once nobody else can use them and before anything is written; gets the first run.
+        prepare: makes treatments that have to be made; gets the facts that it returned first.
 
     Raises:
         RobotRunnerError: on entering: somebody else executes the experiment, the folder cannot be written, the run
@@ -76,44 +97,59 @@ class ProgressManager:
     """
 
     def __init__(
-        self, experiment: Experiment, resumption: Resumption, probe: Callable[[RunTask], Probe] | None = None
+        self,
+        experiment: Experiment,
+        resumption: Resumption,
+        probe: Callable[[RunTask], Probe] | None = None,
+        prepare: Callable[[Mapping[str, Any]], dict[str, Any]] = lambda _: {},
     ) -> None:
         self._experiment = experiment
         self._folder = experiment.folder
         self._resumption = resumption
         self._probe = probe
+        self._prepare = prepare
         self._failed: dict[str, str] = {}
         self._findings: list[Finding] = []
         self._unread: dict[str, Finding] | None = None
         self._resources = ExitStack()
-        self._table_written = 0.0
-        self._table_cost = 0.0
-        self._table_is_stale = False
+        self._last_outcome = RunOutcome(AttemptStatus.INTERRUPTED)
 
     def __enter__(self) -> Self:
         with ExitStack() as opened:
             self._make_folder()
             opened.enter_context(ExperimentLock(self._folder.lock))
+            opened.callback(forget_pause, self._folder.pause)  # of no use to the next session
+            forget_pause(self._folder.pause)  # of one that was killed
+            left_over = await_left_over(self._folder, self._experiment.parameters.grace_in_s)
+            self._findings += [left_over] if left_over is not None else []
             self._manifest = self._load_manifest()
+            self._findings += refuse_unplanned(self._experiment, self._manifest)
+            if self._resumption.selection:
+                self._manifest["executions"][-1]["selection"] = self._resumption.selection
             started = time.monotonic()
             recovered = recover_table(self._experiment, self._manifest, self._resumption)
-            self._selected = selected_places(recovered.rows, self._resumption)
+            self._selected = selected_places(recovered.rows, self._resumption, self._experiment.model.warm_up)
             self._refuse_unfit_treatments(recovered)
             self._take(recovered)
+            prepared = self._prepare(known_treatments(self._folder))
+            self._manifest |= prepared
+            self._durations = self._expected_durations()
             probed = self._probed()
             if recovered.unfinished is not None:  # the orchestrator died: what the run printed is still its log
                 keep_log(self._folder, recovered.unfinished)
                 self._left_behind.add(recovered.unfinished)
             self._journal = opened.enter_context(Journal(self._folder.journal))
             self._keep_deviations(recovered)
-            keep_config(self._experiment)
+            if prepared:
+                self._journal.append(PREPARED, flush=True, treatments=prepared)
+            keep_config(self._experiment, self._manifest)
             write_manifest(self._folder.manifest, self._manifest)
-            if recovered.is_on_disk:  # reading it took longer than writing it will
-                self._table_written = time.monotonic()
-                self._table_cost = self._table_written - started
-            else:
+            # Reading the table took longer than writing it will.
+            reading = time.monotonic() - started
+            self._file = TableOnDisk(self._folder.run_table, self._rows, self._journal, reading)
+            if not recovered.is_on_disk:
                 recovered.write_schema(self._folder.schema)
-                self._write_table()
+                self._file.write()
             self._resources = opened.pop_all()
         manifest = self._manifest
         self.note(
@@ -123,6 +159,10 @@ class ProgressManager:
             seed=self.seed,
             runs=self.run_count,
             design=manifest["design"]["source"],
+            factors=manifest["design"]["factors"],
+            repetitions=manifest["design"]["repetitions"],
+            **({"selection": chosen} if (chosen := self._resumption.selection) else {}),
+            repository=manifest["executions"][-1].get("repository"),
         )
         if probed is not None and probed.profilers:
             self.note("probe", **probed.fields())
@@ -131,8 +171,8 @@ class ProgressManager:
 
     def __exit__(self, *raised: object) -> None:
         with self._resources:
-            if self._table_is_stale:
-                self._write_table()
+            drop_empty_log(self._folder)
+            self._file.bring_up_to_date()
 
     @property
     def seed(self) -> int:
@@ -150,6 +190,21 @@ class ProgressManager:
         return self._rows.count(RunStatus.DONE)
 
     @property
+    def todo_count(self) -> int:
+        """How many runs are left to be executed: neither done nor failed, nor excluded."""
+        left = self.run_count - self.done_count - len(self._failed)
+        rows = self._rows
+        return left - sum(rows.status(rows.index_of(run)) is not RunStatus.DONE for run in self.excluded)
+
+    @property
+    def excluded(self) -> tuple[str, ...]:
+        """The ids of the runs that are left out."""
+        if not self._rows.layout.has_exclusions:
+            return ()
+        rows = self._rows
+        return tuple(rows.run_id(place) for place in range(len(rows)) if rows.excluded(place) is not None)
+
+    @property
     def failed(self) -> tuple[str, ...]:
         """The ids of the runs that failed."""
         return tuple(self._failed)
@@ -160,6 +215,16 @@ class ProgressManager:
         return tuple(f"{run_id}: {reason}" for run_id, reason in self._failed.items())
 
     @property
+    def last_outcome(self) -> RunOutcome:
+        """How the attempt went that was recorded last."""
+        return self._last_outcome
+
+    @property
+    def time_left(self) -> TimeLeft | None:
+        """How long the run that has begun and those to come take; None where that is not known."""
+        return self._durations.left()
+
+    @property
     def findings(self) -> tuple[Finding, ...]:
         """What looked odd in the table on disk and in the runs."""
         return (*self._findings, *(self._unread or {}).values())
@@ -168,6 +233,10 @@ class ProgressManager:
         """Yield the runs to execute, in order: those to do, those that failed, those asked for again."""
         for place in self._selected:
             yield PendingRun(self._rows.run_id(place), place)
+
+    def runs_left(self, run: PendingRun) -> int:
+        """Return how many runs are to be executed in this session from this one on, itself included."""
+        return len(self._selected) - self._selected.index(run.place)
 
     def task_of(self, run: PendingRun) -> RunTask:
         """Return the attempt at a run that was begun last."""
@@ -190,18 +259,23 @@ class ProgressManager:
             put_earlier_attempt_away(self._folder, run.run_id, earlier)
         if self._rows.status(run.place) is not RunStatus.TODO:
             self._rows.clear(run.run_id)
+        if self._rows.excluded(run.place) is not None:  # why it was left out is about what is put away here
+            self._rows.exclude(run.run_id, None)
+            self.note("included", run=run.run_id, reason="the run is executed again")
         self._left_behind.add(run.run_id)
         self._rows.record(run.run_id, status=RunStatus.RUNNING)
         self._failed.pop(run.run_id, None)
         task = self.task_of(run)
+        self._durations.begin(combination_key(task.combination), time.monotonic())
         self.note(
             "attempt_started",
             run=run.run_id,
             attempt=task.attempt,
             combination=texts_of(task.combination),
             repetition=task.repetition,
+            **self._left(),
         )
-        self._refresh_table()
+        self._file.refresh()
         return task
 
     def record(self, task: RunTask, kind: str, fields: dict[str, Any]) -> None:
@@ -214,7 +288,7 @@ class ProgressManager:
             keep_refused(self._folder, task.run_id, fields)
         if kind == "event" and fields["event"] == "continue" and "continue_at" in self._rows.layout.stamps:
             self._rows.record(task.run_id, stamps={"continue_at": fields["at"]})
-            self._refresh_table()
+            self._file.refresh()
 
     def record_outcome(self, task: RunTask, outcome: RunOutcome, *, is_last: bool) -> tuple[Finding, ...]:
         """Keep how an attempt went; it is on the disk when this returns.
@@ -223,26 +297,61 @@ class ProgressManager:
             what it shows about the runs that follow.
         """
         keep_log(self._folder, task.run_id)
-        self._journal.append(
-            "attempt_finished", flush=True, run=task.run_id, attempt=task.attempt, is_last=is_last, **_plain(outcome)
-        )
+        self._durations.end(time.monotonic(), outcome.status.value, is_last=is_last)
         self._findings += [*outcome.findings, *self._missing_measures(task, outcome)]
         if outcome.status is AttemptStatus.FAILED and is_last:
             self._failed[task.run_id] = str(outcome.failure)
+        self._keep_outcome(task, outcome, {"is_last": is_last})
+        return self._look_for_readers(task, outcome) if outcome.status is AttemptStatus.DONE else ()
+
+    def amend_outcome(self, task: RunTask, later: RunOutcome) -> None:
+        """Keep what was published and found after the last attempt had been recorded, if anything was.
+
+        Args:
+            task: that attempt.
+            later: what it has yielded by now, with what it had yielded before.
+        """
+        before = self._last_outcome
+        found = later.findings[len(before.findings) :]
+        if later.measures == before.measures and not found:
+            return
+        outcome = replace(before, stamps=later.stamps, measures=later.measures, findings=later.findings)
+        no_more = set(self._missing_measures(task, before)).difference(self._missing_measures(task, outcome))
+        self._findings = [each for each in self._findings if each not in no_more] + list(found)
+        # The later end of an attempt takes the place of the earlier.
+        self._keep_outcome(task, outcome, {"is_last": True, "is_amended": True})
+
+    def _keep_outcome(self, task: RunTask, outcome: RunOutcome, facts: dict[str, Any]) -> None:
+        self._last_outcome = outcome
+        self._journal.append(
+            "attempt_finished",
+            flush=True,
+            run=task.run_id,
+            attempt=task.attempt,
+            **facts,
+            **_plain(outcome),
+            **self._left(),
+        )
         if self._table.take_outcome(task.run_id, outcome):
             # From here on the schema tells the types: without it a text such as "1" would come back as a number.
             self._table.write_schema(self._folder.schema)
-        self._refresh_table()
-        return self._look_for_readers(task, outcome) if outcome.status is AttemptStatus.DONE else ()
+        self._file.refresh()
 
     def note(self, kind: str, *, flush: bool = False, **fields: Any) -> None:
         """Keep something that is not about a run."""
         self._journal.append(kind, flush=flush, **fields)
 
+    def tend_table(self) -> float | None:
+        """Write the run table where its time has come, while a run or a wait lasts; see `TableOnDisk.tend`."""
+        return self._file.tend()
+
+    def find(self, finding: Finding) -> None:
+        """Take down what is to be told at the end."""
+        self._findings.append(finding)
+
     def bring_table_up_to_date(self) -> None:
         """Write the run table as it stands: a callback of `after_experiment` may read it."""
-        if self._table_is_stale:
-            self._write_table()
+        self._file.bring_up_to_date()
 
     def finish(self, *, interrupted: bool) -> None:
         """Bring everything that people read up to date: the experiment has ended."""
@@ -277,7 +386,9 @@ class ProgressManager:
             return lost.manifest
         if self._folder.manifest.exists():
             if not self._resumption.accept_changes and (changes := config_changes(self._experiment)):
-                raise ExecutionError.of_findings(changes)
+                experiment, manifest = self._experiment, read_manifest(self._folder.manifest)
+                unplanned = unplanned_additions(experiment.config_path, experiment.model, manifest)
+                raise ExecutionError.of_findings([*changes, *unplanned])
             return resumed_manifest(self._experiment, read_manifest(self._folder.manifest))
         return manifest_of(self._experiment)
 
@@ -301,12 +412,25 @@ class ProgressManager:
         self._table = recovered
         self._rows = recovered.rows
         self._attempts = Counter(recovered.attempts)
-        self._failed.update(recovered.failed)
+        out = set(self.excluded)
+        self._failed.update((run, reason) for run, reason in recovered.failed.items() if run not in out)
         self._findings += recovered.findings
 
     def _probed(self) -> Probe | None:
         first = next(self.pending(), None)
         return self._probe(self.task_of(first)) if self._probe is not None and first is not None else None
+
+    def _expected_durations(self) -> Durations:
+        each = self._experiment
+        combinations = [run.combination for run in self._rows.planned]
+        journal = self._folder.journal
+        durations = durations_of(each.config, each.plugins, each.events, each.parameters, combinations, journal)
+        durations.plan(combinations[place] for place in self._selected)
+        return durations
+
+    def _left(self) -> dict[str, Any]:
+        left = self.time_left
+        return {} if left is None else {"left": left.facts()}
 
     def _look_for_readers(self, task: RunTask, outcome: RunOutcome) -> tuple[Finding, ...]:
         """Return what nobody read in the first run that is done; what a later run reads is not told at the end."""
@@ -331,22 +455,9 @@ class ProgressManager:
         return [
             Finding.warning(f"{task.run_id}, {column.owner}", f"{column.name} has no value", _missing_fix(column.owner))
             for column in self._experiment.columns.in_table
+            if column.owner != OPERATOR_OWNER  # a person is asked before some runs only
             if outcome.measures.get(column.name) is None or outcome.measures[column.name].value is None
         ]
-
-    def _refresh_table(self) -> None:
-        self._table_is_stale = True
-        if time.monotonic() - self._table_written > self._table_cost / _SHARE_FOR_TABLE:
-            self._write_table()
-
-    def _write_table(self) -> None:
-        started = time.monotonic()
-        digest = write_run_table(self._folder.run_table, self._rows)
-        # After the rename: a run that is in the table and not yet known to be is taken from the journal once more.
-        self._journal.append("table_written", sha256=digest)
-        self._table_written = time.monotonic()
-        self._table_cost = self._table_written - started
-        self._table_is_stale = False
 
 
 def _plain(outcome: RunOutcome) -> dict[str, Any]:

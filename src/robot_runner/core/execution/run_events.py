@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-import sys
-import traceback
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.watched_combination import WatchedCombination
-from robot_runner.core.errors import MeasureError, RobotRunnerError, did_you_mean
+from robot_runner.core.errors import MeasureError, did_you_mean
 from robot_runner.core.events.context import Resources, RobotRunnerContext
+from robot_runner.core.events.early_end import EndingInPlace, MissionStopped, RunInterrupted
 from robot_runner.core.events.manager import CLOSED_BY, CallbackFailure, Emission, RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER, Origin
 from robot_runner.core.events.measure_broker import MeasureBroker
 from robot_runner.core.events.window import MissionTimes
-from robot_runner.core.execution.interruption import InterruptGate, RunInterrupted
+from robot_runner.core.execution.interruption import InterruptGate
+from robot_runner.core.execution.run_ending import RunEnding
 from robot_runner.core.links.connect import is_simulated, open_clock
+from robot_runner.core.links.host_commands import DeclaredHosts
 from robot_runner.core.storage.journal import utc_now
 
 if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.events.context import Clock
+    from robot_runner.core.events.early_end import Ending
     from robot_runner.core.execution.task import Report, RunTask
 
-__all__ = ["execute_run", "failure_fields", "publish_returned", "run_contexts"]
+__all__ = ["execute_run", "publish_returned", "run_contexts"]
 
 
 def execute_run(experiment: Experiment, task: RunTask, report: Report, gate: InterruptGate | None = None) -> None:
@@ -37,12 +39,28 @@ def execute_run(experiment: Experiment, task: RunTask, report: Report, gate: Int
 
 
 def run_contexts(
-    experiment: Experiment, task: RunTask, *, clock: Clock, resources: Resources, report: Report
+    experiment: Experiment,
+    task: RunTask,
+    *,
+    clock: Clock,
+    resources: Resources,
+    report: Report,
+    ending: Ending | None = None,
 ) -> Callable[[str], RobotRunnerContext]:
-    """Return what makes the context of a run for each owner; all share one broker."""
-    broker = MeasureBroker(task.run_id, experiment.columns, report)
+    """Return what makes the context of a run for each owner; all share one broker.
+
+    Args:
+        experiment: what is executed.
+        task: the run.
+        clock: the run's.
+        resources: what its callbacks open.
+        report: takes what happens.
+        ending: ends the run from any thread; None where callbacks of the orchestrator prepare it: they end in place.
+    """
+    broker = MeasureBroker(task.run_id, experiment.columns, report, task.entered)
     times = MissionTimes(clock, report, experiment.parameters.phases)
     run_path = experiment.folder.run(task.run_id)
+    hosts = DeclaredHosts(experiment.parameters.hosts)
     made: dict[str, RobotRunnerContext] = {}
 
     def context_for(owner: str) -> RobotRunnerContext:
@@ -56,6 +74,7 @@ def run_contexts(
                 run_number=task.run_number,
                 run_count=task.run_count,
                 attempt=task.attempt,
+                attempts_left=task.attempts_left,
                 combination=WatchedCombination(
                     task.combination, lambda factor: report("read", {"owner": owner, "factor": factor})
                 ),
@@ -67,6 +86,8 @@ def run_contexts(
                 owner=owner,
                 times=times,
                 broker=broker,
+                ending=ending or EndingInPlace(),
+                hosts=hosts,
             )
         return made[owner]
 
@@ -82,11 +103,17 @@ class _Run:
         self._report = report
         self._gate = gate
         self._resources = Resources()
-        self._failed = False
+        self._ending = RunEnding(report, gate)
+        self._is_stopped = False
 
     def execute(self) -> None:
         closed_last = RobotRunnerEvents.STOP_RUN.value  # the event during which a link fails to close
-        with self._recorded(closed_last, "link"), closing(self._resources), self._recorded("", "link"):
+        with (
+            self._ending.from_any_thread(),
+            self._recorded(closed_last, "link"),
+            closing(self._resources),
+            self._recorded("", "link"),
+        ):
             self._open()
             self._emit_events()
 
@@ -94,19 +121,26 @@ class _Run:
         task, resources = self._task, self._resources
         self._clock = open_clock(self._experiment.parameters.robot, resources, seed=task.run_seed)
         self._context_for = run_contexts(
-            self._experiment, task, clock=self._clock, resources=resources, report=self._report
+            self._experiment,
+            task,
+            clock=self._clock,
+            resources=resources,
+            report=self._report,
+            ending=self._ending,
         )
 
     def _emit_events(self) -> None:
         with self._between(RobotRunnerEvents.START_RUN):
-            if not self._failed:
+            if not self._ending.has_failed:
                 with self._between(RobotRunnerEvents.START_MEASUREMENT):
-                    if not self._failed:
+                    if not self._ending.has_failed:
                         self._execute_mission()
-        if self._failed:
+        if self._is_stopped:
             self._make_safe()
-        else:
+        if not self._ending.has_failed:
             self._populate()
+        if self._ending.has_failed:
+            self._make_safe()
 
     def _execute_mission(self) -> None:
         times = self._context_for(CONFIG_OWNER).times
@@ -114,7 +148,7 @@ class _Run:
         try:
             self._emit(RobotRunnerEvents.LAUNCH_MISSION)
         finally:
-            times.end(has_failed=self._failed)
+            times.end(has_failed=self._ending.has_failed)
 
     @contextmanager
     def _between(self, opening: RobotRunnerEvents) -> Iterator[None]:
@@ -149,13 +183,15 @@ class _Run:
                 context.warn(f"the mission had no phase {name!r}", fix=did_you_mean(name, list(there)))
 
     def _emit(self, event: RobotRunnerEvents, but_not: Collection[str] = ()) -> Emission:
+        self._ending.event = event
         self._report("event", {"event": event.value, "at": utc_now(), "clock": self._clock.now()})
         try:
             emission = self._call(event, but_not)
         except RunInterrupted as error:  # between two callbacks: whom the event reached is not known, so all are closed
             emission = Emission((), self._owners(), (CallbackFailure(event, "", error),))
         for failure in emission.failures:
-            self._record(event.value, failure.owner, failure.error)
+            self._is_stopped = self._is_stopped or isinstance(failure.error, MissionStopped)
+            self._ending.record(event.value, failure.owner, failure.error)
         return emission
 
     def _call(self, event: RobotRunnerEvents, but_not: Collection[str]) -> Emission:
@@ -163,7 +199,7 @@ class _Run:
         if event.is_closing:
             return events.emit(event, self._context_for, but_not=but_not)
         try:
-            gate.arm()
+            gate.arm(is_mission=event is RobotRunnerEvents.LAUNCH_MISSION)
             return events.emit(event, self._context_for, but_not=but_not)
         finally:
             gate.disarm()
@@ -177,20 +213,7 @@ class _Run:
         try:
             yield
         except BaseException as error:  # noqa: BLE001 - also sys.exit, and a request to stop
-            self._record(event, owner, error)
-
-    def _record(self, event: str, owner: str, error: BaseException) -> None:
-        self._failed = True
-        fields = failure_fields(error)
-        sys.stderr.write(f"{event} of {owner} failed\n{fields['traceback']}")  # into the run's log
-        self._report("failure", {"event": event, "owner": owner, **fields})
-
-
-def failure_fields(error: BaseException) -> dict[str, str]:
-    """Return the problem in one line, and the traceback."""
-    text = str(error)
-    problem = text if isinstance(error, RobotRunnerError | RunInterrupted) else f"{type(error).__name__}: {text}"
-    return {"problem": problem, "traceback": "".join(traceback.format_exception(error))}
+            self._ending.record(event, owner, error)
 
 
 def publish_returned(context: RobotRunnerContext, returned: object) -> None:
@@ -224,9 +247,9 @@ def _refused(context: RobotRunnerContext, name: Any, value: object) -> MeasureEr
 def _origin_of_returned(context: RobotRunnerContext, name: object) -> Origin:
     """Return where a returned value comes from: what was computed from simulated samples does not pass for measured."""
     published = context.broker.measures
-    if isinstance(name, str) and name in published:
+    if isinstance(name, str) and name in published and published[name].origin is not Origin.ENTERED:
         return published[name].origin
     if is_simulated(context.robot):
         return Origin.SIMULATED
-    origins = {measure.origin for measure in published.values()}
+    origins = {measure.origin for measure in published.values()} - {Origin.ENTERED}
     return origins.pop() if len(origins) == 1 else Origin.MEASURED

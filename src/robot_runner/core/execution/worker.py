@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from robot_runner.core.config.dialects import prepare_or_refuse
 from robot_runner.core.execution.interruption import STOP_SIGNALS, InterruptGate
+from robot_runner.core.execution.left_over import RunMark, end_left_over
+from robot_runner.core.execution.prepared_treatments import describe_revisions, restore_revisions
 from robot_runner.core.execution.processes import leave_after, settle_streams
 from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.task import FINISHED, RecordWriter, RunTask
@@ -50,6 +52,7 @@ def become_interpreter(experiment: Experiment, task: RunTask, report: RecordWrit
         "config": str(experiment.config_path),
         "set": dict(experiment.overrides),
         "task": _described(experiment, task),
+        "revisions": describe_revisions(experiment.model.factors),
         "records": report.descriptor,
     }
     os.execv(sys.executable, [sys.executable, "-m", _MODULE, json.dumps(description)])  # noqa: S606 - our own program
@@ -58,8 +61,11 @@ def become_interpreter(experiment: Experiment, task: RunTask, report: RecordWrit
 def _execute(experiment: Experiment, task: RunTask, report: RecordWriter) -> None:
     gate = InterruptGate()
     gate.listen()
+    keeper = os.getppid()
     execute_run(experiment, task, report, gate)
     report(FINISHED, {})
+    if os.getppid() != keeper:  # it was killed, and cannot end what the run leaves behind
+        end_left_over(experiment.folder)
 
 
 def _print_to_log(experiment: Experiment) -> None:
@@ -71,6 +77,8 @@ def _print_to_log(experiment: Experiment) -> None:
 
 def _execute_described(description: Mapping[str, Any], report: RecordWriter) -> None:
     experiment = prepare_or_refuse(Path(description["config"]), description["set"])
+    restore_revisions(experiment.model.factors, description["revisions"])
+    RunMark(experiment.folder).sign()  # the lock was lost when the process was replaced
     task = _task_of(experiment, description["task"])
     for plugin in experiment.plugins:  # a forked run finds this done
         bind(plugin, task.combination)

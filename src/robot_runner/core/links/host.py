@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 __all__ = [
     "KINDS",
     "LOCAL",
+    "SUBJECT_VARIABLE",
     "EndingSampler",
     "FileHost",
     "FileSample",
@@ -188,8 +189,8 @@ class ProcessHost(HostLink, Protocol):
 
         Args:
             rate: samples a second.
-            processes: what to look for: `pid:123`, `name:talker` or `node:/talker` (a ROS node, by the name that it
-                was given on its command line).
+            processes: what to look for: `pid:123`, `name:talker`, `node:/talker` (a ROS node, by the name that it was
+                given on its command line), or `subject:Nav` (software under test, with all that it has started).
             is_streamed: whether samples are sent at once, or kept on the computer until they are fetched.
         """
         ...
@@ -213,11 +214,15 @@ class FileHost(Protocol):
 
 
 #: What stands before the colon of a selector.
-KINDS = ("pid", "name", "node")
+KINDS = ("pid", "name", "node", "subject")
+_SELECT = "Give a name, a number, node:/name or subject:Name."
+
+#: Software under test has its plugin's name in this variable of its environment, with all that it starts.
+SUBJECT_VARIABLE = "ROBOT_RUNNER_SUBJECT"
 
 
 def process_selector(process: str | int) -> str:
-    """Return the selector of a process: a number is its pid, a text its name unless it says `pid:` or `node:` itself.
+    """Return the selector of a process: a number is its pid, a text its name unless it says another of `KINDS`.
 
     Raises:
         LinkError: it is neither a number nor a text, is empty, or begins with another word and a colon.
@@ -227,9 +232,7 @@ def process_selector(process: str | int) -> str:
         ['pid:4711', 'name:talker', 'node:/talker']
     """
     if isinstance(process, bool) or not isinstance(process, int | str):
-        raise LinkError(
-            f"{process!r} selects no process", where="processes", fix="Give a name, a number, or node:/name."
-        )
+        raise LinkError(f"{process!r} selects no process", where="processes", fix=_SELECT)
     if isinstance(process, int):
         return f"pid:{process}"
     text = process
@@ -239,7 +242,7 @@ def process_selector(process: str | int) -> str:
     if kind not in KINDS:
         raise LinkError(f"{text!r} selects no process", where="processes", fix=did_you_mean(kind, KINDS))
     if not value.strip() or (kind == "pid" and not value.isdigit()):
-        raise LinkError(f"{text!r} selects no process", where="processes", fix="Give a name, a number, or node:/name.")
+        raise LinkError(f"{text!r} selects no process", where="processes", fix=_SELECT)
     return f"{kind}:{value}"
 
 

@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.cpu_counters import CoreCounters, CounterSample, ProcessCounters, utilisation_of
-from robot_runner.core.links.host import LOCAL, FileSample, SamplingReport, UtilisationSample, checked_words
+from robot_runner.core.links.host import (
+    LOCAL,
+    SUBJECT_VARIABLE,
+    FileSample,
+    SamplingReport,
+    UtilisationSample,
+    checked_words,
+)
 from robot_runner.core.sampling.periodic import PeriodicSampler
 
 if TYPE_CHECKING:
@@ -42,6 +49,7 @@ class LocalProcesses:
     def __init__(self, psutil: Any, selectors: Sequence[str]) -> None:
         self._psutil = psutil
         self._selectors = tuple(selectors)
+        self._looks_for_subjects = any(one.startswith("subject:") for one in self._selectors)
         self._ages: dict[int, int] = {}
         self._matched: dict[int, tuple[Any, tuple[int, ...]]] = {}
         self._next_scan = 0.0
@@ -77,12 +85,19 @@ class LocalProcesses:
             name, words = process.name(), process.cmdline()
         except self._psutil.Error:
             return
-        places = tuple(place for place, one in enumerate(self._selectors) if matches(one, pid, name, words))
+        subject = self._subject_of(process) if self._looks_for_subjects else ""
+        places = tuple(place for place, one in enumerate(self._selectors) if matches(one, pid, name, words, subject))
         if places:
             self._matched[pid] = (process, places)
 
+    def _subject_of(self, process: Any) -> str:
+        try:
+            return str(process.environ().get(SUBJECT_VARIABLE, ""))
+        except self._psutil.Error:  # another user's
+            return ""
 
-def matches(selector: str, pid: int, name: str, words: Sequence[str]) -> bool:
+
+def matches(selector: str, pid: int, name: str, words: Sequence[str], subject: str = "") -> bool:
     """Whether a process is one that a selector means.
 
     Args:
@@ -90,6 +105,7 @@ def matches(selector: str, pid: int, name: str, words: Sequence[str]) -> bool:
         pid: the process's number.
         name: the process's name, as the system knows it.
         words: its command line.
+        subject: the software under test that it belongs to; empty for none.
 
     Example:
         >>> matches("name:talker.py", 4711, "python3", ["/usr/bin/python3", "/opt/talker.py"])
@@ -100,6 +116,8 @@ def matches(selector: str, pid: int, name: str, words: Sequence[str]) -> bool:
     kind, _, value = selector.partition(":")
     if kind == "pid":
         return pid == int(value)
+    if kind == "subject":
+        return value == subject
     if kind == "node":
         bare = value.lstrip("/")
         return f"__name:={bare}" in words or f"__node:={bare}" in words

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.events.context import Clock
+    from robot_runner.core.links.clock_offset import ClockOffset
     from robot_runner.core.links.host import FileSample, UtilisationSample
     from robot_runner.core.links.on_board_sampler import Quantity
 
@@ -272,6 +273,14 @@ class SshHost:
             LinkError: the computer cannot be reached.
         """
         return sorted(self._session().ask("list", *checked_words([pattern]), answer="paths"))
+
+    def clock_offset(self) -> ClockOffset:
+        """Return how the computer's clock stands to this machine's.
+
+        Raises:
+            LinkError: the computer cannot be reached.
+        """
+        return self._session().clock_offset()
 
     def close(self) -> None:
         """End all samplers and sessions; closing twice does nothing."""

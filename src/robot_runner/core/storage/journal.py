@@ -16,10 +16,12 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-__all__ = ["Journal", "journal_lines", "parsed_record", "read_journal", "utc_now"]
+__all__ = ["Journal", "journal_lines", "last_records", "parsed_record", "read_journal", "utc_now"]
 
 #: `Journal.append` writes the kind first, so that a line's kind is known without parsing it.
 _BEGINNING = '{"kind":"'
+#: How much of the end of a journal tells of the last runs: some thousand of them.
+_LAST_BYTES = 4_000_000
 
 _encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), default=str).encode
 
@@ -133,6 +135,28 @@ def journal_lines(path: Path, *, kinds: Collection[str] | None = None) -> Iterat
         return
     except OSError as error:
         raise storage_error(path, "read", error) from error
+
+
+def last_records(path: Path, *, kinds: Collection[str], within: int = _LAST_BYTES) -> Iterator[dict[str, Any]]:
+    """Yield the records of these kinds in the last bytes of a journal, oldest first, so that its length costs nothing.
+
+    Raises:
+        StorageError: it cannot be read.
+    """
+    beginnings = tuple(f'{_BEGINNING}{kind}"'.encode() for kind in kinds)
+    try:
+        with path.open("rb") as file:
+            beginning = max(0, file.seek(0, os.SEEK_END) - within)
+            file.seek(beginning)
+            if beginning:
+                file.readline()  # the rest of a line
+            lines = [line for line in file if line.startswith(beginnings) and line.endswith(b"}\n")]
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise storage_error(path, "read", error) from error
+    for line in lines:
+        yield parsed_record(path, line)
 
 
 def parsed_record(path: Path, line: bytes) -> dict[str, Any]:

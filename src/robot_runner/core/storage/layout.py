@@ -18,7 +18,15 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-__all__ = ["ExperimentFolder", "LazyLog", "keep_log", "keep_refused", "open_log", "put_earlier_attempt_away"]
+__all__ = [
+    "ExperimentFolder",
+    "LazyLog",
+    "drop_empty_log",
+    "keep_log",
+    "keep_refused",
+    "open_log",
+    "put_earlier_attempt_away",
+]
 
 
 # The names of an experiment's files and folders: the only place that knows them.
@@ -85,6 +93,10 @@ class ExperimentFolder:
         """The config file and the local modules that it imports, as executed."""
         return self.root / "config"
 
+    def uncommitted(self, digest: str) -> Path:
+        """Return the file of changes that were not committed to the config's repository, by their SHA-256."""
+        return self.config / f"uncommitted-{digest[:12]}.diff"
+
     @property
     def earlier_configs(self) -> Path:
         """Configs that were executed before the config changed, numbered."""
@@ -101,6 +113,16 @@ class ExperimentFolder:
         return self.root / "earlier_attempts"
 
     @property
+    def revisions(self) -> Path:
+        """What was printed while revisions of a repository were built."""
+        return self.root / "revisions"
+
+    @property
+    def subjects(self) -> Path:
+        """What software under test writes that goes on through all runs: a folder for each start of each subject."""
+        return self.root / "subjects"
+
+    @property
     def report(self) -> Path:
         """The report, with its tables and figures; made anew whenever it is asked for."""
         return self.root / "report"
@@ -111,9 +133,24 @@ class ExperimentFolder:
         return self.root / ".lock"
 
     @property
+    def alive(self) -> Path:
+        """Locked by each process of a run, as long as it lives."""
+        return self.root / ".alive"
+
+    @property
+    def outliving(self) -> Path:
+        """The processes that may outlive the run that started them."""
+        return self.root / ".outliving"
+
+    @property
     def control(self) -> Path:
         """What a second terminal tells the orchestrator."""
         return self.root / ".control"
+
+    @property
+    def pause(self) -> Path:
+        """There while the experiment is to pause between two runs."""
+        return self.root / ".pause"
 
     def run(self, run_id: str) -> Path:
         """Return the folder of a run: its log, and a folder for each plugin's raw data."""
@@ -197,6 +234,12 @@ def keep_log(folder: ExperimentFolder, run_id: str) -> None:
             folder.current_log.replace(folder.log(run_id))
     except OSError as error:
         raise storage_error(folder.log(run_id), "written", error) from error
+
+
+def drop_empty_log(folder: ExperimentFolder) -> None:
+    """Remove the log of the run that is being executed, once none is; one that holds something stays."""
+    if _size(folder.current_log) == 0:
+        folder.current_log.unlink(missing_ok=True)
 
 
 def keep_refused(folder: ExperimentFolder, run_id: str, refused: Mapping[str, Any]) -> None:

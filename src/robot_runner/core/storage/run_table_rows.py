@@ -5,11 +5,12 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import Counter
+from dataclasses import replace
 from itertools import repeat
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, TextIO
 
-from robot_runner.core.design.columns import RUN_ID, STATUS
+from robot_runner.core.design.columns import BATCH, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.design.planned_runs import garbage_collection_paused
 from robot_runner.core.errors import MeasureError, StorageError, did_you_mean
 from robot_runner.core.storage.cells import RunStatus, checked_measure, csv_text
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 __all__ = ["RunRow", "RunTableRows", "table_text", "write_run_table"]
 
 _ROWS_AT_ONCE = 500  # what fits into a processor's cache
+#: Where a row has what the columns of `MARKS` hold.
+_MARKS = {BATCH: "run.batch", WARM_UP: "run.is_warm_up"}
 _NUMBERED = re.compile(r"r_([1-9][0-9]{0,17})")
 
 
@@ -41,9 +44,10 @@ class RunRow:
         measures: its measures, in the order of the layout's `measures`; None where a value is missing.
         kept: text that the file is to hold as it was read, by heading: a user's own columns, and cells of factors that
             would be written in another way; None where there is none.
+        excluded: why the run is left out; None where it is not.
     """
 
-    __slots__ = ("kept", "measures", "run", "stamps", "status")
+    __slots__ = ("excluded", "kept", "measures", "run", "stamps", "status")
 
     def __init__(
         self,
@@ -52,12 +56,14 @@ class RunRow:
         stamps: tuple[str | None, ...],
         measures: tuple[CellValue, ...],
         kept: Mapping[str, str] | None = None,
+        excluded: str | None = None,
     ) -> None:
         self.run = run
         self.status = status
         self.stamps = stamps
         self.measures = measures
         self.kept = kept
+        self.excluded = excluded
 
 
 class RunTableRows:
@@ -108,6 +114,21 @@ class RunTableRows:
         """Return the rows of a planned run table, all of them still to be executed."""
         with garbage_collection_paused():
             return cls(layout, map(RunRow, plan, *map(repeat, (RunStatus.TODO, *_nothing(layout)))))
+
+    def with_plan(self, plan: Iterable[PlannedRun], layout: TableLayout) -> RunTableRows:
+        """Return the rows of a plan that has grown: what is known of runs is kept, new ones are still to be executed.
+
+        Args:
+            plan: all runs, in the order of execution.
+            layout: which columns there are then; stamps and measures are those of this table.
+        """
+        known = {row.run.run_id: row for row in self._rows}
+        rows = []
+        for run in plan:
+            row = known.get(run.run_id) or RunRow(run, RunStatus.TODO, *_nothing(layout))
+            row.run = run
+            rows.append(row)
+        return RunTableRows(layout, rows, self.warnings)
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -172,13 +193,36 @@ class RunTableRows:
         """Return how many runs have this status, at no cost that grows with the table."""
         return self._counts[status]
 
+    def excluded(self, place: int) -> str | None:
+        """Return why the run at `place` is left out; None where it is not."""
+        return self._rows[place].excluded
+
+    def exclude(self, run_id: str, reason: str | None) -> None:
+        """Leave a run out, or with None take it in again; the layout has the column for it.
+
+        Raises:
+            StorageError: there is no such run.
+        """
+        self._rows[self.index_of(run_id)].excluded = reason
+
+    def without_exclusions(self) -> RunTableRows:
+        """Return the same rows, none of them left out, without the column for it."""
+        for row in self._rows:
+            row.excluded = None
+        return RunTableRows(replace(self.layout, has_exclusions=False), self._rows, self.warnings)
+
     def combination(self, place: int) -> Combination:
         """Return the treatment of each factor in the run at `place`."""
         return self._rows[place].run.combination
 
     def repetition(self, place: int) -> int:
-        """Return which repetition of its combination the run at `place` is; 1 where the table has no such column."""
-        return self._rows[place].run.repetition if self.layout.has_repetition else 1
+        """Return which repetition of its combination the run is; 1 where there is no such column, 0 for a warm-up."""
+        run = self._rows[place].run
+        return run.repetition if self.layout.has_repetition or run.is_warm_up else 1
+
+    def is_warm_up(self, place: int) -> bool:
+        """Return whether the run at `place` only warms up."""
+        return self._rows[place].run.is_warm_up
 
     def record(
         self,
@@ -284,9 +328,11 @@ def _sources(layout: TableLayout) -> dict[str, tuple[str, int | str | None]]:
     return {
         RUN_ID: ("run.run_id", None),
         STATUS: ("status", None),
+        **dict.fromkeys(layout.exclusion, ("excluded", None)),
         **{name: ("stamps", place) for place, name in enumerate(layout.stamps)},
         **{name: ("run.combination.treatments", place) for place, name in enumerate(layout.factor_names)},
         **dict.fromkeys(layout.repetition, ("run.repetition", None)),
+        **{name: (_MARKS[name], None) for name in layout.marks},
         **{name: ("measures", place) for place, name in enumerate(layout.measures)},
         **{name: ("kept", name) for name in layout.extras},
     }

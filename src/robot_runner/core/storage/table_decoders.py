@@ -24,11 +24,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.storage.cells import CellValue
-    from robot_runner.core.storage.table_columns import FactorColumn
+    from robot_runner.core.storage.table_columns import ColumnDescription, FactorColumn
 
 __all__ = [
     "CellDecoder",
     "FactorDecoder",
+    "MarkDecoder",
     "MeasureDecoder",
     "RepetitionDecoder",
     "RowChunk",
@@ -226,12 +227,23 @@ class FactorDecoder:
         kept: texts that the file is to hold on, as their values would be written in another way.
     """
 
-    def __init__(self, column: FactorColumn, kind: str | None, findings: TableFindings, *, decimal_comma: bool) -> None:
+    def __init__(
+        self,
+        column: FactorColumn,
+        kind: str | None,
+        findings: TableFindings,
+        *,
+        decimal_comma: bool,
+        empty_is_none: bool = False,
+    ) -> None:
         self.name = column.name
         self.kept: set[str] = set()
         self._factor = column.factor
         self._findings = findings
         self._decimal_comma = decimal_comma
+        known = column.factor.treatments if column.factor is not None else ()
+        #: Spreadsheets, pandas and the earlier tools write a treatment None so.
+        self._empty_is_none = empty_is_none and any(treatment is None for treatment in known)
         self._kind = kind
         self._known: dict[str, Any] = {}
 
@@ -253,6 +265,10 @@ class FactorDecoder:
             if place is not None:
                 self._known[text] = self._factor.treatments[place]
                 return True
+            if not text and self._empty_is_none:
+                self.kept.add(text)
+                self._known[text] = None
+                return True
         self._known[text] = value = typed_value(text, self._kind, decimal_comma=self._decimal_comma)
         if value is None or str(value) != text:
             self.kept.add(text)
@@ -260,10 +276,11 @@ class FactorDecoder:
 
 
 class RepetitionDecoder:
-    """Which repetition of its combination each run is."""
+    """Which repetition of its combination each run is: from 1, and 0 where `least` allows it, for warm-up runs."""
 
-    def __init__(self, findings: TableFindings) -> None:
+    def __init__(self, findings: TableFindings, *, least: int = 1) -> None:
         self._findings = findings
+        self._least = least
         self._known: dict[str, int] = {}
         self._seen: dict[tuple[int, ...], int] = {}
 
@@ -271,11 +288,11 @@ class RepetitionDecoder:
         """Return numbers of repetitions; another cell is an error."""
         for text in dict.fromkeys(cells):
             number = number_of(text)
-            if number is not None and number == int(number) and 1 <= number < _MOST_REPETITIONS:
+            if number is not None and number == int(number) and self._least <= number < _MOST_REPETITIONS:
                 self._known[text] = int(number)
         for place, text in () if self._known.keys() >= set(cells) else enumerate(cells):
             if text not in self._known:
-                fix = "Write which repetition it is: a whole number from 1."
+                fix = f"Write which repetition it is: a whole number from {self._least}."
                 problem = f"{text!r} is no number of a repetition"
                 self._findings.error(problem, fix, line=chunk.lines[place], column=REPETITION)
         return [self._known.get(text, 1) for text in cells]
@@ -288,6 +305,27 @@ class RepetitionDecoder:
             self._seen[which] = number = self._seen.get(which, 0) + 1
             numbers.append(number)
         return numbers
+
+
+class MarkDecoder:
+    """How each run was planned: in which batch, or whether it only warms up; an empty cell is as in most runs."""
+
+    def __init__(self, column: ColumnDescription, findings: TableFindings) -> None:
+        self._column = column
+        self._findings = findings
+        self._kind: type = bool if column.type == "boolean" else int
+        self._usual: Any = False if self._kind is bool else 1
+
+    def read(self, cells: Sequence[str], chunk: RowChunk) -> list[Any]:
+        """Return numbers or truth values; another cell is an error."""
+        known = {text: typed_value(text, self._column.type) for text in dict.fromkeys(cells)}
+        wrong = {text for text, value in known.items() if value is not None and type(value) is not self._kind}
+        for place, text in enumerate(cells) if wrong else ():
+            if text in wrong:
+                problem = f"{text!r} is no {self._column.type}"
+                fix = f"Write {'True or False' if self._kind is bool else 'a whole number'}."
+                self._findings.error(problem, fix, line=chunk.lines[place], column=self._column.name)
+        return [self._usual if known[text] is None or text in wrong else known[text] for text in cells]
 
 
 class MeasureDecoder:

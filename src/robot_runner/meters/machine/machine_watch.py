@@ -22,7 +22,7 @@ from robot_runner.meters.machine.machine_state import MachineFiles, SystemFiles
 from robot_runner.meters.machine.others_load import load_between
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.events.context import RobotRunnerContext
@@ -113,7 +113,7 @@ class MachineWatch(Profiler):
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Take the last look at computers over ssh: their sessions are free once all samples were fetched."""
         for watched in self._watched:
-            watched.end()
+            watched.end(_started_there(context, watched.computer.host))
         reports = self._reports(context.run_id)
         for host, report in reports:
             path = context.raw_data_folder / f"{re.sub(r'[^A-Za-z0-9.-]+', '_', host)}.json"
@@ -173,6 +173,7 @@ class _WatchedComputer:
         self._before: MachineState | None = None
         self._after: MachineState | None = None
         self._load: Load | None = None
+        self._started: tuple[int, ...] = ()
         self._poller: PeriodicSampler[Conditions] | None = None
 
     @property
@@ -185,8 +186,13 @@ class _WatchedComputer:
             self._poller = PeriodicSampler(self._files.conditions, rate=1 / _PERIOD, clock=SystemClock())
             self._poller.start()
 
-    def end(self) -> None:
-        """Take the last look; a second call does nothing."""
+    def end(self, started: Collection[int] = ()) -> None:
+        """Take the last look; a second call does nothing.
+
+        Args:
+            started: software under test that the experiment has started on another computer, by process id.
+        """
+        self._started = tuple(started)
         if self._before is None or self._after is not None:
             return
         self._after = self._look()
@@ -223,9 +229,19 @@ class _WatchedComputer:
     def _own(self, state: MachineState) -> set[int]:
         """Return the experiment's processes: the orchestrator, the keeper, the run, and all that they started."""
         if self._orchestrator is None:
-            return _descendants(state, state.reader)
+            found = _descendants(state, state.reader)
+            for pid in self._started:  # with what lost its parent, which its supervisor took over
+                process = state.processes.get(pid)
+                found |= _descendants(state, process.parent if process else None)
+            return found
         above = state.processes.get(os.getppid())  # a fresh interpreter does not know who orchestrates
         return _descendants(state, self._orchestrator) | {os.getpid(), os.getppid(), above.parent if above else 0}
+
+
+def _started_there(context: RobotRunnerContext, host: str) -> list[int]:
+    """Return what plugins say that they have started on a computer: they share its `host` and the `pid`."""
+    told = [shared for shared in context.plugin_data.values() if shared.get("host") == host]
+    return [pid for shared in told if isinstance(pid := shared.get("pid"), int)]
 
 
 def _descendants(state: MachineState, ancestor: int | None) -> set[int]:

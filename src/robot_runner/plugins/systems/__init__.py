@@ -1,4 +1,4 @@
-"""The built-in plugins that operate a robot."""
+"""The built-in plugins that operate a robot, and the software under test."""
 
 from __future__ import annotations
 
@@ -8,5 +8,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from robot_runner.meters.machine.tuned_machine import Tune as Tune
     from robot_runner.ros.turtlebot3.basic_turtlebot3 import BasicTurtlebot3 as BasicTurtlebot3
+    from robot_runner.subjects.compose_project import ComposeProject as ComposeProject
+    from robot_runner.subjects.program import Program as Program
+    from robot_runner.subjects.ros_launch import RosLaunch as RosLaunch
 else:
     __getattr__, __dir__ = open_door(__name__)

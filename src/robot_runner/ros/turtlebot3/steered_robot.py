@@ -9,6 +9,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.unhandled import raised_in_thread
 from robot_runner.core.links.connect import is_simulation
 from robot_runner.ros.graph_links import full_name, missing
 from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, Pilot, Wheels
@@ -80,7 +81,8 @@ class Heartbeat:
             try:
                 self._link.publish(HEARTBEAT_TOPIC, HEARTBEAT_TYPE, {"data": count})
             except LinkError as error:
-                _logger.warning("the heartbeat ends, so the robot's watchdog stops it: %s", error)
+                if not raised_in_thread(error, "the heartbeat"):
+                    _logger.warning("the heartbeat ends, so the robot's watchdog stops it: %s", error)
                 return
             self._is_over.wait(_PERIOD)
 

@@ -63,6 +63,15 @@ def first_bytes(path: str) -> bytes:
         return b""
 
 
+def whole_file(path: str) -> bytes:
+    """Return what a file holds; nothing if it cannot be read."""
+    try:
+        with open(path, "rb") as file:
+            return file.read()
+    except OSError:
+        return b""
+
+
 def first_line(path: str) -> str:
     """Return the first line of a file after an equals sign, or a hyphen if it cannot be read."""
     try:
@@ -165,6 +174,9 @@ def is_match(kind: str, value: str, pid: str, names: "set[str]", words: "list[st
     """Whether a process is one that a selector means."""
     if kind == "pid":
         return pid == value
+    if kind == "subject":
+        mark = f"ROBOT_RUNNER_SUBJECT={value}".encode()
+        return mark in whole_file(f"/proc/{pid}/environ").split(b"\0")
     if kind == "node":
         bare = value.lstrip("/")
         return any(word in ("__name:=" + bare, "__node:=" + bare) for word in words)

@@ -105,7 +105,8 @@ scan() {
         case $selector in
             pid:*) matches="$matches $place:$value" ;;
             name:*) scan_names ;;
-            node:*) scan_nodes "${value#/}" ;;
+            node:*) scan_files cmdline "__name:=${value#/}" "__node:=${value#/}" ;;
+            subject:*) scan_files environ "ROBOT_RUNNER_SUBJECT=$value" "ROBOT_RUNNER_SUBJECT=$value" ;;
         esac
         place=$((place + 1))
     done
@@ -121,12 +122,13 @@ scan_names() {
     done
 }
 
-# The first grep asks for a part of the command line, and finds itself too; the second asks for a whole argument.
-scan_nodes() {
-    for file in $(grep -ls -F -e "__name:=$1" -e "__node:=$1" /proc/[0-9]*/cmdline); do
+# The first grep asks for a part of the command line or the environment, and finds itself too; the second asks for a
+# whole word of it.
+scan_files() {
+    for file in $(grep -ls -F -e "$2" -e "$3" /proc/[0-9]*/"$1"); do
         pid=${file#/proc/}
-        pid=${pid%/cmdline}
-        if { tr '\0' '\n' <"$file"; } 2>/dev/null | grep -qx -F -e "__name:=$1" -e "__node:=$1"; then
+        pid=${pid%"/$1"}
+        if { tr '\0' '\n' <"$file"; } 2>/dev/null | grep -qx -F -e "$2" -e "$3"; then
             matches="$matches $place:$pid"
         fi
     done
@@ -181,6 +183,7 @@ keep_asking_ps() {
         function matches(selector, words, count, value, place) {
             value = substr(selector, index(selector, ":") + 1)
             if (selector ~ /^pid:/) return words[1] == value
+            if (selector ~ /^subject:/) return 0  # ps does not tell of environments
             if (selector ~ /^name:/) {
                 if (base(words[4]) == value) return 1
                 return base(words[4]) ~ /^(python|perl|ruby|node|sh|bash|dash)/ && base(words[5]) == value

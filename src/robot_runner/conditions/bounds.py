@@ -1,0 +1,173 @@
+"""Conditions that a quantity is above or below a limit."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import ConditionError, Finding, LinkError
+from robot_runner.core.events.condition import Condition, Look
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+    from contextlib import ExitStack
+
+    from robot_runner.core.events.condition import LookAgain
+    from robot_runner.core.events.context import RobotRunnerContext
+
+__all__ = ["Bound", "Measured", "Quantity", "Reading", "contradictions", "measure_above", "measure_below"]
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a quantity was found to be.
+
+    Attributes:
+        value: in its unit; None where it is not known.
+        reason: why it is not known.
+    """
+
+    value: float | None
+    reason: str = ""
+
+
+class Quantity(ABC):
+    """Something that can be read again and again and is a number. Equal ones are the same quantity.
+
+    Attributes:
+        unit: of its values.
+        low, high: what a value can be at least and at most.
+        every_s: how often it is read, s.
+        is_outside: as of the condition.
+    """
+
+    unit: str = ""
+    low: float = -math.inf
+    high: float = math.inf
+    every_s: float = 0.05
+    is_outside: bool = False
+
+    @abstractmethod
+    def __str__(self) -> str:
+        """Return what it is, as in `the temperature of this machine`."""
+
+    @abstractmethod
+    def watch(self, context: RobotRunnerContext, opened: ExitStack) -> Callable[[], Reading]:
+        """Begin to watch, and return what reads it; a `LinkError` of that says why it cannot be read now."""
+
+    def check(self, robot: str | None) -> Iterable[Finding]:
+        """Return what keeps it from ever being read."""
+        del robot
+        return ()
+
+
+@dataclass(frozen=True)
+class Bound(Condition):
+    """A quantity above or below a limit.
+
+    Attributes:
+        is_below: whether it is to be below.
+
+    Raises:
+        ConditionError: the limit is no number.
+    """
+
+    quantity: Quantity
+    limit: float
+    is_below: bool
+
+    def __post_init__(self) -> None:
+        if isinstance(self.limit, bool) or not isinstance(self.limit, int | float) or not math.isfinite(self.limit):
+            raise ConditionError(f"{self.limit!r} is no limit", where=str(self.quantity), fix="Give a finite number.")
+        object.__setattr__(self, "every_s", self.quantity.every_s)
+        object.__setattr__(self, "is_outside", self.quantity.is_outside)
+
+    def __str__(self) -> str:
+        return f"{self.quantity} is {'below' if self.is_below else 'above'} {_shown(self.limit, self.quantity.unit)}"
+
+    def check(self, robot: str | None) -> Iterable[Finding]:
+        """Return what keeps the quantity from being read, or from ever being beyond the limit."""
+        quantity, unit = self.quantity, self.quantity.unit
+        yield from quantity.check(robot)
+        edge = quantity.low if self.is_below else quantity.high
+        if self.limit <= edge if self.is_below else self.limit >= edge:
+            problem = f"{quantity} is never {'below' if self.is_below else 'above'} {_shown(self.limit, unit)}"
+            lies = f"{_shown(quantity.low, unit)} and {_shown(quantity.high, unit)}"
+            yield Finding.error(f"condition {str(self)!r}", problem, f"Choose a limit between {lies}.")
+
+    def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
+        """Begin to watch the quantity."""
+        read = self.quantity.watch(context, opened)
+
+        def look() -> Look:
+            try:
+                reading = read()
+            except LinkError as error:
+                return Look(holds=False, seen=error.problem)
+            if reading.value is None or not math.isfinite(reading.value):
+                return Look(holds=False, seen=reading.reason or f"{self.quantity} is not known")
+            holds = reading.value < self.limit if self.is_below else reading.value > self.limit
+            return Look(holds, _shown(reading.value, self.quantity.unit), reading.value)
+
+        return look
+
+
+def contradictions(conditions: Iterable[Condition]) -> Iterator[Finding]:
+    """Yield an error for each quantity that is to be below one limit and above a higher one at the same time."""
+    bounds = [each for each in conditions if isinstance(each, Bound)]
+    for below in (each for each in bounds if each.is_below):
+        for above in bounds:
+            if not above.is_below and above.quantity == below.quantity and above.limit >= below.limit:
+                problem = f"never are both true: {below}, and {above}"
+                yield Finding.error(f"condition {str(below)!r}", problem, "Leave one of them out, or use any_of.")
+
+
+def measure_above(name: str, limit: float) -> Condition:
+    """Return the condition that a measure that was published in this run is above a limit.
+
+    Args:
+        name: the measure's column in the run table.
+        limit: in the measure's unit.
+
+    Raises:
+        ConditionError: the limit is no finite number.
+
+    Example:
+        >>> print(measure_above("Energy", 500))
+        the measure Energy is above 500
+    """
+    return Bound(Measured(name), limit, is_below=False)
+
+
+def measure_below(name: str, limit: float) -> Condition:
+    """Return the condition that a measure that was published in this run is below a limit; as `measure_above`."""
+    return Bound(Measured(name), limit, is_below=True)
+
+
+@dataclass(frozen=True)
+class Measured(Quantity):
+    """A measure of the run."""
+
+    name: str
+
+    def __str__(self) -> str:
+        return f"the measure {self.name}"
+
+    def watch(self, context: RobotRunnerContext, opened: ExitStack) -> Callable[[], Reading]:
+        """Return what reads it."""
+        del opened
+
+        def read() -> Reading:
+            value = context.measures.get(self.name)
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                return Reading(value)
+            published = self.name in context.measures
+            return Reading(None, f"{self} {f'is {value!r}' if published else 'was not published yet'}")
+
+        return read
+
+
+def _shown(value: float, unit: str) -> str:
+    return f"{value:.6g} {unit}".rstrip()

@@ -1,0 +1,278 @@
+"""Conditions that a figure of a computer is above or below a limit: temperature, battery, load, clock offset."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from importlib import import_module
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+from robot_runner.conditions.bounds import Bound, Quantity, Reading
+from robot_runner.conditions.computers import ComputerName
+from robot_runner.core.errors import ConditionError
+from robot_runner.core.links.host import LOCAL
+from robot_runner.core.links.ssh_host import SshHost
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+    from contextlib import ExitStack
+    from pathlib import Path
+
+    from robot_runner.core.errors import Finding
+    from robot_runner.core.events.condition import Condition
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.links.local_host import LocalHost
+
+__all__ = [
+    "ComputerBattery",
+    "clock_offset_below",
+    "load_above",
+    "load_below",
+    "temperature_above",
+    "temperature_below",
+]
+
+_PERCENT = 100.0
+#: Linux tells temperatures in thousandths of a degree.
+_MILLI = 1e-3
+#: What a sensor of a processor, a board or a room can tell, degrees; beyond that it is broken or asleep.
+_COLDEST, _HOTTEST = -55.0, 150.0
+
+
+def temperature_below(
+    limit: float, *, host: str = LOCAL, sensor: str | None = None, ssh_config: str | Path | None = None
+) -> Condition:
+    """Return the condition that a temperature of a computer is below a limit.
+
+    Args:
+        limit: in °C.
+        host: the computer, as ssh takes it; left out, this machine.
+        sensor: the type of a thermal zone, such as `cpu-thermal`, or a file that holds thousandths of a degree, such as
+            that of a 1-wire thermometer; left out, the warmest of the computer's thermal zones.
+        ssh_config: a file to take the place of the user's ssh config.
+
+    Raises:
+        ConditionError: the limit is no finite number.
+        LinkError: the host cannot be named so.
+
+    Example:
+        >>> print(temperature_below(50).held_for(30))
+        the temperature of this machine is below 50 °C for 30 s
+    """
+    return Bound(_Temperature(ComputerName.named(host, ssh_config), sensor), limit, is_below=True)
+
+
+def temperature_above(
+    limit: float, *, host: str = LOCAL, sensor: str | None = None, ssh_config: str | Path | None = None
+) -> Condition:
+    """Return the condition that a temperature of a computer is above a limit; as `temperature_below`."""
+    return Bound(_Temperature(ComputerName.named(host, ssh_config), sensor), limit, is_below=False)
+
+
+def load_below(limit: float, *, host: str = LOCAL, ssh_config: str | Path | None = None) -> Condition:
+    """Return the condition that the processor of a computer is less busy than this.
+
+    Args:
+        limit: the share of all cores that is busy between two looks, 0..100 %.
+        host: the computer, as ssh takes it; left out, this machine.
+        ssh_config: a file to take the place of the user's ssh config.
+
+    Raises:
+        ConditionError: the limit is no finite number.
+        LinkError: the host cannot be named so.
+
+    Example:
+        >>> print(load_below(10, host="pi@robot"))
+        the load of pi@robot is below 10 %
+    """
+    return Bound(_Load(ComputerName.named(host, ssh_config)), limit, is_below=True)
+
+
+def load_above(limit: float, *, host: str = LOCAL, ssh_config: str | Path | None = None) -> Condition:
+    """Return the condition that the processor of a computer is busier than this; as `load_below`."""
+    return Bound(_Load(ComputerName.named(host, ssh_config)), limit, is_below=False)
+
+
+def clock_offset_below(limit: float, *, host: str, ssh_config: str | Path | None = None) -> Condition:
+    """Return the condition that the clock of another computer shows the same time as this machine's.
+
+    Args:
+        limit: how far it may be ahead or behind, s; half the quickest way there and back is added to what is seen.
+        host: the computer, as ssh takes it.
+        ssh_config: a file to take the place of the user's ssh config.
+
+    Raises:
+        ConditionError: the limit is no finite number, or the computer is this machine.
+        LinkError: the host cannot be named so.
+
+    Example:
+        >>> print(clock_offset_below(0.05, host="pi@robot"))
+        the clock offset of pi@robot is below 0.05 s
+    """
+    if host == LOCAL:
+        fix = "Name another computer."
+        raise ConditionError("the clock of this machine is compared with itself", where="clock_offset_below", fix=fix)
+    return Bound(_ClockOffset(ComputerName.named(host, ssh_config)), limit, is_below=True)
+
+
+@dataclass(frozen=True)
+class _OfComputer(Quantity):
+    """A figure of one computer."""
+
+    computer: ComputerName
+
+    is_outside = True
+    what = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "every_s", self.computer.every_s)
+
+    def __str__(self) -> str:
+        return f"the {self.what} of {self.computer}"
+
+    def check(self, robot: str | None) -> Iterable[Finding]:
+        del robot
+        yield from self.computer.check(str(self))
+
+    def watch(self, context: RobotRunnerContext, opened: ExitStack) -> Callable[[], Reading]:
+        del context
+        return self.reader(self.computer.open(opened))
+
+    def reader(self, link: LocalHost | SshHost) -> Callable[[], Reading]:
+        """Return what reads it; it may raise a LinkError."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class _Temperature(_OfComputer):
+    sensor: str | None = None
+
+    what = "temperature"
+    unit = "°C"
+    low, high = _COLDEST, _HOTTEST
+
+    def __str__(self) -> str:
+        return super().__str__() if self.sensor is None else f"the temperature at {self.sensor} of {self.computer}"
+
+    def reader(self, link: LocalHost | SshHost) -> Callable[[], Reading]:
+        def read() -> Reading:
+            paths, kinds = self._sensors(link)
+            texts = link.read_files(paths) if paths else []
+            values = [int(text) * _MILLI for text in texts if text and re.fullmatch(r"-?\d+", text.strip())]
+            plausible = [value for value in values if _COLDEST < value < _HOTTEST]
+            return Reading(max(plausible)) if plausible else Reading(None, self._silence(kinds))
+
+        return read
+
+    def _sensors(self, link: LocalHost | SshHost) -> tuple[list[str], list[str]]:
+        """Return the files that hold the temperature, and the types of the zones that there are."""
+        if self.sensor is not None and "/" in self.sensor:
+            return [self.sensor], []
+        zones = link.list_files("/sys/class/thermal/thermal_zone*/temp")
+        kinds = link.read_files([f"{path.removesuffix('temp')}type" for path in zones]) if zones else []
+        if self.sensor is not None:
+            zones = [path for path, kind in zip(zones, kinds, strict=True) if kind == self.sensor]
+        elif not zones:  # many computers with an x86 processor tell here only
+            zones = link.list_files("/sys/class/hwmon/hwmon*/temp*_input")
+        return zones, sorted({kind for kind in kinds if kind})
+
+    def _silence(self, kinds: list[str]) -> str:
+        there = f"; it has {', '.join(kinds)}" if kinds and self.sensor is not None else ""
+        return f"{self.computer} does not tell {'its temperature' if self.sensor is None else self.sensor}{there}"
+
+
+@dataclass(frozen=True)
+class _Load(_OfComputer):
+    what = "load"
+    unit = "%"
+    low, high = 0.0, _PERCENT
+
+    def reader(self, link: LocalHost | SshHost) -> Callable[[], Reading]:
+        before: tuple[float, float] | None = None
+
+        def read() -> Reading:
+            nonlocal before
+            now = _cpu_times(link.read_files(["/proc/stat"])[0]) or (
+                _psutil_times() if self.computer.host == LOCAL else None
+            )
+            if now is None:
+                return Reading(None, f"{self.computer} does not tell its load")
+            then, before = before, now
+            if then is None or now[0] <= then[0]:
+                return Reading(None, "the second look tells")
+            return Reading(_PERCENT * min(1.0, max(0.0, (now[1] - then[1]) / (now[0] - then[0]))))
+
+        return read
+
+
+def _cpu_times(text: str | None) -> tuple[float, float] | None:
+    """Return all and the busy time of the first line of /proc/stat, in ticks (proc_stat(5)); guests' is user time."""
+    words = (text or "").split()
+    if words[:1] != ["cpu"] or len(words) < 6 or not all(word.isdigit() for word in words[1:]):  # noqa: PLR2004 - to iowait
+        return None
+    times = [float(word) for word in words[1:9]]
+    return sum(times), sum(times) - times[3] - times[4]
+
+
+def _psutil_times() -> tuple[float, float] | None:
+    if find_spec("psutil") is None:
+        return None
+    times = import_module("psutil").cpu_times()
+    return sum(times), sum(times) - times.idle - getattr(times, "iowait", 0.0)
+
+
+@dataclass(frozen=True)
+class _ClockOffset(_OfComputer):
+    what = "clock offset"
+    unit = "s"
+    low = 0.0
+
+    def reader(self, link: LocalHost | SshHost) -> Callable[[], Reading]:
+        def read() -> Reading:
+            if not isinstance(link, SshHost):
+                return Reading(None, "the clock of this machine is the one that is compared with")
+            offset = link.clock_offset()
+            return Reading(abs(offset.wall_offset) + offset.uncertainty)
+
+        return read
+
+
+@dataclass(frozen=True)
+class ComputerBattery(_OfComputer):
+    """The charge of the battery of a computer; of several, the lowest."""
+
+    what = "battery"
+    unit = "%"
+    low, high = 0.0, _PERCENT
+    _supplies: str = field(default="/sys/class/power_supply/*/capacity", repr=False)
+
+    def reader(self, link: LocalHost | SshHost) -> Callable[[], Reading]:
+        """Return what reads it."""
+
+        def read() -> Reading:
+            paths = link.list_files(self._supplies)
+            folders = [path.removesuffix("capacity") for path in paths]
+            texts = (
+                link.read_files([f"{folder}{name}" for folder in folders for name in ("capacity", "scope")])
+                if paths
+                else []
+            )
+            # A mouse has a battery, too: its scope is a device's, and not the system's.
+            charges = [
+                float(charge)
+                for charge, scope in zip(texts[::2], texts[1::2], strict=True)
+                if charge and charge.isdigit() and scope != "Device"
+            ]
+            if not charges and self.computer.host == LOCAL:
+                charges = _psutil_charge()
+            return Reading(min(charges)) if charges else Reading(None, f"{self.computer} tells of no battery")
+
+        return read
+
+
+def _psutil_charge() -> list[float]:
+    if find_spec("psutil") is None:
+        return []
+    battery = getattr(import_module("psutil"), "sensors_battery", lambda: None)()
+    return [] if battery is None else [float(battery.percent)]

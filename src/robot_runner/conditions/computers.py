@@ -1,0 +1,271 @@
+"""Conditions of computers, here or at the other end of ssh: a process is there, a host answers, it is held back."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from dataclasses import dataclass, replace
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import Finding, LinkError, Severity
+from robot_runner.core.events.condition import Condition, Look
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.host import LOCAL, process_selector
+from robot_runner.core.links.local_host import LocalHost, LocalProcesses, matches
+from robot_runner.core.links.ssh_host import SshHost, checked_destination, ssh_findings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+    from contextlib import ExitStack
+
+    from robot_runner.core.events.condition import LookAgain
+    from robot_runner.core.events.context import RobotRunnerContext
+
+__all__ = ["ComputerName", "host_answers", "process_running", "throttled"]
+
+_PSUTIL = "Install it: pip install 'robot-runner[psutil]'."
+
+
+@dataclass(frozen=True)
+class ComputerName:
+    """A computer, and how it is reached.
+
+    Attributes:
+        host: `localhost` for this machine, or as ssh takes it.
+        ssh_config: a file to take the place of the user's ssh config.
+
+    Raises:
+        LinkError: the name cannot be that of a host.
+    """
+
+    host: str = LOCAL
+    ssh_config: Path | None = None
+
+    @classmethod
+    def named(cls, host: str, ssh_config: str | Path | None) -> ComputerName:
+        """Return the computer that a user names."""
+        if host != LOCAL:
+            checked_destination(host)
+        return cls(host, None if ssh_config is None else Path(ssh_config).expanduser())
+
+    def __str__(self) -> str:
+        return "this machine" if self.host == LOCAL else self.host
+
+    @property
+    def every_s(self) -> float:
+        """How often it is looked at, s: another computer is what is measured, and each look takes some of its time."""
+        return 0.5 if self.host == LOCAL else 2.0
+
+    def open(self, opened: ExitStack) -> LocalHost | SshHost:
+        """Return a link of one's own, which no profiler uses at the same time; it connects when it is first used."""
+        link = (
+            LocalHost(SystemClock())
+            if self.host == LOCAL
+            else SshHost(self.host, SystemClock(), config=self.ssh_config)
+        )
+        opened.callback(link.close)
+        return link
+
+    def check(self, what: str) -> Iterator[Finding]:
+        """Yield what stands between us and the computer; `what` is the condition that asks."""
+        if self.host == LOCAL:
+            return
+        can_ever = shutil.which("ssh") is not None and (self.ssh_config is None or self.ssh_config.is_file())
+        for finding in ssh_findings(f"condition {what!r}", self.host, config=self.ssh_config):
+            # A computer that is switched off now may be what is waited for.
+            yield replace(finding, severity=Severity.WARNING) if can_ever else finding
+
+
+def process_running(process: str | int, *, host: str = LOCAL, ssh_config: str | Path | None = None) -> Condition:
+    """Return the condition that a process is there; one that has ended and was not reaped yet is not.
+
+    Args:
+        process: its name, its number, or `node:/talker` (a ROS node, by the name on its command line).
+        host: the computer, as ssh takes it; left out, this machine.
+        ssh_config: a file to take the place of the user's ssh config.
+
+    Raises:
+        LinkError: the process or the host cannot be named so.
+
+    Example:
+        >>> print(process_running("talker", host="pi@robot"))
+        the process talker is there on pi@robot
+    """
+    return _ProcessRunning(process_selector(process), ComputerName.named(host, ssh_config))
+
+
+def host_answers(host: str, *, ssh_config: str | Path | None = None) -> Condition:
+    """Return the condition that a computer lets us in over ssh, and answers.
+
+    Args:
+        host: the computer, as ssh takes it.
+        ssh_config: a file to take the place of the user's ssh config.
+
+    Raises:
+        LinkError: the host cannot be named so.
+
+    Example:
+        >>> print(host_answers("pi@robot"))
+        pi@robot answers
+    """
+    return _HostAnswers(ComputerName.named(host, ssh_config))
+
+
+def throttled(*, host: str = LOCAL, ssh_config: str | Path | None = None) -> Condition:
+    """Return the condition that the processor of a computer is held back: for heat, or by its power supply.
+
+    It is read from Linux's counters of thermal throttling, and from the firmware of a Raspberry Pi.
+
+    Args:
+        host: the computer, as ssh takes it; left out, this machine.
+        ssh_config: a file to take the place of the user's ssh config.
+
+    Raises:
+        LinkError: the host cannot be named so.
+
+    Example:
+        >>> print(throttled(host="pi@robot"))
+        the processor of pi@robot is throttled
+    """
+    return _Throttled(ComputerName.named(host, ssh_config))
+
+
+class _OfComputer(Condition):
+    """A condition of one computer, which is reached anew as long as it cannot be."""
+
+    computer: ComputerName
+    is_outside = True
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "every_s", self.computer.every_s)
+
+    def check(self, robot: str | None) -> Iterable[Finding]:
+        del robot
+        yield from self.computer.check(str(self))
+
+    def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
+        del context
+        look_at = self.looker(self.computer.open(opened))
+
+        def look() -> Look:
+            try:
+                return look_at()
+            except LinkError as error:
+                return Look(holds=False, seen=f"{self.computer}: {error.problem}")
+
+        return look
+
+    def looker(self, link: LocalHost | SshHost) -> Callable[[], Look]:
+        """Return what looks; it may raise a LinkError."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class _ProcessRunning(_OfComputer):
+    selector: str
+    computer: ComputerName
+
+    def __str__(self) -> str:
+        kind, _, value = self.selector.partition(":")
+        named = {"pid": f"process {value}", "name": f"the process {value}", "node": f"the process of node {value}"}[
+            kind
+        ]
+        return f"{named} is there{'' if self.computer.host == LOCAL else f' on {self.computer}'}"
+
+    def check(self, robot: str | None) -> Iterable[Finding]:
+        yield from super().check(robot)
+        if self.computer.host == LOCAL and not Path("/proc/self/stat").exists() and find_spec("psutil") is None:
+            yield Finding.error(
+                f"condition {str(self)!r}", "psutil, which tells of processes here, is missing", _PSUTIL
+            )
+
+    def looker(self, link: LocalHost | SshHost) -> Callable[[], Look]:
+        def look() -> Look:
+            pids = self._found(link)
+            shown = ", ".join(map(str, pids[:3])) + (" and others" if len(pids) > 3 else "")  # noqa: PLR2004
+            return Look(bool(pids), f"process {shown}" if pids else "no such process", len(pids))
+
+        return look
+
+    def _found(self, link: LocalHost | SshHost) -> list[int]:
+        kind, _, value = self.selector.partition(":")
+        listed = link.list_files(f"/proc/{value if kind == 'pid' else '[0-9]*'}/stat")
+        if self.computer.host == LOCAL and not listed and not Path("/proc/self/stat").exists():
+            return _found_by_psutil(self.selector)
+        folders = [path.removesuffix("/stat") for path in listed]
+        texts = link.read_files([*listed, *(f"{folder}/cmdline" for folder in folders)]) if listed else []
+        states, lines = texts[: len(folders)], texts[len(folders) :]
+        known = zip(folders, states, lines, strict=True)
+        return sorted(
+            int(folder.rpartition("/")[2])
+            for folder, state, line in known
+            if _matches(self.selector, int(folder.rpartition("/")[2]), state or "", line or "")
+        )
+
+
+def _matches(selector: str, pid: int, state: str, command_line: str) -> bool:
+    """Whether a process is meant and alive; `state` is its stat: number, (name), state (proc_pid_stat(5))."""
+    name, _, rest = state.partition("(")[2].rpartition(")")
+    is_alive = rest.strip()[:1] not in {"", "Z", "X"}
+    return is_alive and matches(selector, pid, name, [word for word in command_line.split("\0") if word])
+
+
+def _found_by_psutil(selector: str) -> list[int]:
+    psutil = import_module("psutil")
+    return sorted(each.pid for each in LocalProcesses(psutil, [selector]).counters())
+
+
+@dataclass(frozen=True)
+class _HostAnswers(_OfComputer):
+    computer: ComputerName
+
+    def __str__(self) -> str:
+        return f"{self.computer} answers"
+
+    def looker(self, link: LocalHost | SshHost) -> Callable[[], Look]:
+        def look() -> Look:
+            link.read_files([os.devnull])
+            return Look(holds=True, seen=f"{self.computer} answers")
+
+        return look
+
+
+#: Where a Raspberry Pi's firmware tells of throttling. Bit 0 is under-voltage, bits 1 to 3 are frequency capped,
+#: throttled and soft temperature limit, all of this moment. Source: Raspberry Pi documentation, vcgencmd get_throttled.
+_FIRMWARE = "/sys/devices/platform/soc/soc:firmware/get_throttled"
+_HELD_BACK_NOW = 0b1111
+_COUNTERS = "/sys/devices/system/cpu/cpu[0-9]*/thermal_throttle/*_throttle_count"
+
+
+@dataclass(frozen=True)
+class _Throttled(_OfComputer):
+    computer: ComputerName
+
+    def __str__(self) -> str:
+        return f"the processor of {self.computer} is throttled"
+
+    def looker(self, link: LocalHost | SshHost) -> Callable[[], Look]:
+        before: int | None = None
+
+        def look() -> Look:
+            nonlocal before
+            counters = link.list_files(_COUNTERS)
+            flags, *counts = link.read_files([_FIRMWARE, *counters])
+            if flags is None and not counts:
+                return Look(holds=False, seen=f"{self.computer} does not tell whether its processor is throttled")
+            total = sum(int(text) for text in counts if text and text.isdigit())
+            grown, before = total - (total if before is None else before), total
+            now = int(flags, 16) & _HELD_BACK_NOW if re.fullmatch(r"(0x)?[0-9a-fA-F]+", flags or "") and flags else 0
+            is_held_back = bool(now) or grown > 0
+            seen = (
+                f"throttled (firmware {now:#x}, {grown} times since the look before)"
+                if is_held_back
+                else "not throttled"
+            )
+            return Look(is_held_back, seen, is_held_back)
+
+        return look

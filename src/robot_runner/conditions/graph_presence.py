@@ -1,0 +1,116 @@
+"""Conditions of a robot's graph: a node, a topic or a service is there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import ConditionError, Finding, LinkError, nearest
+from robot_runner.core.events.condition import Condition, Look
+from robot_runner.core.links.connect import SIMULATED, connect_robot
+from robot_runner.core.links.graph_names import full_name
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable
+    from contextlib import ExitStack
+
+    from robot_runner.core.events.condition import LookAgain
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.links.robot import RobotLink
+
+__all__ = ["check_robot_named", "node_present", "service_present", "topic_present"]
+
+
+def node_present(node: str, *, namespace: str = "") -> Condition:
+    """Return the condition that a node is on the robot's graph.
+
+    Args:
+        node: its name, relative to the robot's namespace unless it begins with `/`.
+        namespace: which robot, where there are several.
+
+    Raises:
+        LinkError: it cannot be a name.
+
+    Example:
+        >>> print(node_present("move_base"))
+        the node /move_base is there
+    """
+    return _Present("node", full_name(namespace, node), namespace)
+
+
+def topic_present(topic: str, message_type: str | None = None, *, namespace: str = "") -> Condition:
+    """Return the condition that a topic is on the robot's graph: somebody publishes or subscribes it.
+
+    A subscription of the run's own counts, too; await a message (`message_on`) where somebody must publish.
+
+    Args:
+        topic: its name, relative to the robot's namespace unless it begins with `/`.
+        message_type: of which type it is to be; left out, of any.
+        namespace: which robot, where there are several.
+
+    Raises:
+        LinkError: it cannot be a name.
+
+    Example:
+        >>> print(topic_present("scan", "sensor_msgs/LaserScan"))
+        the topic /scan (sensor_msgs/LaserScan) is there
+    """
+    return _Present("topic", full_name(namespace, topic), namespace, message_type)
+
+
+def service_present(service: str, *, namespace: str = "") -> Condition:
+    """Return the condition that a service is on the robot's graph; as `node_present`."""
+    return _Present("service", full_name(namespace, service), namespace)
+
+
+def check_robot_named(what: str, robot: str | None) -> Iterable[Finding]:
+    """Yield an error where a condition asks for a robot that the experiment does not name."""
+    if robot is None:
+        fix = f"Name one in the config: robot = {SIMULATED!r}. Or: --set robot={SIMULATED}."
+        yield Finding.error(f"condition {what!r}", "it is about a robot, and the experiment names none", fix)
+
+
+@dataclass(frozen=True)
+class _Present(Condition):
+    kind: str
+    name: str
+    namespace: str
+    message_type: str | None = None
+
+    #: Each look asks the graph for all of its names.
+    every_s = 0.25
+
+    def __str__(self) -> str:
+        return f"the {self.kind} {self.name}{f' ({self.message_type})' if self.message_type else ''} is there"
+
+    def check(self, robot: str | None) -> Iterable[Finding]:
+        return check_robot_named(str(self), robot)
+
+    def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
+        del opened
+        if context.robot is None:
+            raise ConditionError("the experiment names no robot", where=str(self), fix="Name one in the config: robot.")
+
+        def look() -> Look:
+            try:
+                return self._judge(connect_robot(context, namespace=self.namespace))
+            except LinkError as error:
+                return Look(holds=False, seen=error.problem)
+
+        return look
+
+    def _judge(self, link: RobotLink) -> Look:
+        there = self._listed(link)
+        if self.name not in there:
+            near = nearest(self.name, there)
+            if self.kind == "service" and not there:
+                return Look(holds=False, seen="the graph tells of no services")
+            seen = f"{len(there)} {self.kind}s are there{f', among them {near}' if near else ''}"
+            return Look(holds=False, seen=seen)
+        found = link.topics().get(self.name) if self.message_type else None
+        if self.message_type and found != self.message_type:
+            return Look(holds=False, seen=f"{self.name} is there and carries {found}")
+        return Look(holds=True, seen=f"{self.name} is there")
+
+    def _listed(self, link: RobotLink) -> Collection[str]:
+        return {"node": link.nodes, "topic": link.topics, "service": link.services}[self.kind]()

@@ -1,0 +1,165 @@
+"""Conditions of the network: a port is open, a server answers."""
+
+from __future__ import annotations
+
+import re
+import socket
+import urllib.error
+import urllib.parse
+import urllib.request
+from contextlib import closing
+from dataclasses import dataclass
+from http.client import HTTPException
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import ConditionError, Finding
+from robot_runner.core.events.condition import Condition, Look
+from robot_runner.core.links.host import LOCAL
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from contextlib import ExitStack
+
+    from robot_runner.core.events.condition import LookAgain
+    from robot_runner.core.events.context import RobotRunnerContext
+
+__all__ = ["http_answers", "port_open"]
+
+#: How long a connection, or each step of a request, may take, s: one network of a lab.
+_PATIENCE = 2.0
+#: How much of an answer is searched for a text, bytes.
+_MOST_BYTES = 1 << 20
+_MOST_PORT = 65535
+_SUCCESS = range(200, 300)
+
+
+def port_open(port: int, *, host: str = LOCAL) -> Condition:
+    """Return the condition that a TCP port takes connections; each look is one connection, closed at once.
+
+    Args:
+        port: its number.
+        host: the computer's name or address on the network.
+
+    Raises:
+        ConditionError: there is no such port, or the host is none of the network.
+
+    Example:
+        >>> print(port_open(9090, host="robot.local"))
+        port 9090 of robot.local is open
+    """
+    if isinstance(port, bool) or not isinstance(port, int) or not 0 < port <= _MOST_PORT:
+        raise ConditionError(f"{port!r} is no port", where="port_open", fix=f"Give a number from 1 to {_MOST_PORT}.")
+    if not host or re.search(r"[\s@/]", host):
+        fix = "Give its name or address on the network, such as 'robot.local', without a user."
+        raise ConditionError(f"{host!r} is no computer of a network", where="port_open", fix=fix)
+    return _PortOpen(port, host)
+
+
+def http_answers(url: str, *, status: int | None = None, text: str = "") -> Condition:
+    """Return the condition that a server answers a GET request as expected; it is asked four times a second.
+
+    Args:
+        url: what is asked for; proxies of the environment are not used.
+        status: the status expected; left out, any from 200 to 299.
+        text: what is to stand in the answer.
+
+    Raises:
+        ConditionError: it is no URL of HTTP, or it holds a password.
+
+    Example:
+        >>> print(http_answers("http://localhost:8080/health", text="ok"))
+        http://localhost:8080/health answers with 'ok'
+    """
+    try:
+        parts = urllib.parse.urlsplit(url)
+        is_good = parts.scheme in {"http", "https"} and bool(parts.hostname) and parts.port != 0
+    except ValueError:
+        is_good, parts = False, urllib.parse.urlsplit("")
+    if parts.username is not None or parts.password is not None:
+        fix = "Leave the user and the password out, and await another status: status=401."
+        raise ConditionError(
+            f"the address of {parts.hostname} holds a user or a password", where="http_answers", fix=fix
+        )
+    if not is_good or re.search(r"\s", url):
+        fix = "Give one such as 'http://localhost:8080/health'."
+        raise ConditionError(f"{url!r} is no address of a web server", where="http_answers", fix=fix)
+    return _HttpAnswers(url, status, text)
+
+
+@dataclass(frozen=True)
+class _PortOpen(Condition):
+    port: int
+    host: str
+
+    is_outside = True
+    every_s = 0.1
+
+    def __str__(self) -> str:
+        return f"port {self.port} {'' if self.host == LOCAL else f'of {self.host} '}is open"
+
+    def check(self, robot: str | None) -> Iterable[Finding]:
+        del robot
+        try:
+            socket.getaddrinfo(self.host, self.port, type=socket.SOCK_STREAM)
+        except OSError as error:
+            problem = f"the name {self.host!r} is not known on this network: {error.strerror}"
+            fix = "Look whether the name is right, or give the computer's address."
+            yield Finding.warning(f"port_open({self.port}, host={self.host!r})", problem, fix)
+
+    def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
+        del context, opened
+        return self._look
+
+    def _look(self) -> Look:
+        try:
+            with socket.create_connection((self.host, self.port), timeout=_PATIENCE) as connection:
+                # Where nobody listens, Linux may connect a socket to itself, at a port that it hands out.
+                is_open = connection.getsockname() != connection.getpeername()
+        except OSError as error:
+            reason = "no answer" if isinstance(error, TimeoutError) else error.strerror or str(error)
+            return Look(holds=False, seen=f"port {self.port}: {reason}")
+        return Look(is_open, f"port {self.port}: {'open' if is_open else 'nobody listens'}")
+
+
+@dataclass(frozen=True)
+class _HttpAnswers(Condition):
+    url: str
+    status: int | None
+    text: str
+
+    is_outside = True
+    every_s = 0.25
+
+    def __str__(self) -> str:
+        wanted = [
+            *([f"status {self.status}"] if self.status is not None else []),
+            *([repr(self.text)] * bool(self.text)),
+        ]
+        return f"{self.url} answers{' with ' if wanted else ''}{' and '.join(wanted)}"
+
+    def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
+        del context, opened
+        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+        return lambda: self._look(opener)
+
+    def _look(self, opener: urllib.request.OpenerDirector) -> Look:
+        try:
+            status, body = _asked(opener, self.url)
+        except (OSError, HTTPException) as error:
+            reason = getattr(error, "reason", None) or error
+            said = "no answer" if isinstance(reason, TimeoutError) else getattr(reason, "strerror", None) or str(reason)
+            return Look(holds=False, seen=f"{self.url}: {said or type(reason).__name__}")
+        is_expected = status in _SUCCESS if self.status is None else status == self.status
+        has_text = self.text.encode() in body
+        seen = f"status {status}{'' if has_text else f', without {self.text!r}'}"
+        return Look(is_expected and has_text, seen, status)
+
+
+def _asked(opener: urllib.request.OpenerDirector, url: str) -> tuple[int, bytes]:
+    """Return the status of an answer, whatever it is, and the beginning of its body."""
+    try:
+        with closing(opener.open(url, timeout=_PATIENCE)) as answer:
+            return answer.status, answer.read(_MOST_BYTES)
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, error.read(_MOST_BYTES)

@@ -1,0 +1,352 @@
+"""Conditions of what a robot publishes: a message that satisfies a predicate, a field or its battery beyond a limit."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.conditions.bounds import Bound, Quantity, Reading
+from robot_runner.conditions.computer_state import ComputerBattery
+from robot_runner.conditions.computers import ComputerName
+from robot_runner.conditions.graph_presence import check_robot_named
+from robot_runner.core.errors import ConditionError, Finding, LinkError, did_you_mean
+from robot_runner.core.events.condition import Condition, Look
+from robot_runner.core.links.connect import connect_robot, is_simulated
+from robot_runner.core.links.graph_names import full_name
+from robot_runner.core.words import one_line
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from contextlib import ExitStack
+    from pathlib import Path
+
+    from robot_runner.core.events.condition import LookAgain
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.links.robot import Message
+
+__all__ = ["battery_above", "battery_below", "message_on", "topic_above", "topic_below"]
+
+_BATTERY_STATE = "sensor_msgs/BatteryState"
+_PERCENT = 100.0
+#: How old a message may be that tells of a battery, s: boards publish it once a second at least.
+_BATTERY_WITHIN = 10.0
+#: How often a graph is asked again that could not be reached, or did not let us subscribe, s.
+_AGAIN = 0.5
+
+
+def message_on(
+    topic: str,
+    message_type: str,
+    predicate: Callable[[Message], bool] | None = None,
+    *,
+    namespace: str = "",
+) -> Condition:
+    """Return the condition that a message came that satisfies a predicate.
+
+    It holds at a look where such a message came since the look before; where none came, as at the look before.
+
+    Args:
+        topic: its name, relative to the robot's namespace unless it begins with `/`.
+        message_type: its ROS type, such as `nav_msgs/Odometry`.
+        predicate: takes a message as a mapping; left out, any message will do.
+        namespace: which robot, where there are several.
+
+    Raises:
+        LinkError: it cannot be the name of a topic.
+
+    Example:
+        >>> print(message_on("odom", "nav_msgs/Odometry", lambda odom: odom["pose"]["pose"]["position"]["x"] > 2))
+        a message on /odom satisfies the predicate
+    """
+    return _MessageOn(topic, message_type, predicate, namespace, full_name(namespace, topic))
+
+
+def topic_above(
+    topic: str,
+    message_type: str,
+    field: str,
+    limit: float,
+    *,
+    namespace: str = "",
+    within_s: float = math.inf,
+) -> Condition:
+    """Return the condition that a field of a topic's newest message is above a limit.
+
+    Args:
+        topic: its name, relative to the robot's namespace unless it begins with `/`.
+        message_type: its ROS type, such as `sensor_msgs/LaserScan`.
+        field: the way to a number, such as `pose.pose.position.x` or `ranges.0`.
+        limit: in the field's unit.
+        namespace: which robot, where there are several.
+        within_s: how old the newest message may be, s of the run's clock.
+
+    Raises:
+        ConditionError: the limit is no finite number.
+        LinkError: it cannot be the name of a topic.
+
+    Example:
+        >>> print(topic_above("battery_state", "sensor_msgs/BatteryState", "voltage", 11.1))
+        voltage of /battery_state is above 11.1
+    """
+    return Bound(_TopicField(topic, message_type, field, namespace, within_s), limit, is_below=False)
+
+
+def topic_below(
+    topic: str,
+    message_type: str,
+    field: str,
+    limit: float,
+    *,
+    namespace: str = "",
+    within_s: float = math.inf,
+) -> Condition:
+    """Return the condition that a field of a topic's newest message is below a limit; as `topic_above`."""
+    return Bound(_TopicField(topic, message_type, field, namespace, within_s), limit, is_below=True)
+
+
+def battery_above(
+    limit: float,
+    *,
+    host: str | None = None,
+    topic: str = "battery_state",
+    namespace: str = "",
+    ssh_config: str | Path | None = None,
+) -> Condition:
+    """Return the condition that the charge of a battery is above a limit: the robot's, or a computer's.
+
+    Args:
+        limit: the state of charge, 0..100 %.
+        host: a computer whose battery is meant: `localhost`, or as ssh takes it; left out, the robot's.
+        topic: where the robot tells of it (`sensor_msgs/BatteryState`).
+        namespace: which robot, where there are several.
+        ssh_config: a file to take the place of the user's ssh config.
+
+    Raises:
+        ConditionError: the limit is no finite number.
+        LinkError: the host or the topic cannot be named so.
+
+    Example:
+        >>> print(battery_above(40))
+        the battery of the robot is above 40 %
+    """
+    return Bound(_battery(host, topic, namespace, ssh_config), limit, is_below=False)
+
+
+def battery_below(
+    limit: float,
+    *,
+    host: str | None = None,
+    topic: str = "battery_state",
+    namespace: str = "",
+    ssh_config: str | Path | None = None,
+) -> Condition:
+    """Return the condition that the charge of a battery is below a limit; as `battery_above`."""
+    return Bound(_battery(host, topic, namespace, ssh_config), limit, is_below=True)
+
+
+def _battery(host: str | None, topic: str, namespace: str, ssh_config: str | Path | None) -> Quantity:
+    if host is not None:
+        return ComputerBattery(ComputerName.named(host, ssh_config))
+    return _RobotBattery(topic, _BATTERY_STATE, "percentage", namespace, _BATTERY_WITHIN)
+
+
+class _Listening:
+    """A subscription for a condition; it is made as soon as it can be, and ends with the watching.
+
+    Args:
+        take: gets each message; it must not raise.
+    """
+
+    def __init__(
+        self,
+        topic: str,
+        message_type: str,
+        take: Callable[[Message], None],
+        *,
+        context: RobotRunnerContext,
+        namespace: str,
+        opened: ExitStack,
+    ) -> None:
+        self._wanted = (topic, message_type, take)
+        self._context, self._namespace = context, namespace
+        self._opened = opened
+        self._is_subscribed = False
+        self._next = -math.inf
+        self._problem = ""
+        self.problem()
+
+    def problem(self) -> str:
+        """Subscribe where that is not done yet, and return what keeps it from being done.
+
+        Raises:
+            LinkError: the robot is a simulated one, which will never have such a topic, or there is no robot.
+        """
+        now = self._context.clock.now()
+        if self._is_subscribed or now < self._next:
+            return self._problem
+        self._next = now + _AGAIN
+        try:
+            link = connect_robot(self._context, namespace=self._namespace)
+            self._opened.callback(link.subscribe(*self._wanted).close)
+        except LinkError as error:
+            if self._context.robot is None or is_simulated(self._context.robot):
+                raise
+            self._problem = error.problem
+        else:
+            self._is_subscribed, self._problem = True, ""
+        return self._problem
+
+
+@dataclass(frozen=True)
+class _MessageOn(Condition):
+    topic: str
+    message_type: str
+    predicate: Callable[[Message], bool] | None
+    namespace: str
+    full_name: str
+
+    def __str__(self) -> str:
+        return f"a message {'is' if self.predicate is None else ''} on {self.full_name}".replace("  ", " ") + (
+            "" if self.predicate is None else " satisfies the predicate"
+        )
+
+    def check(self, robot: str | None) -> Iterable[Finding]:
+        return check_robot_named(str(self), robot)
+
+    def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
+        seen = _Judged(self.predicate)
+        listening = _Listening(
+            self.topic, self.message_type, seen.take, context=context, namespace=self.namespace, opened=opened
+        )
+
+        def look() -> Look:
+            problem = listening.problem()
+            holds, count = seen.since_last_look()
+            return Look(holds, problem or f"{count} messages on {self.full_name}")
+
+        return look
+
+
+class _Judged:
+    """What messages were found to be since the look before; they may come in another thread."""
+
+    def __init__(self, predicate: Callable[[Message], bool] | None) -> None:
+        self._predicate = predicate
+        self._lock = threading.Lock()
+        self._count = 0
+        self._is_new = self._any_held = self._held_last = False
+        self._fault: Exception | None = None
+
+    def take(self, message: Message) -> None:
+        try:
+            holds = self._predicate is None or bool(self._predicate(message))
+        except Exception as error:  # noqa: BLE001 - the user's predicate; it is raised where the condition is awaited
+            self._fault = self._fault or error
+            return
+        with self._lock:
+            self._any_held = holds or (self._any_held and self._is_new)
+            self._is_new, self._held_last = True, holds
+            self._count += 1
+
+    def since_last_look(self) -> tuple[bool, int]:
+        """Return whether a message held since the look before, or else the newest one, and how many came in all."""
+        if self._fault is not None:
+            raise self._fault
+        with self._lock:
+            holds = self._any_held if self._is_new else self._held_last
+            self._is_new = False
+            return holds, self._count
+
+
+@dataclass(frozen=True)
+class _TopicField(Quantity):
+    topic: str
+    message_type: str
+    field: str
+    namespace: str
+    within_s: float
+
+    def __post_init__(self) -> None:
+        full_name(self.namespace, self.topic)
+
+    def __str__(self) -> str:
+        return f"{self.field} of {full_name(self.namespace, self.topic)}"
+
+    def check(self, robot: str | None) -> Iterable[Finding]:
+        return check_robot_named(str(self), robot)
+
+    def value_of(self, message: Message) -> Reading:
+        """Return the field of a message.
+
+        Raises:
+            ConditionError: it has no such field, or that is no number.
+        """
+        return Reading(_number_at(message, self.field, str(self)))
+
+    def watch(self, context: RobotRunnerContext, opened: ExitStack) -> Callable[[], Reading]:
+        clock = context.clock
+        newest: list[tuple[float, Message]] = []
+
+        def take(message: Message) -> None:
+            newest[:] = [(clock.now(), message)]
+
+        listening = _Listening(
+            self.topic, self.message_type, take, context=context, namespace=self.namespace, opened=opened
+        )
+
+        def read() -> Reading:
+            problem = listening.problem()
+            if not newest:
+                return Reading(None, problem or f"no message on {full_name(self.namespace, self.topic)} yet")
+            at, message = newest[0]
+            age = clock.now() - at
+            if age > self.within_s:
+                return Reading(
+                    None, f"the newest message on {full_name(self.namespace, self.topic)} is {age:.1f} s old"
+                )
+            return self.value_of(message)
+
+        return read
+
+
+@dataclass(frozen=True)
+class _RobotBattery(_TopicField):
+    unit = "%"
+    low, high = 0.0, _PERCENT
+
+    def __str__(self) -> str:
+        return f"the battery of the robot{f' {self.namespace}' if self.namespace else ''}"
+
+    def value_of(self, message: Message) -> Reading:
+        """Return the charge; a board that does not measure it says NaN."""
+        share = _number_at(message, self.field, str(self))
+        return (
+            Reading(_PERCENT * share) if math.isfinite(share) else Reading(None, "the robot does not tell its charge")
+        )
+
+
+def _number_at(message: Message, field: str, where: str) -> float:
+    found: Any = message
+    for name in field.split("."):
+        if isinstance(found, Mapping):
+            if name not in found:
+                fix = did_you_mean(name, map(str, found))
+                raise ConditionError(f"the message has no field {field!r}", where=where, fix=fix)
+            found = found[name]
+        else:
+            found = _item(found, name, field, where)
+    if isinstance(found, bool | int | float):
+        return float(found)
+    shown = one_line(repr(found))[:60]
+    raise ConditionError(f"the field {field!r} is no number: {shown}", where=where, fix="Name a field that is one.")
+
+
+def _item(found: Any, name: str, field: str, where: str) -> Any:
+    try:
+        return found[int(name)]
+    except (TypeError, ValueError, IndexError, KeyError) as error:
+        fix = "Name a field with its numbers, as in 'ranges.0'."
+        raise ConditionError(f"the message has no field {field!r}", where=where, fix=fix) from error

@@ -1,0 +1,180 @@
+"""What the values of static parameters are: how each is checked, normalised, and read from the command line."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from robot_runner.core.config.authors import Author, authors_from_text, is_licence
+from robot_runner.core.config.notify import Notify
+from robot_runner.core.config.operator_steps import OperatorStep
+from robot_runner.core.design.analysis_plan import AnalysisPlan
+from robot_runner.core.events.window import is_phase_name
+from robot_runner.core.links.declared_host import are_hosts, named_hosts
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from enum import Enum
+
+__all__ = [
+    "AUTHORS",
+    "FLAG",
+    "HOSTS",
+    "LICENCE",
+    "LINK",
+    "NAME",
+    "NOTIFY",
+    "OPERATOR_STEPS",
+    "PATH",
+    "PHASES",
+    "PLAN",
+    "ROS_DISTRIBUTION",
+    "ROS_GENERATION",
+    "SECONDS",
+    "TEXT",
+    "Kind",
+    "choice",
+    "instances",
+    "whole",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """What the values of a static parameter are.
+
+    Attributes:
+        expected: completes the sentence "it must be ...".
+        accepts: says whether a value is well formed.
+        from_text: reads a value of the command line; raises ValueError.
+        normalise: makes what `Parameters` holds of a value that is accepted.
+        type_name: what the documentation calls the type, where the annotation says less.
+        is_secret: whether a malformed value may hold a password, and is not shown.
+    """
+
+    expected: str
+    accepts: Callable[[Any], bool]
+    from_text: Callable[[str], Any] = str
+    normalise: Callable[[Any], Any] = lambda value: value
+    type_name: str = ""
+    is_secret: bool = False
+
+    def or_none(self) -> Kind:
+        """Return the same with None as one more value."""
+        return replace(
+            self,
+            expected=f"{self.expected}, or None",
+            accepts=lambda value: value is None or self.accepts(value),
+            from_text=lambda text: None if text.casefold() == "none" else self.from_text(text),
+            normalise=lambda value: None if value is None else self.normalise(value),
+        )
+
+    def or_any(self, expected: str) -> Kind:
+        """Return the same with None and `any` (the word, or Python's function) as two more values."""
+        return replace(
+            self.or_none(),
+            expected=expected,
+            accepts=lambda value: value is None or _is_any(value) or self.accepts(value),
+            normalise=lambda value: "any" if _is_any(value) else value,
+        )
+
+
+def _is_integer(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _is_seconds(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < float("inf")
+
+
+def _is_any(value: Any) -> bool:
+    return value is any or (isinstance(value, str) and value.casefold() == "any")
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str) and value.strip() != ""
+
+
+def _are_authors(value: Any) -> bool:
+    return isinstance(value, list | tuple) and all(isinstance(each, Author) or _is_text(each) for each in value)
+
+
+def _not_from_text(text: str) -> NoReturn:
+    raise ValueError(f"{text!r} cannot be set from outside")
+
+
+def whole(least: int, what: str) -> Kind:
+    """Return the kind of whole numbers from `least` on; `what` says of what, as in " of milliseconds"."""
+    return Kind(f"a whole number{what}, {least} or more", lambda value: _is_integer(value) and value >= least, int)
+
+
+def _flag_from_text(text: str) -> bool | str:
+    """Return what a text says; one that says neither is returned as it is, and found to be malformed."""
+    return {"true": True, "false": False}.get(text.strip().casefold(), text)
+
+
+def choice(choices: type[Enum]) -> Kind:
+    """Return the kind of the members of an enumeration; the command line names them by their values."""
+    return Kind(
+        f"one of {', '.join(f'{choices.__name__}.{choice.name}' for choice in choices)}",
+        lambda value: isinstance(value, choices),
+        lambda text: choices(text.casefold().rpartition(".")[2]),
+    )
+
+
+def instances(of: type, expected: str) -> Kind:
+    """Return the kind of lists of objects of a class; `expected` says what such a list is."""
+    return Kind(
+        expected,
+        lambda value: isinstance(value, list | tuple) and all(isinstance(each, of) for each in value),
+        _not_from_text,
+        tuple,
+    )
+
+
+_FOLDER_NAME = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9 ._-]{0,126}[A-Za-z0-9_-])?")
+NAME = Kind(
+    "a name that can name a folder: letters, digits, blanks, '.', '_' and '-', 128 at most",
+    lambda value: isinstance(value, str) and _FOLDER_NAME.fullmatch(value) is not None,
+)
+PATH = Kind(
+    "a path, such as Path('~/results')",
+    lambda value: isinstance(value, str | Path) and "\0" not in str(value) and str(value) != "",
+    Path,
+    Path,
+)
+LINK = Kind('the name of a robot link, such as "simulated"', lambda value: isinstance(value, str) and value != "")
+ROS_GENERATION = Kind(
+    "", lambda value: _is_integer(value) and value in {1, 2}, lambda text: int(text) if text.isdigit() else text
+).or_any("1, 2, any or None")
+ROS_DISTRIBUTION = Kind("", _is_text).or_any('the name of a ROS distribution, such as "noetic", any or None')
+SECONDS = Kind("a positive number of seconds", _is_seconds, float)
+FLAG = Kind("True or False", lambda value: isinstance(value, bool), _flag_from_text)
+PLAN = Kind("an AnalysisPlan(...) in the config file", lambda value: isinstance(value, AnalysisPlan), _not_from_text)
+AUTHORS = Kind(
+    "a list of names or Author(...)",
+    _are_authors,
+    authors_from_text,
+    lambda value: tuple(each if isinstance(each, Author) else Author(each.strip()) for each in value),
+)
+HOSTS = Kind(
+    'names with addresses, such as {"robot": "pi@robot", "base": "local"}, or with Host(...)',
+    are_hosts,
+    _not_from_text,
+    named_hosts,
+)
+LICENCE = Kind('an SPDX identifier such as "CC-BY-4.0", a URL', is_licence)
+TEXT = Kind("a text", _is_text)
+OPERATOR_STEPS = replace(
+    instances(OperatorStep, "a list of OperatorStep(...) in the config file; from outside, none"),
+    from_text=lambda text: () if text.casefold() == "none" else _not_from_text(text),
+)
+NOTIFY = Kind("Notify(...) in the config file", lambda value: isinstance(value, Notify), _not_from_text, is_secret=True)
+PHASES = Kind(
+    "a list of the names of phases: letters, digits, '_' and '-'",
+    lambda value: isinstance(value, list | tuple) and all(map(is_phase_name, value)),
+    lambda text: [name.strip() for name in text.split(",")],
+    lambda value: tuple(dict.fromkeys(value)),
+)

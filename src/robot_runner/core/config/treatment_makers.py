@@ -1,0 +1,103 @@
+"""Treatments that are made before the first run, such as revisions that are built: who makes them, and what is known.
+
+Packages announce what makes treatments in the group `robot_runner.preparations`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+from robot_runner.core.config.plugin_checks import failed_check
+from robot_runner.core.entry_points import entry_points
+from robot_runner.core.errors import ExecutionError, StorageError
+from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.storage.manifest import read_manifest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.core.design.factor import Factor
+    from robot_runner.core.errors import Finding
+    from robot_runner.core.storage.layout import ExperimentFolder
+
+__all__ = ["PREPARED", "TreatmentMaker", "Workshop", "known_treatments", "made_treatments", "maker_findings"]
+
+#: The journal's record of what was made.
+PREPARED = "prepared"
+
+
+@dataclass(frozen=True, slots=True)
+class Workshop:
+    """What goes with the making of treatments.
+
+    Attributes:
+        logs: a folder for what is written meanwhile; not made yet.
+        is_interrupted: whether the user wants to stop: then `KeyboardInterrupt` is to be raised.
+        tell: says on the screen what is being made.
+    """
+
+    logs: Path
+    is_interrupted: Callable[[], bool]
+    tell: Callable[[str], None]
+
+
+class TreatmentMaker(Protocol):
+    """Makes treatments of some kind; `known` are the facts that it returned when the experiment first began."""
+
+    def findings(self, factors: Sequence[Factor], known: Mapping[str, Any]) -> Iterable[Finding]:
+        """Yield what stands in the way, and what has changed since; nothing is touched."""
+        ...
+
+    def prepare(self, factors: Sequence[Factor], known: Mapping[str, Any], workshop: Workshop) -> Mapping[str, Any]:
+        """Make the treatments, and return plain facts to be kept; nothing where there are no such treatments.
+
+        Raises:
+            RobotRunnerError: one cannot be made.
+            KeyboardInterrupt: the user has interrupted it.
+        """
+        ...
+
+
+def maker_findings(factors: Sequence[Factor], folder: ExperimentFolder) -> list[Finding]:
+    """Return what stands in the way of making the treatments of these factors."""
+    known = known_treatments(folder)
+    findings: list[Finding] = []
+    for point in entry_points("preparations"):
+        try:
+            findings += point.load().findings(factors, known.get(point.name, {}))
+        except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
+            findings.append(failed_check(point.where, error))
+    return findings
+
+
+def made_treatments(factors: Sequence[Factor], known: Mapping[str, Any], workshop: Workshop) -> dict[str, Any]:
+    """Make what has to be made before the first run, and return the facts of each maker, by its name.
+
+    Raises:
+        RobotRunnerError: a treatment cannot be made.
+        KeyboardInterrupt: the user has interrupted it.
+    """
+    made = {
+        point.name: point.load().prepare(factors, known.get(point.name, {}), workshop)
+        for point in entry_points("preparations")
+    }
+    return {name: dict(facts) for name, facts in made.items() if facts}
+
+
+def known_treatments(folder: ExperimentFolder) -> dict[str, Any]:
+    """Return what was made when the experiment first began, by the name of each maker: from the journal, the truth.
+
+    Nothing for an experiment that is new; whoever reads a damaged folder later says what is wrong with it.
+    """
+    known: dict[str, Any] = {}
+    try:
+        for record in read_journal(folder.journal, kinds={PREPARED}):
+            known |= record["treatments"]
+        if not known and folder.manifest.exists():
+            manifest = read_manifest(folder.manifest)
+            known = {point.name: manifest.get(point.name, {}) for point in entry_points("preparations")}
+    except (StorageError, ExecutionError, KeyError, TypeError):
+        return known
+    return known

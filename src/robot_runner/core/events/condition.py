@@ -1,0 +1,199 @@
+"""A condition: something that is awaited, or watched, with what was seen last in words."""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import ConditionError, ConditionTimeout
+from robot_runner.core.events.context import SystemClock
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from robot_runner.core.errors import Finding
+    from robot_runner.core.events.context import Clock, RobotRunnerContext
+
+__all__ = ["Condition", "Look", "LookAgain"]
+
+#: What is left of a wait is not slept, s: on a clock whose steps are longer than that it would never be over.
+_RESOLUTION = 1e-6
+#: How often a screen is told of what was seen, s of real time.
+_TOLD_EVERY = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What one look at a condition showed.
+
+    Attributes:
+        holds: whether the condition holds now.
+        seen: what was seen, in words with figures, such as `52.3 °C`; empty where there is nothing to tell.
+        value: the same as a plain value, where it is one.
+    """
+
+    holds: bool
+    seen: str = ""
+    value: float | str | bool | None = None
+
+
+#: Looks at a condition that is being watched, again and again.
+LookAgain = Callable[[], Look]
+
+
+class Condition(ABC):
+    """Something that holds or does not: a port is open, a CPU is below 50 °C, a person has said yes.
+
+    A condition is plain data that may be used in any number of runs and processes; what a look needs (a connection, a
+    subscription, when it began to hold) belongs to one `watch`. It is used in three ways: awaited by a callback
+    (`wait`), between two runs (a gate), and watched during a run (a guard).
+
+    Attributes:
+        every_s: how often it is looked at, s of its clock.
+        is_outside: whether it is about what goes on in real time even where the robot is simulated, such as a file, a
+            process or another computer.
+
+    Example:
+        >>> class Always(Condition):
+        ...     def __str__(self) -> str:
+        ...         return "anything"
+        ...     def watch(self, context, opened):
+        ...         return lambda: Look(True, "all is well")
+        >>> from pathlib import Path
+        >>> from robot_runner.testing import make_context
+        >>> Always().wait(make_context(Path("unused")), timeout_s=1.0).seen
+        'all is well'
+    """
+
+    #: Often enough for a mission that it ends, and seldom enough that a wait costs nothing.
+    every_s: float = 0.05
+    is_outside: bool = False
+
+    @abstractmethod
+    def __str__(self) -> str:
+        """Return what is to hold, so that it completes the sentence "waiting until ...": `port 8080 is open`."""
+
+    @abstractmethod
+    def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
+        """Begin to watch, and return what looks: soon done, whatever it finds.
+
+        What cannot be reached does not hold, and `seen` says why; a look raises only where waiting is in vain.
+
+        Args:
+            context: of the run that it is watched in, or before.
+            opened: takes what is to be closed when the watching ends. Links and devices that a run shares are opened
+                through `context.resources`, and close with it.
+        """
+
+    def check(self, robot: str | None) -> Iterable[Finding]:
+        """Return what keeps this condition from ever holding, as far as that is known before anything is executed.
+
+        Args:
+            robot: how the robot is to be reached, such as `"simulated"`, or None.
+        """
+        del robot
+        return ()
+
+    def parts(self) -> Iterable[Condition]:
+        """Return the conditions that it is made of."""
+        return ()
+
+    def clock(self, context: RobotRunnerContext) -> Clock:
+        """Return the clock that a wait sleeps on: the run's, or this machine's for what goes on outside a simulation.
+
+        A simulated mission of 95 s takes a few real ones, and a program needs its real second to start meanwhile.
+        """
+        return SystemClock() if self.is_outside else context.clock
+
+    def held_for(self, seconds: float) -> Condition:
+        """Return the condition that this one has held for so long at each look, s of its clock.
+
+        Raises:
+            ConditionError: the time is not positive.
+        """
+        if not 0 < seconds < float("inf"):
+            fix = "Give held_for a number of seconds above 0."
+            raise ConditionError(f"nothing can hold for {seconds!r} s", where=str(self), fix=fix)
+        return _HeldFor(self, seconds)
+
+    def wait(self, context: RobotRunnerContext, *, timeout_s: float) -> Look:
+        """Wait until it holds, on its clock; what was awaited, how long, and what was seen is recorded.
+
+        Args:
+            context: of the run; its clock is slept on, unless the condition is about what goes on outside of it.
+            timeout_s: how long to wait at most, s of that clock.
+
+        Returns:
+            the look that found it to hold.
+
+        Raises:
+            ConditionTimeout: it did not hold in time; what was seen last is told.
+        """
+        clock = self.clock(context)
+        started, told = clock.now(), 0.0
+        with ExitStack() as opened:
+            look_again = self.watch(context, opened)
+            while True:
+                look = look_again()
+                waited = clock.now() - started
+                if look.holds or timeout_s - waited < _RESOLUTION:
+                    break
+                if time.monotonic() - told >= _TOLD_EVERY:
+                    told = time.monotonic()
+                    context.broker.note(context.owner, "waiting", self._facts(look, waited))
+                clock.sleep(min(self.every_s, timeout_s - waited))
+        context.broker.note(context.owner, "waited", {**self._facts(look, waited), "holds": look.holds})
+        if look.holds:
+            return look
+        seen = f": {look.seen}" if look.seen else ""
+        raise ConditionTimeout(
+            f"after {timeout_s:g} s it still did not hold that {self}{seen}",
+            where=context.owner,
+            fix="Look at what is awaited, or allow it more time (timeout_s).",
+        )
+
+    def _facts(self, look: Look, waited: float) -> dict[str, Any]:
+        return {"condition": str(self), "seen": look.seen, "seconds": round(waited, 3)}
+
+
+@dataclass(frozen=True)
+class _HeldFor(Condition):
+    """Another condition, which must have held for a while."""
+
+    condition: Condition
+    seconds: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "every_s", self.condition.every_s)
+        object.__setattr__(self, "is_outside", self.condition.is_outside)
+
+    def __str__(self) -> str:
+        return f"{self.condition} for {self.seconds:g} s"
+
+    def parts(self) -> Iterable[Condition]:
+        return (self.condition,)
+
+    def check(self, robot: str | None) -> Iterable[Finding]:
+        return self.condition.check(robot)
+
+    def clock(self, context: RobotRunnerContext) -> Clock:
+        return self.condition.clock(context)
+
+    def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
+        look_again, clock = self.condition.watch(context, opened), self.clock(context)
+        since: float | None = None
+
+        def look() -> Look:
+            nonlocal since
+            seen, now = look_again(), clock.now()
+            since = None if not seen.holds else now if since is None else since
+            if since is None:
+                return seen
+            held = now - since
+            return Look(held >= self.seconds, f"{seen.seen}, for {held:.1f} s".lstrip(", "), seen.value)
+
+        return look

@@ -1,0 +1,368 @@
+"""How long an experiment takes: from what plugins know beforehand, and from the runs that have ended."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter, defaultdict, deque
+from dataclasses import dataclass
+from datetime import datetime
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.config.parameters import OperationType
+from robot_runner.core.execution.mission_knowledge import (
+    CombinationKey,
+    MissionKnowledge,
+    combination_key,
+    said_of_all,
+    told_apart,
+)
+from robot_runner.core.execution.task import AttemptStatus
+from robot_runner.core.storage.journal import last_records
+from robot_runner.core.words import counted, enumerated, shown_duration
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.core.config.parameters import Parameters
+    from robot_runner.core.events.manager import EventManager
+    from robot_runner.core.plugin import Plugin
+
+__all__ = ["Durations", "Estimate", "TimeLeft", "durations_of"]
+
+#: A pause that is longer says nothing of the others, s: nobody was there, for a meal or a night.
+_LEFT_ALONE = 3600.0
+#: As many of the last pauses are remembered.
+_PAUSES = 200
+#: The share of the time that may go into estimating anew after each run: a table may have a million runs.
+_SHARE = 1 / 50
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """How long an experiment takes from here.
+
+    Attributes:
+        seconds: all that is known of it; None where nothing is.
+        is_least: whether something comes on top of which nobody knows how long it takes.
+        parts: what it is made of, in words.
+        unknown: what is not known, in words.
+    """
+
+    seconds: float | None
+    is_least: bool = False
+    parts: tuple[str, ...] = ()
+    unknown: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        """Say it as a person does."""
+        unknown = f"not known: {'; '.join(self.unknown)}" if self.unknown else ""
+        if self.seconds is None:
+            return unknown or "not known"
+        made_of = "; ".join([*self.parts, *filter(None, [unknown])])
+        return f"{_about(self.seconds, is_least=self.is_least)}{f' ({made_of})' if made_of else ''}"
+
+
+@dataclass(frozen=True, slots=True)
+class TimeLeft:
+    """How long it takes from the moment at which a run began, or ended.
+
+    Attributes:
+        run: the run that is being executed, s; 0 where none is.
+        others: the rest, with the pauses, s.
+        is_least: as in `Estimate`.
+    """
+
+    run: float
+    others: float
+    is_least: bool = False
+
+    def after(self, seconds: float) -> float:
+        """Return what is left so many seconds later; a run that takes longer does not make the others shorter."""
+        return self.others + max(0.0, self.run - seconds)
+
+    @classmethod
+    def of_facts(cls, facts: object) -> TimeLeft | None:
+        """Return what `facts` told; None for anything else."""
+        try:
+            return cls(float(facts["run"]), float(facts["others"]), bool(facts["is_least"]))  # type: ignore[index]
+        except (TypeError, ValueError, LookupError):
+            return None
+
+    def facts(self) -> dict[str, Any]:
+        """Return the same as plain data, for the journal."""
+        return {"run": round(self.run, 3), "others": round(self.others, 3), "is_least": self.is_least}
+
+    def in_words(self, seconds: float = 0.0) -> str:
+        """Return what is left so many seconds later, as a person says it."""
+        return f"{_about(self.after(seconds), is_least=self.is_least)} left"
+
+
+def _about(seconds: float, *, is_least: bool) -> str:
+    return f"{'at least' if is_least else 'about'} {shown_duration(seconds)}"
+
+
+# What is learnt from runs.
+
+
+@dataclass(slots=True)
+class _Mean:
+    total: float = 0.0
+    count: int = 0
+
+    def take(self, value: float) -> None:
+        self.total += value
+        self.count += 1
+
+    @property
+    def value(self) -> float:
+        return self.total / self.count
+
+
+class _Seen:
+    """How long runs took: of each combination, and what each treatment adds where it differs from the others."""
+
+    def __init__(self) -> None:
+        self._all = _Mean()
+        self._of_combination: defaultdict[CombinationKey, _Mean] = defaultdict(_Mean)
+        self._of_treatment: defaultdict[tuple[str, str], _Mean] = defaultdict(_Mean)
+        self._least, self._most = math.inf, -math.inf
+
+    @property
+    def count(self) -> int:
+        return self._all.count
+
+    def take(self, key: CombinationKey, seconds: float) -> None:
+        self._least, self._most = min(self._least, seconds), max(self._most, seconds)
+        for mean in (self._all, self._of_combination[key], *(self._of_treatment[each] for each in key)):
+            mean.take(seconds)
+
+    def expected(self, key: CombinationKey) -> float | None:
+        """Return what is expected of a combination, s; None before any run has ended."""
+        if not self._all.count:
+            return None
+        if key in self._of_combination:
+            return self._of_combination[key].value
+        effects = (self._of_treatment[each].value - self._all.value for each in key if each in self._of_treatment)
+        return min(self._most, max(self._least, self._all.value + math.fsum(effects)))
+
+
+class Durations:
+    """Expects how long runs and the pauses between them take, and corrects itself while they end.
+
+    A run counts from its beginning to the end of its last attempt, and a pause from there to the beginning of the
+    next run: rest, operator, gates and all. Runs that are done count; those that failed only while none is done. What
+    runs take beyond what was said of them is taken for what others will take beyond it.
+
+    Args:
+        knowledge: what is known beforehand.
+        combinations: of all runs; what is said of each is asked for once.
+        rest_s: how long the robot rests between two runs, s.
+        waits: what else comes between two runs, in words: nobody knows how long it takes before it was seen.
+
+    Example:
+        >>> durations = Durations(rest_s=5.0)
+        >>> video = combination_key({"Task": "Video"})
+        >>> durations.begin(video, 0.0)
+        >>> durations.end(100.0, "done", is_last=True)
+        >>> durations.of_run(video)
+        100.0
+    """
+
+    def __init__(
+        self,
+        knowledge: MissionKnowledge | None = None,
+        combinations: Iterable[Mapping[str, Any]] = (),
+        *,
+        rest_s: float = 0.0,
+        waits: Sequence[str] = (),
+    ) -> None:
+        self.knowledge = knowledge or MissionKnowledge()
+        self._rest = rest_s
+        self._waits = tuple(waits)
+        self._said = said_of_all(self.knowledge, combinations)
+        self._done, self._failed = _Seen(), _Seen()
+        self._pauses: deque[float] = deque(maxlen=_PAUSES)
+        self._current: tuple[CombinationKey, float] | None = None
+        self._ended: float | None = None
+        self._left: Counter[CombinationKey] = Counter()
+        self._expected: float | None = None
+        self._computed = self._cost = 0.0
+
+    def learn_from(self, journal: Path) -> None:
+        """Learn from the last runs that a journal tells of.
+
+        Raises:
+            StorageError: it cannot be read.
+        """
+        for record in last_records(journal, kinds=("experiment_started", "attempt_started", "attempt_finished")):
+            self.take_record(record)
+        self.break_off()
+
+    def take_record(self, record: Mapping[str, Any]) -> None:
+        """Take a record of the journal into account; kinds that tell nothing of durations are passed over."""
+        match record["kind"]:
+            case "experiment_started":
+                self.break_off()
+            case "attempt_started":
+                self.begin(combination_key(record.get("combination") or {}), _seconds(record["at"]))
+            case "attempt_finished" if not record.get("is_amended"):  # which only adds what was published later
+                self.end(_seconds(record["at"]), record["status"], is_last=record.get("is_last", True))
+
+    def plan(self, combinations: Iterable[Mapping[str, Any]]) -> None:
+        """Take down which runs are to come."""
+        self._left = Counter()
+        for combination, count in told_apart(combinations):
+            self._left[combination_key(combination)] += count
+        self._computed = self._cost = 0.0
+
+    def begin(self, key: CombinationKey, at: float) -> None:
+        """Take down that an attempt at a run begins.
+
+        Args:
+            key: of its combination, by `combination_key`.
+            at: the moment, s on a clock that is the same for all calls until `break_off`.
+        """
+        if self._current is not None:  # it is tried again
+            return
+        if self._ended is not None and 0 <= at - self._ended <= _LEFT_ALONE:
+            self._pauses.append(at - self._ended)
+        self._current, self._ended = (key, at), None
+        if self._left[key] > 0:
+            self._left[key] -= 1
+            if self._expected is not None:
+                self._expected = max(0.0, self._expected - (self.of_run(key) or 0.0))
+
+    def end(self, at: float, status: str, *, is_last: bool) -> None:
+        """Take down that an attempt has ended with this status, unless the run is tried again."""
+        if status == AttemptStatus.INTERRUPTED.value:
+            self.break_off()
+        if not is_last or self._current is None:
+            return
+        key, began = self._current
+        seen = self._done if status == AttemptStatus.DONE.value else self._failed
+        seen.take(key, max(0.0, at - began) - self._said.get(key, 0.0))
+        self._current, self._ended = None, at
+
+    def break_off(self) -> None:
+        """Forget what has begun and not ended: it was interrupted, or the clock is another one from here."""
+        self._current = self._ended = None
+
+    @property
+    def count(self) -> int:
+        """How many runs it has learnt from."""
+        return self._seen.count
+
+    @property
+    def pause(self) -> float:
+        """How long it takes from the end of a run to the beginning of the next, s."""
+        return math.fsum(self._pauses) / len(self._pauses) if self._pauses else self._rest
+
+    @property
+    def _seen(self) -> _Seen:
+        return self._done if self._done.count else self._failed
+
+    def of_run(self, key: CombinationKey) -> float | None:
+        """Return how long a run of this combination takes, s; None where that is not known."""
+        beyond = self._seen.expected(key)
+        if beyond is None:
+            return self._said.get(key)
+        return max(0.0, self._said.get(key, 0.0) + beyond)
+
+    def left(self) -> TimeLeft | None:
+        """Return how long the run that has begun and those to come take; None where that is not known."""
+        now = time.monotonic()
+        if not self._computed or now - self._computed > self._cost / _SHARE:
+            self._expected = self._of_all()
+            self._computed = time.monotonic()
+            self._cost = self._computed - now
+        current = 0.0 if self._current is None else self.of_run(self._current[0])
+        if self._expected is None or current is None:
+            return None
+        return TimeLeft(current, self._expected + self._left.total() * self.pause, is_least=bool(self._unknown()))
+
+    def estimate(self, *, probe_s: float = 0.0) -> Estimate:
+        """Return how long everything that was planned takes, with its parts in words.
+
+        Args:
+            probe_s: how long profilers are probed before the first run, s.
+        """
+        runs = self._left.total()
+        if not runs:
+            return Estimate(0.0, parts=("no run is to be executed",))
+        of_runs = self._of_all()
+        if of_runs is None:
+            return Estimate(None, unknown=(self._why_not(), *self._unknown()))
+        pauses = runs - (0 if self.count else 1)
+        parts = [f"{counted(runs, 'run')} of {shown_duration(of_runs / runs)}, {self._source()}"]
+        if pauses and self.pause > 0:
+            told = "as they were so far" if self._pauses else "time_between_runs_in_ms"
+            parts.append(f"{counted(pauses, 'pause')} of {shown_duration(self.pause)}, {told}")
+        if probe_s:
+            parts.append(f"the probe of the profilers, {shown_duration(probe_s)}")
+        unknown = self._unknown()
+        return Estimate(of_runs + pauses * self.pause + probe_s, bool(unknown), tuple(parts), unknown)
+
+    def _of_all(self) -> float | None:
+        expected = [(count, self.of_run(key)) for key, count in self._left.items() if count]
+        if any(seconds is None for _, seconds in expected):
+            return None
+        return math.fsum(count * seconds for count, seconds in expected if seconds is not None)
+
+    def _unknown(self) -> tuple[str, ...]:
+        """Return what comes on top of what is known."""
+        waits = () if self._pauses else self._waits
+        if self.count or not self._said:
+            return waits
+        opening = "what opens and closes a run"
+        return (*(f"launch_mission of {name}" for name in self.knowledge.silent), opening, *waits)
+
+    def _source(self) -> str:
+        if self.count:
+            return f"as the {counted(self.count, 'run')} that ended" if self.count > 1 else "as the run that ended"
+        names = [name for name, _ in self.knowledge.speakers]
+        return f"as {enumerated(names)} {'says' if len(names) == 1 else 'say'}"
+
+    def _why_not(self) -> str:
+        if self.knowledge.is_simulated:
+            return "how long the simulated robot takes, until a run has ended"
+        who = enumerated(self.knowledge.silent) if self.knowledge.silent else "a plugin or of the config"
+        return f"how long a run takes, until one has ended (duration_s of {who} would tell)"
+
+
+def durations_of(
+    config: Any,
+    plugins: Sequence[Plugin],
+    events: EventManager,
+    parameters: Parameters,
+    combinations: Iterable[Mapping[str, Any]],
+    journal: Path,
+) -> Durations:
+    """Return what is known of the durations of an experiment, and what was learnt from its runs so far.
+
+    Args:
+        config: the config object; it may have a method `duration_s`, as plugins have.
+        plugins: the plugins of the experiment.
+        events: who hears the mission's beginning.
+        parameters: the static parameters.
+        combinations: of all runs.
+        journal: of the experiment; it need not be there.
+
+    Raises:
+        StorageError: the journal cannot be read.
+    """
+    has_operator = parameters.operation_type is OperationType.SEMI or parameters.operator_steps
+    waits = ["the operator between two runs"] if has_operator else []
+    durations = Durations(
+        MissionKnowledge.of(config, plugins, events, parameters.robot),
+        combinations,
+        rest_s=parameters.time_between_runs_in_ms / 1000,
+        waits=waits,
+    )
+    durations.learn_from(journal)
+    return durations
+
+
+def _seconds(stamp: str) -> float:
+    return datetime.fromisoformat(stamp).timestamp()

@@ -1,0 +1,167 @@
+"""What a run left alive though nobody watches over it any more: found by its marks, awaited, and ended.
+
+A keeper ends all that its run started. Where the keeper was killed, two marks tell which processes are the run's:
+
+- the keeper, the run, and what they fork hold a lock on one file in the experiment's folder, as long as they live;
+- programs that they start have an environment variable with that folder.
+
+So the run itself, the orchestrator, or the next one that executes the experiment can do the keeper's work.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import signal
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import ExecutionError, Finding
+from robot_runner.core.storage.outliving import ancestors, is_spared, outliving, process_stat, processes
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from robot_runner.core.storage.layout import ExperimentFolder
+
+__all__ = ["RunMark", "await_left_over", "end_left_over", "left_over"]
+
+_VARIABLE = "ROBOT_RUNNER_RUN_OF"
+#: How often we look whether a process has ended, and how long those that were killed may take, s.
+_LOOK, _DYING = 0.05, 5.0
+
+
+class RunMark:
+    """The marks of one run: its keeper makes them before it forks the run, which inherits them.
+
+    Args:
+        folder: the experiment's.
+
+    Attributes:
+        descriptor: of the file that is locked; a process that replaces itself hands it on.
+    """
+
+    def __init__(self, folder: ExperimentFolder) -> None:
+        self._folder = folder
+        self.descriptor = os.open(folder.alive, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        # Unlike that of the experiment, this lock is held by whoever has the descriptor, however it came by it.
+        fcntl.flock(self.descriptor, fcntl.LOCK_SH)
+
+    def sign(self) -> None:
+        """Mark this process as the run, and the programs that it starts from now on."""
+        os.environ[_VARIABLE] = str(self._folder.root.resolve())
+        os.ftruncate(self.descriptor, 0)
+        os.pwrite(self.descriptor, str(os.getpid()).encode(), 0)
+
+
+def left_over(folder: ExperimentFolder) -> list[int]:
+    """Return the processes that runs of this experiment left alive, but for those that may outlive them (Linux)."""
+    name = f"{_VARIABLE}={folder.root.resolve()}".encode()
+    alive = folder.alive.resolve()
+    spared = outliving(folder.outliving)
+    own = set(ancestors(os.getpid()))
+    found = [pid for pid in processes() if pid not in own and (_has_open(pid, alive) or _has_mark(pid, name))]
+    return [pid for pid in found if not is_spared(pid, spared)]
+
+
+def end_left_over(folder: ExperimentFolder) -> list[int]:
+    """Kill what runs of this experiment left alive; return the processes that were killed."""
+    killed: list[int] = []
+    deadline = time.monotonic() + _DYING
+    while (pids := left_over(folder)) and time.monotonic() < deadline:
+        for pid in pids:
+            with suppress(ProcessLookupError, PermissionError):
+                os.kill(pid, signal.SIGKILL)
+        killed += pids
+        time.sleep(_LOOK)
+    return sorted(set(killed))
+
+
+def await_left_over(folder: ExperimentFolder, grace: float) -> Finding | None:
+    """Have whatever an earlier execution left alive end, before anything is executed beside it.
+
+    A run gets SIGTERM and has `grace` seconds to close what it opened; then all that is left is killed.
+
+    Returns:
+        what was awaited and killed, or None where nothing was alive.
+
+    Raises:
+        ExecutionError: it is still alive afterwards; that takes a system without /proc, or another user's process.
+    """
+    began = time.monotonic()
+    was_alive = _is_alive(folder)
+    if was_alive:
+        _ask_to_stop(folder)
+        _wait(lambda: not _is_alive(folder), grace)
+    seconds = time.monotonic() - began
+    killed = end_left_over(folder)
+    if was_alive and not _wait(lambda: not _is_alive(folder), _DYING):
+        raise ExecutionError(
+            "a run of an earlier execution is still alive, and cannot be ended from here",
+            where=str(folder.root),
+            fix="End it by hand: it has the file .alive in this folder open.",
+        )
+    if not (was_alive or killed):
+        return None
+    waited = f"its run was still alive and was waited for ({seconds:.1f} s)" if was_alive else "its run had ended"
+    left = f"; what was left of it was killed: {', '.join(map(str, killed))}" if killed else ""
+    return Finding.warning(str(folder.root), f"an earlier execution was killed; {waited}{left}")
+
+
+def _wait(is_so: Callable[[], bool], seconds: float) -> bool:
+    deadline = time.monotonic() + seconds
+    while not is_so():
+        if time.monotonic() >= deadline:
+            return False
+        time.sleep(_LOOK)
+    return True
+
+
+def _is_alive(folder: ExperimentFolder) -> bool:
+    """Whether a keeper, a run, or what they forked is alive; what may outlive its run does not count."""
+    if not _is_locked(folder):
+        return False
+    alive, spared = folder.alive.resolve(), outliving(folder.outliving)
+    holders = [pid for pid in processes() if pid != os.getpid() and _has_open(pid, alive)]
+    return not holders or not all(is_spared(pid, spared) for pid in holders)  # no holder is seen without /proc
+
+
+def _is_locked(folder: ExperimentFolder) -> bool:
+    try:
+        descriptor = os.open(folder.alive, os.O_RDWR | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return error.errno in {errno.EACCES, errno.EAGAIN}
+    finally:
+        os.close(descriptor)
+    return False
+
+
+def _ask_to_stop(folder: ExperimentFolder) -> None:
+    """Send SIGTERM to the run, which leads a group of its own; where it has ended meanwhile, to nobody."""
+    with suppress(OSError, ValueError, OverflowError):
+        run = int(folder.alive.read_text(encoding="utf-8"))
+        if run > 1 and os.getpgid(run) == run:
+            os.kill(run, signal.SIGTERM)
+
+
+def _has_open(pid: int, path: Path) -> bool:
+    try:
+        return any(entry.readlink() == path for entry in Path(f"/proc/{pid}/fd").iterdir())
+    except OSError:  # it has ended, or is another user's
+        return False
+
+
+def _has_mark(pid: int, mark: bytes) -> bool:
+    try:
+        environment = Path(f"/proc/{pid}/environ").read_bytes()
+    except OSError:
+        return False
+    stat = process_stat(pid)
+    return bool(stat) and stat[0] != "Z" and mark in environment.split(b"\0")

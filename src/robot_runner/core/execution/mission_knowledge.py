@@ -1,0 +1,107 @@
+"""What plugins and configs know beforehand of the duration of a run."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import Finding
+from robot_runner.core.events.manager import RobotRunnerEvents
+from robot_runner.core.events.measure import CONFIG_OWNER
+from robot_runner.core.links.connect import is_simulated
+from robot_runner.core.treatments import built_with
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from robot_runner.core.events.manager import EventManager
+    from robot_runner.core.plugin import Plugin
+
+__all__ = ["CombinationKey", "MissionKnowledge", "combination_key", "said_of_all", "told_apart"]
+
+#: A combination as the journal keeps it: each factor with the text of its treatment.
+CombinationKey = frozenset[tuple[str, str]]
+
+
+def combination_key(combination: Mapping[str, Any]) -> CombinationKey:
+    """Return what tells one combination from another, in a config and in a journal alike."""
+    return frozenset((name, str(treatment)) for name, treatment in combination.items())
+
+
+@dataclass(slots=True)
+class MissionKnowledge:
+    """What the plugins of an experiment, and its config, say of the duration of a run (`duration_s`).
+
+    Attributes:
+        speakers: the plugins, and the config, that have something to say; a robot that lives by the embedded
+            simulation takes as long as the physics needs, which nobody says.
+        silent: who takes part in the mission and says nothing.
+        is_simulated: whether nobody is asked, as the robot is the embedded one.
+        findings: what was wrong with what they said.
+    """
+
+    speakers: tuple[tuple[str, Any], ...] = ()
+    silent: tuple[str, ...] = ()
+    is_simulated: bool = False
+    findings: list[Finding] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, config: Any, plugins: Sequence[Plugin], events: EventManager, robot: str | None) -> MissionKnowledge:
+        """Find out who can be asked; nobody is asked yet."""
+        if is_simulated(robot):
+            return cls(is_simulated=True)
+        able = tuple((plugin.name, plugin) for plugin in plugins if plugin.knows_duration)
+        if callable(getattr(config, "duration_s", None)):
+            able = (*able, (CONFIG_OWNER, config))
+        names = {name for name, _ in able}
+        heard = (each.owner for each in events.subscribers(RobotRunnerEvents.LAUNCH_MISSION))
+        return cls(able, tuple(dict.fromkeys(owner for owner in heard if owner not in names)))
+
+    def seconds(self, combination: Mapping[str, Any]) -> float | None:
+        """Return how long a run takes by what is said of it, s; None where nobody says anything."""
+        answers = [self._asked(name, each, combination) for name, each in self.speakers]
+        said = [seconds for seconds in answers if seconds is not None]
+        return math.fsum(said) if said else None
+
+    def _asked(self, name: str, speaker: Any, combination: Mapping[str, Any]) -> float | None:
+        where = f"{name}.duration_s"
+        try:
+            said = built_with(speaker, combination).duration_s(combination)
+        except Exception as error:  # noqa: BLE001 - a stranger's code
+            self._doubt(where, f"it raised {type(error).__name__}: {error}")
+            return None
+        if said is None:
+            return None
+        if isinstance(said, bool) or not isinstance(said, int | float) or not 0 <= said < math.inf:
+            self._doubt(where, f"it returned {said!r}, which is no number of seconds")
+            return None
+        return float(said)
+
+    def _doubt(self, where: str, problem: str) -> None:
+        finding = Finding.warning(where, problem, "Return seconds of real time, or None where it is not known.")
+        if finding not in self.findings:
+            self.findings.append(finding)
+
+
+def said_of_all(knowledge: MissionKnowledge, combinations: Iterable[Mapping[str, Any]]) -> dict[CombinationKey, float]:
+    """Return what is said of each combination; nothing where anything is left open, as it could not be compared."""
+    said: dict[CombinationKey, float] = {}
+    for combination, _ in told_apart(combinations if knowledge.speakers else ()):
+        key = combination_key(combination)
+        if key in said:
+            continue
+        seconds = knowledge.seconds(combination)
+        if seconds is None:
+            return {}
+        said[key] = seconds
+    return said
+
+
+def told_apart(combinations: Iterable[Mapping[str, Any]]) -> Iterable[tuple[Mapping[str, Any], int]]:
+    """Return each combination with how often it is there, by identity: the repetitions of a plan share theirs."""
+    kept = list(combinations)
+    found = {id(each): each for each in kept}
+    counts = Counter(map(id, kept))
+    return [(each, counts[number]) for number, each in found.items()]

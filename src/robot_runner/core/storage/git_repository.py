@@ -1,0 +1,121 @@
+"""What git tells of a folder: the commit that is checked out, and what was changed since. Asking changes nothing."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+__all__ = ["LARGEST_DIFF", "RepositoryState", "git", "repository_state", "uncommitted_changes", "without_login"]
+
+#: How long git may take to answer, s: on a cold disk and a large repository it has to look at every file.
+_PATIENCE = 30.0
+#: A longer diff is not kept, bytes: it is known by its hash alone.
+LARGEST_DIFF = 1 << 20
+#: Ask nobody for a password, take no lock for what is only looked at, speak English.
+_ENVIRONMENT = {
+    "GIT_TERMINAL_PROMPT": "0",
+    "GIT_OPTIONAL_LOCKS": "0",
+    "GIT_SSH_COMMAND": "ssh -o BatchMode=yes -o ConnectTimeout=10",
+    "LC_ALL": "C",
+}
+#: Where git itself is executed by a hook, it says so in these: they would have us look at another repository.
+_FOREIGN = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_OBJECT_DIRECTORY", "GIT_PREFIX")
+_LOGIN = re.compile(r"(?<=://)[^/@]*@")
+
+
+@dataclass(frozen=True, slots=True)
+class RepositoryState:
+    """A repository as it is checked out.
+
+    Attributes:
+        commit: the hash of the commit.
+        branch: the branch; empty where none is checked out.
+        origin: where it was cloned from, without a name or a password; empty where that is not known.
+        is_dirty: whether files that git keeps were changed since that commit. Those that it does not keep count not:
+            results are often written into the repository of their config.
+    """
+
+    commit: str
+    branch: str
+    origin: str
+    is_dirty: bool
+
+    def facts(self) -> dict[str, Any]:
+        """Return the same as plain data, without what is empty."""
+        facts = {"commit": self.commit, "branch": self.branch, "origin": self.origin}
+        return {**{name: value for name, value in facts.items() if value}, "is_dirty": self.is_dirty}
+
+
+def git(
+    *words: str, folder: Path | str = ".", timeout: float = _PATIENCE, environment: Mapping[str, str] | None = None
+) -> subprocess.CompletedProcess[bytes]:
+    """Execute one command of git to its end.
+
+    Raises:
+        OSError: git is not installed, or the folder is not there.
+        subprocess.TimeoutExpired: it takes longer.
+    """
+    inherited = {name: value for name, value in os.environ.items() if name not in _FOREIGN}
+    return subprocess.run(  # noqa: S603 - an argument list
+        # A monitor of the file system is a program that the repository's own configuration names.
+        ["git", "-c", "core.fsmonitor=false", *words],  # noqa: S607 - the git that the user has
+        cwd=folder,
+        env={**inherited, **_ENVIRONMENT, **(environment or {})},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        timeout=timeout,
+        check=False,
+        start_new_session=True,
+    )
+
+
+def repository_state(folder: Path | str) -> RepositoryState | None:
+    """Return what is checked out in the repository that a folder belongs to.
+
+    None where there is no git, no repository, no commit in it, or no answer.
+    """
+    commit = _answer(folder, "rev-parse", "--verify", "--quiet", "HEAD^{commit}")
+    changed = _answer(folder, "status", "--porcelain", "--untracked-files=no") if commit else None
+    if not commit or changed is None:
+        return None
+    branch = _answer(folder, "symbolic-ref", "--quiet", "--short", "HEAD") or ""
+    origin = _answer(folder, "config", "--get", "remote.origin.url") or ""
+    return RepositoryState(commit, branch, without_login(origin), bool(changed))
+
+
+def without_login(url: str) -> str:
+    """Return a URL without the name and the password in it.
+
+    Example:
+        >>> without_login("https://me:secret@example.org/nav.git")
+        'https://example.org/nav.git'
+    """
+    return _LOGIN.sub("", url)
+
+
+def uncommitted_changes(folder: Path | str) -> bytes:
+    """Return the changes since the commit that is checked out, as `git apply` takes them; nothing where git is silent.
+
+    No program is executed that the repository names for showing differences.
+    """
+    words = ("diff", "HEAD", "--binary", "--no-color", "--no-ext-diff", "--no-textconv")
+    try:
+        root = git("rev-parse", "--show-toplevel", folder=folder).stdout.decode(errors="surrogateescape").strip()
+        return git(*words, folder=root or folder).stdout
+    except (OSError, subprocess.TimeoutExpired):
+        return b""
+
+
+def _answer(folder: Path | str, *words: str) -> str | None:
+    try:
+        done = git(*words, folder=folder)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.decode(errors="replace").strip() if done.returncode == 0 else None

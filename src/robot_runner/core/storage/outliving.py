@@ -1,0 +1,106 @@
+"""Programs that may outlive the run that started them, on purpose: known to whoever ends what a run left behind."""
+
+from __future__ import annotations
+
+import json
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robot_runner.core.storage.safe_write import storage_error
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["ancestors", "is_spared", "outliving", "process_stat", "processes", "program_name", "spare"]
+
+# The fields of /proc/<pid>/stat behind the program's name, from man 5 proc_pid_stat.
+_PARENT, _GROUP, _SESSION, _STARTED = 1, 2, 3, 19
+
+
+def process_stat(pid: int) -> list[str]:
+    """Return what Linux tells of a process behind its name: state, parent, group, session, and so on.
+
+    Empty where there is no such process, or no /proc (macOS).
+    """
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text(errors="replace")
+    except OSError:
+        return []
+    return text.rpartition(")")[2].split()  # the second field is the name in brackets, and may hold anything
+
+
+def processes() -> Iterator[int]:
+    """Yield the ids of all processes; of none where there is no /proc (macOS)."""
+    return (int(path.name) for path in Path("/proc").glob("[0-9]*"))
+
+
+def ancestors(pid: int) -> Iterator[int]:
+    """Yield a process, its parent, and so on."""
+    while pid > 1:
+        yield pid
+        stat = process_stat(pid)
+        pid = int(stat[_PARENT]) if stat else 0
+
+
+def spare(path: Path, pid: int) -> None:
+    """Keep in the file at `path` that this process, and what it starts, may outlive its run.
+
+    Raises:
+        StorageError: the file cannot be written.
+    """
+    line = json.dumps([pid, _start_of(pid)]) + "\n"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a", encoding="utf-8") as file:
+            file.write(line)
+    except OSError as error:
+        raise storage_error(path, "written", error) from error
+
+
+def outliving(path: Path) -> frozenset[int]:
+    """Return those processes of the file at `path` that are alive: the same ones, by when they started."""
+    return frozenset(pid for pid, started in _read(path) if _is_alive(pid) and _start_of(pid) == started)
+
+
+def is_spared(pid: int, spared: frozenset[int]) -> bool:
+    """Return whether a process is one of those, or was started by one: by descent, process group or session."""
+    if not spared:
+        return False
+    stat = process_stat(pid)
+    belongs = {int(stat[_GROUP]), int(stat[_SESSION])} if stat else set()
+    return not spared.isdisjoint({*ancestors(pid), *belongs})
+
+
+def _read(path: Path) -> Iterator[tuple[int, str]]:
+    with suppress(OSError):
+        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+            with suppress(ValueError, TypeError):  # a line that was torn when the power failed
+                pid, started = json.loads(line)
+                yield int(pid), str(started)
+
+
+def program_name(pid: int) -> str | None:
+    """Return the name of a process's program without its arguments; empty where it is not known, None if it is dead."""
+    if not _is_alive(pid) or process_stat(pid)[:1] == ["Z"]:
+        return None
+    with suppress(OSError):
+        return Path(f"/proc/{pid}/comm").read_text(errors="replace").strip()
+    return ""
+
+
+def _start_of(pid: int) -> str:
+    """Return when a process started, in ticks since the machine did: a number is given again to another process."""
+    stat = process_stat(pid)
+    return stat[_STARTED] if stat else ""
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except PermissionError:  # another user's
+        return True
+    except (ProcessLookupError, OverflowError, TypeError):
+        return False
+    return pid > 0

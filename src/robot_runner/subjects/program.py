@@ -1,0 +1,104 @@
+"""The subject that is any program."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.events.measure import Measure
+from robot_runner.subjects.subject import Subject
+from robot_runner.subjects.surroundings import is_known, word
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.subjects.supervised_program import Ended
+
+__all__ = ["Program"]
+
+_LOOK = 0.02
+
+
+class Program(Subject):
+    """Starts a program, waits until it can be used, and ends it with everything that it has started.
+
+    What it writes goes to `stdout.txt` and `stderr.txt` in its folder of raw data. If it dies before it is stopped, the
+    run fails at once.
+
+    Args:
+        command: the program and its arguments, in a list; `treatment(...)` may stand for any of them, and a list for
+            one word of several parts: `["--speed=", treatment("Speed")]`.
+        exit_codes: exit codes with which it may end by itself, such as `[0]` for one that computes something and is
+            done; none for one that is to go on until it is stopped.
+        **options: as of every `Subject`: `name`, `per`, `folder`, `environment`, `setup`, `host`, `ssh_config`,
+            `ready`, `ready_timeout_s`, `stop_signal`, `grace_s`.
+
+    Raises:
+        PluginError: the command is none, or a parameter cannot be.
+
+    Example:
+        >>> Program(["planner", "--port", 8080], name="Planner", ready="listening").words()
+        ('planner', '--port', '8080')
+    """
+
+    def __init__(self, command: Any, *, exit_codes: Sequence[int] = (), **options: Any) -> None:
+        super().__init__(**options)
+        if isinstance(command, str) or not command:
+            words = command.split() if command else ["planner", "--verbose"]
+            fix = f"Give a list of words: {words!r}; or have a shell read it: ['sh', '-c', '...']."
+            raise PluginError(f"command is {command!r}", where=self.name, fix=fix)
+        self.command = tuple(command)
+        self.exit_codes = tuple(exit_codes)
+        self.words()  # what is no word is found before anything is executed
+        if self.exit_codes and self.per == "run":
+            ended = Measure("Exit_code", "", f"With what {self.name} ended by itself; none where it was stopped.")
+            self.measures = (*self.measures, ended)
+
+    def words(self) -> tuple[str, ...]:
+        """Return the command."""
+        return tuple(word(self.name, each) for each in self.command)
+
+    def program_findings(self, where: str) -> Iterable[Finding]:
+        """Yield that the program is not there."""
+        program = self.words()[0]
+        if is_known(self.command[0]) and self.surroundings.lacks(program):
+            on = f" on {self.surroundings.host}" if self.surroundings.host else ""
+            fix = "Install it, or give its full path."
+            yield Finding.error(where, f"the program {program!r} is not there{on}", fix)
+
+    def may_end(self, ended: Ended) -> bool:
+        """Whether it may end with this exit code by itself."""
+        return ended.code in self.exit_codes
+
+    def wait(self, context: RobotRunnerContext, *, timeout_s: float) -> int:
+        """Wait until it has ended by itself, in a mission that lasts as long as it does, and return its exit code.
+
+        Args:
+            context: of the run.
+            timeout_s: how long to wait at most, s of real time.
+
+        Raises:
+            PluginError: it goes on, was not started, or ended with an exit code that is none of `exit_codes`.
+        """
+        program = self._program
+        deadline = time.monotonic() + timeout_s
+        while program is not None and (ended := program.ended()) is None and time.monotonic() < deadline:
+            time.sleep(_LOOK)
+        if program is None:
+            raise PluginError("it goes on through all runs, or was not started", where=self.name, fix="Say per='run'.")
+        if ended is None:
+            problem = f"it has not ended within {timeout_s:g} s"
+            raise PluginError(problem, where=context.owner, fix="Allow it more time (timeout_s).")
+        if ended.code is None or not self.may_end(ended):
+            fix = "Look at its output, or list the exit code among exit_codes."
+            raise PluginError(self._death(program, ended), where=context.owner, fix=fix)
+        return ended.code
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish how long it took to be ready, and its exit code."""
+        super().populate_run_data(context)
+        if self.exit_codes and self.per == "run":
+            ended = self._ended
+            context.publish("Exit_code", ended.code if ended is not None and not ended.was_asked else None)

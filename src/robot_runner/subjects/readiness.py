@@ -1,0 +1,114 @@
+"""When a subject can be used: conditions of its output, and that it has not died while we wait."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import PluginError
+from robot_runner.core.events.condition import Condition, Look
+from robot_runner.core.words import one_line
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from contextlib import ExitStack
+    from pathlib import Path
+
+    from robot_runner.core.events.condition import LookAgain
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.subjects.supervised_program import Ended, Start
+
+__all__ = ["Ready", "TextInOutput"]
+
+_SHOWN = 80
+
+
+class TextInOutput(Condition):
+    """A text, or what a pattern finds, stands in one line that a subject has written.
+
+    Args:
+        name: the subject's.
+        start: which start of it.
+        wanted: a text or a compiled pattern.
+    """
+
+    def __init__(self, name: str, start: Start, wanted: str | re.Pattern[str]) -> None:
+        self._name = name
+        self._start = start
+        self._shown = wanted if isinstance(wanted, str) else wanted.pattern
+        self._pattern = re.compile(re.escape(wanted)) if isinstance(wanted, str) else wanted
+
+    def __str__(self) -> str:
+        return f"{self._shown!r} stands in the output of {self._name}"
+
+    def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
+        """Begin at the first line that it wrote."""
+        del context, opened
+        outputs = [_Lines(path) for path in (self._start.stdout, self._start.stderr)]
+        last = "nothing was written yet; a program may keep back what it writes to a file (stdbuf -oL ends that)"
+
+        def look() -> Look:
+            nonlocal last
+            for output in outputs:
+                for line in output.fresh():
+                    last = one_line(line.strip())[:_SHOWN] or last
+                    if self._pattern.search(line):
+                        return Look(holds=True, seen=last, value=last)
+            return Look(holds=False, seen=last)
+
+        return look
+
+
+class _Lines:
+    """The lines of a file that grows; one that has no end yet is looked at again."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._offset = 0
+
+    def fresh(self) -> list[str]:
+        with self._path.open("rb") as file:
+            file.seek(self._offset)
+            data = file.read()
+        *whole, rest = data.split(b"\n")
+        self._offset += len(data) - len(rest)
+        return [line.decode(errors="replace") for line in (*whole, rest)]
+
+
+class Ready(Condition):
+    """A subject can be used, and has not died meanwhile.
+
+    Args:
+        start: which start of it.
+        condition: what is awaited; None for nothing but that it goes on.
+        may_end: whether it may have ended so by itself.
+        death: what is said of another end.
+    """
+
+    def __init__(
+        self,
+        start: Start,
+        condition: Condition | None,
+        *,
+        may_end: Callable[[Ended], bool],
+        death: Callable[[Ended], str],
+    ) -> None:
+        self._start = start
+        self._condition = condition
+        self._may_end, self._death = may_end, death
+
+    def __str__(self) -> str:
+        return str(self._condition) if self._condition is not None else "the program was started"
+
+    def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
+        """Watch the condition, and the subject beside it: waiting for one that has died is in vain."""
+        look_again = self._condition.watch(context, opened) if self._condition is not None else lambda: Look(holds=True)
+
+        def look() -> Look:
+            ended = self._start.ended()
+            seen = look_again()
+            if ended is not None and not (seen.holds and self._may_end(ended)):
+                raise PluginError(self._death(ended), where=context.owner, fix="Execute it by hand to see why.")
+            return seen
+
+        return look

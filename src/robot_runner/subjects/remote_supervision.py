@@ -1,0 +1,135 @@
+"""Supervises a program on another computer: sends the supervisor there over ssh, and writes down what it tells.
+
+A program of its own on this machine, as the supervisor is, and with the same input and the same events; what the
+program over there writes goes to files here. The supervisor over there ends everything once ssh ends, or once it has
+heard nothing for as long as its lease: then the network is cut.
+
+The task has besides: `ssh`, the command that executes `BOOTSTRAP` over there, and `where`, its name.
+"""
+
+import fcntl
+import json
+import os
+import select
+import signal
+import subprocess
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+#: Executed by the shell over there, whichever it is. Python reads its program as one line of JSON, not a byte more.
+BOOTSTRAP = (
+    "exec python3 -c 'import json,os;"
+    'exec(json.loads(b"".join(iter(lambda:os.read(0,1) or exit(1),b"\\n")).decode()))\''
+)
+#: How often the supervisor over there is told that we are there, s, and how long it goes on without hearing it.
+_TOLD_EVERY, LEASE = 5.0, 30.0
+#: How much longer than its own deadlines the supervisor over there may take to end everything, s.
+_PATIENCE = 15.0
+_LAST_WORDS = 4096
+
+
+class _Relay:
+    def __init__(self, task: dict[str, Any]) -> None:
+        self._task = task
+        self._files = {name: Path(task[f"std{name}"]).open("ab", buffering=0) for name in ("out", "err")}  # noqa: SIM115
+        self._rest, self._said = b"", b""
+        self._has_ended = self._is_gone = False
+        self._is_told = False
+        for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
+            signal.signal(number, self._take_signal)
+
+    def relay(self) -> None:
+        """Do all of it."""
+        try:
+            self._ssh = subprocess.Popen(  # noqa: S603 - from `ssh_command`
+                self._task["ssh"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                start_new_session=True,
+            )
+        except OSError as error:
+            _say(refused=f"ssh cannot be started: {error.strerror}")
+            return
+        self._send()
+        self._follow()
+        self._conclude()
+
+    def _take_signal(self, *_: object) -> None:
+        self._is_told = True
+
+    def _send(self) -> None:
+        program = Path(__file__).with_name("supervisor.py").read_text(encoding="utf-8")
+        there = {**self._task, "stdout": None, "stderr": None, "lease": LEASE}
+        for line in (program, {name: value for name, value in there.items() if name not in {"ssh", "where"}}):
+            self._write(json.dumps(line).encode() + b"\n")
+
+    def _write(self, data: bytes) -> None:
+        if self._ssh.stdin is not None:
+            with suppress(OSError):  # ssh has ended, which is seen where its output ends
+                self._ssh.stdin.write(data)
+                self._ssh.stdin.flush()
+
+    def _follow(self) -> None:
+        assert self._ssh.stdout is not None and self._ssh.stderr is not None  # noqa: S101, PT018 - for mypy
+        streams = {self._ssh.stdout.fileno(): self._take, self._ssh.stderr.fileno(): self._hear}
+        kill_at: float | None = None
+        while streams:
+            asking = [] if self._is_told else [0]
+            ready = select.select([*asking, *streams], [], [], _TOLD_EVERY if kill_at is None else 0.2)[0]
+            if 0 in ready:
+                said = os.read(0, 4096)
+                self._is_told = not said or b"stop" in said
+            for stream in set(ready).intersection(streams):
+                data = os.read(stream, 1 << 16)
+                streams[stream](data)
+                if not data:
+                    del streams[stream]
+            if kill_at is None:
+                self._write(b"stop\n" if self._is_told else b"\n")
+                kill_at = time.monotonic() + self._seconds() if self._is_told or self._has_ended else None
+            elif time.monotonic() > kill_at:
+                self._ssh.kill()
+
+    def _seconds(self) -> float:
+        last = self._task["last_seconds"] if self._task["last"] is not None else 0.0
+        return float(self._task["grace"] + last + _PATIENCE)
+
+    def _take(self, data: bytes) -> None:
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        for line in lines:
+            event = json.loads(line)
+            output = next((name for name in self._files if name in event), None)
+            if output is not None:
+                self._files[output].write(event[output].encode("latin-1"))
+            else:
+                self._has_ended |= "ended" in event or "refused" in event
+                self._is_gone |= "gone" in event or "refused" in event
+                _say(**event)
+
+    def _hear(self, data: bytes) -> None:
+        self._said = (self._said + data)[-_LAST_WORDS:]
+
+    def _conclude(self) -> None:
+        code = self._ssh.wait()
+        if not self._is_gone:
+            said = self._said.decode(errors="replace").strip()
+            _say(lost=said or f"ssh ended with code {code}", at=time.time())
+
+
+def _say(**event: object) -> None:
+    os.write(1, json.dumps(event).encode() + b"\n")
+
+
+def main() -> None:
+    """Read the task and relay what the supervisor over there says of it."""
+    with os.fdopen(0, "rb", buffering=0, closefd=False) as unbuffered:  # it reads not a byte more
+        task = json.loads(unbuffered.readline())
+    fcntl.flock(1, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    _Relay(task).relay()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,304 @@
+"""What all subjects share: when they are started, when they are ready, what happens when they die, how they end."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import signal
+import threading
+import time
+from abc import abstractmethod
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import Finding, PluginError, did_you_mean
+from robot_runner.core.events.condition import Condition
+from robot_runner.core.events.measure import Measure
+from robot_runner.core.links.host import LOCAL, SUBJECT_VARIABLE
+from robot_runner.core.links.measured_machine import machine_clock
+from robot_runner.core.plugin import System
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.treatments import factors_of
+from robot_runner.subjects.readiness import Ready, TextInOutput
+from robot_runner.subjects.supervised_program import Start, SupervisedProgram, Task, user_cache
+from robot_runner.subjects.surroundings import Surroundings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
+    from robot_runner.core.plugin import Circumstances
+    from robot_runner.subjects.supervised_program import Ended
+
+__all__ = ["Subject"]
+
+_SPANS = ("run", "experiment")
+#: How often we look whether it has died, s.
+_LOOK = 0.1
+
+
+class Subject(System):
+    """Software under test, which is started and stopped by Robot Runner, here or on another computer.
+
+    Args:
+        name: tells several instances apart; the class's name if left out.
+        per: `run` to start it in each run, `experiment` to start it once, before the first run.
+        folder: where it is executed; a treatment of `Factor.revisions` stands for its work tree.
+        environment: variables beside those of Robot Runner (or of the user on another computer); None takes one away.
+        setup: a file to source first, such as the setup file of a ROS workspace.
+        host: another computer, as ssh takes it (`pi@robot`); None for this machine.
+        ssh_config: a file to take the place of your ssh config.
+        ready: when it can be used: a condition, or a text (or a compiled pattern) in a line of its output; None for as
+            soon as it is started.
+        ready_timeout_s: how long it may take for that, s of real time.
+        stop_signal: what it takes for "end".
+        grace_s: how long it may take for that before it is killed with all that it started, s.
+
+    Raises:
+        PluginError: a parameter cannot be.
+    """
+
+    needs: ClassVar[str] = "The program; on another computer Python 3.6 and a key for ssh."
+    bytes_per_run: int = 100_000
+
+    def __init__(  # noqa: PLR0913 - keywords of a user's config
+        self,
+        *,
+        name: str | None = None,
+        per: str = "run",
+        folder: Any = None,
+        environment: Mapping[str, Any] | None = None,
+        setup: str | Path | None = None,
+        host: str | None = None,
+        ssh_config: str | Path | None = None,
+        ready: Condition | str | re.Pattern[str] | None = None,
+        ready_timeout_s: float = 60.0,
+        stop_signal: signal.Signals = signal.SIGTERM,
+        grace_s: float = 10.0,
+    ) -> None:
+        super().__init__(name=name)
+        if per not in _SPANS:
+            raise PluginError(f"per is {per!r}", where=self.name, fix=did_you_mean(per, _SPANS))
+        for parameter, value in (("ready_timeout_s", ready_timeout_s), ("grace_s", grace_s)):
+            if not value > 0:
+                fix = f"Give {parameter} a number of seconds above 0."
+                raise PluginError(f"{parameter} is {value!r}", where=self.name, fix=fix)
+        if ready is not None and not (isinstance(ready, Condition | re.Pattern) or (isinstance(ready, str) and ready)):
+            fix = "Give a condition, a text that stands in its output, or re.compile(...)."
+            raise PluginError(f"ready is {ready!r}", where=self.name, fix=fix)
+        self.per = per
+        self.surroundings = Surroundings.of(
+            self.name, folder=folder, environment=environment or {}, setup=setup, host=host, ssh_config=ssh_config
+        )
+        self.ready = ready
+        self.ready_timeout_s = ready_timeout_s
+        self.stop_signal = signal.Signals(stop_signal)
+        self.grace_s = grace_s
+        started = Measure("Startup_time", "s", f"From the start of {self.name} until it was ready.")
+        self.measures: Sequence[Measure] = (started,) if per == "run" else ()
+        self._program: SupervisedProgram | None = None
+        self._startup_time: float | None = None
+        self._ended: Ended | None = None
+        self._watch: threading.Thread | None = None
+        self._is_ending = threading.Event()
+
+    # What kinds of subjects differ in.
+
+    @abstractmethod
+    def words(self) -> Sequence[str]:
+        """Return the command that is executed; asked when it is started."""
+
+    def last_words(self) -> tuple[str, ...] | None:
+        """Return a command for when everything has ended; None where there is nothing to do."""
+        return None
+
+    def variables(self, start: Start) -> Mapping[str, str]:
+        """Return variables of its environment beside those that the user names."""
+        del start
+        return {}
+
+    @abstractmethod
+    def program_findings(self, where: str) -> Iterable[Finding]:
+        """Yield what keeps the command from being executed; asked where its surroundings are as they should be."""
+
+    def may_end(self, ended: Ended) -> bool:
+        """Whether this is an end that it may have by itself, before it is stopped."""
+        del ended
+        return False
+
+    # Its life.
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Yield what stands in the way: the program is not there, or the host cannot be reached."""
+        where = f"plugin {self.name}"
+        if self.per == "experiment" and factors_of(self):
+            factor = next(iter(factors_of(self).values()))
+            problem = f"the subject is started once for all runs, and bound to the factor {factor!r}"
+            yield Finding.error(where, problem, "Start it in each run: per='run'.")
+        if isinstance(self.ready, Condition):
+            yield from self.ready.check(circumstances.robot)
+        findings = list(self.surroundings.findings(where))
+        yield from findings
+        if not any(finding.is_error for finding in findings) and self.surroundings.is_there:
+            yield from self.program_findings(where)
+
+    def before_experiment(self, context: ExperimentContext) -> None:
+        """Start it, where it goes on through all runs."""
+        if self.per == "experiment":
+            self._begin(context, _free(self._shared_folder(context)))
+
+    def before_run(self, context: RobotRunnerContext) -> None:
+        """Start it again where it should go on through all runs and has died since."""
+        if self.per != "experiment" or self._program is None or (ended := self._program.ended()) is None:
+            return
+        context.warn(f"{self._death(self._program, ended)}; it was started again before this run")
+        self._program.stop()
+        self._begin(context, _free(self._shared_folder(context)))
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Start it, wait until it is ready, and watch over it from then on.
+
+        Raises:
+            PluginError: it cannot be started, or has died.
+            ConditionError: it was not ready in time.
+        """
+        self._startup_time = self._ended = None
+        begun_at = time.monotonic()
+        start = self._begin(context, context.raw_data_folder) if self.per == "run" else self._attached(context)
+        try:
+            if self._program is not None and self.per == "run" and self.last_words() is not None:
+                context.outlives(self._program.supervisor_pid)  # should the run be killed, its supervisor cleans up
+            self._await_ready(context, start)
+        except BaseException:
+            self._end()
+            raise
+        self._startup_time = time.monotonic() - begun_at
+        context.share(pid=start.pid, host=self.surroundings.host or LOCAL)
+        context.broker.note(self.name, "subject", self._facts(context, start))
+        self._is_ending = threading.Event()
+        watch = threading.Thread(
+            target=self._watch_over, args=(context, start, self._is_ending), name=f"watch over {self.name}", daemon=True
+        )
+        watch.start()
+        self._watch = watch
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """End it with everything that it started, where it is the run's own."""
+        self._is_ending.set()
+        if self._watch is not None:
+            self._watch.join()
+            self._watch = None
+        program = self._program
+        if self.per != "run" or program is None:
+            return
+        self._end()
+        if self._ended is not None:
+            facts = {"ended": self._ended.how, "exit_code": self._ended.code, "was_asked": self._ended.was_asked}
+            context.broker.note(self.name, "subject", facts)
+            if self._ended.was_killed:
+                problem = f"{self.name} did not end within {self.grace_s:g} s of {self.stop_signal.name} and was killed"
+                context.warn(problem, fix="Allow it more time (grace_s), or give the stop_signal that it obeys.")
+        for remark in program.remarks():
+            context.warn(f"{self.name} {remark}", fix="Look at the computer that it was executed on.")
+
+    def make_safe(self, context: RobotRunnerContext) -> None:
+        """End it, whatever has failed."""
+        del context
+        self._is_ending.set()
+        if self.per == "run":
+            self._end()
+
+    def after_experiment(self) -> None:
+        """End it with everything that it started, where it went on through all runs."""
+        self._end()
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish how long it took to be ready."""
+        if self.per == "run":
+            context.publish("Startup_time", self._startup_time)
+
+    def _begin(self, context: ExperimentContext, folder: Path) -> SupervisedProgram:
+        start = Start(folder)
+        around = self.surroundings
+        task = Task(
+            command=around.wrapped(self.words()),
+            environment={**self.variables(start), **around.environment, SUBJECT_VARIABLE: self.name},
+            folder=around.path,
+            stop_signal=self.stop_signal,
+            grace_s=self.grace_s,
+            last=around.wrapped(last) if (last := self.last_words()) else None,
+            host=around.host,
+            ssh_config=around.ssh_config,
+            lock=self._lock(context),
+        )
+        self._program = SupervisedProgram(folder, task, name=self.name)
+        return self._program
+
+    def _lock(self, context: ExperimentContext) -> Path:
+        """Return the file that is locked from each start of this subject until all of it has ended."""
+        key = hashlib.sha256(f"{context.experiment_folder.absolute()}\0{self.name}".encode()).hexdigest()[:16]
+        return user_cache() / "subjects" / f"{key}.lock"
+
+    def _attached(self, context: RobotRunnerContext) -> Start:
+        """Return the start of a subject that goes on through all runs; another process has started it."""
+        starts = _numbered(self._shared_folder(context))
+        if not starts:
+            raise PluginError("the subject was not started", where=self.name, fix="Start the experiment again.")
+        return Start(starts[-1])
+
+    def _shared_folder(self, context: ExperimentContext) -> Path:
+        return ExperimentFolder(context.experiment_folder).subjects / self.name
+
+    def _await_ready(self, context: RobotRunnerContext, start: Start) -> None:
+        """Wait until it is ready, in real time, as it knows nothing of a simulation's clock."""
+        condition = self.ready
+        if isinstance(condition, str | re.Pattern):
+            condition = TextInOutput(self.name, start, condition)
+        real = replace(context, clock=machine_clock(context))
+        ready = Ready(start, condition, may_end=self.may_end, death=lambda ended: self._death(start, ended))
+        ready.wait(real, timeout_s=self.ready_timeout_s)
+
+    def _watch_over(self, context: RobotRunnerContext, start: Start, is_ending: threading.Event) -> None:
+        """Fail the run as soon as the subject has died."""
+        while not is_ending.wait(_LOOK):
+            ended = start.ended()
+            if ended is None or is_ending.is_set():
+                continue
+            if not self.may_end(ended):
+                context.fail(self._death(start, ended))
+            return
+
+    def _end(self) -> None:
+        program, self._program = self._program, None
+        if program is not None:
+            self._ended = program.stop()
+
+    def _death(self, start: Start, ended: Ended) -> str:
+        said = start.last_lines()
+        return f"{self.name} has died: {ended.how}{f'; it wrote last: {said}' if said else ''}"
+
+    def _facts(self, context: RobotRunnerContext, start: Start) -> dict[str, Any]:
+        """Return what the journal keeps of it in a run."""
+        folder = start.folder
+        if folder.is_relative_to(context.experiment_folder):
+            folder = folder.relative_to(context.experiment_folder)
+        return {
+            "command": list(self.words()),
+            "pid": start.pid,
+            "per": self.per,
+            "output": folder.as_posix(),
+            "startup_s": round(self._startup_time or 0.0, 3),
+            **self.surroundings.facts(),
+        }
+
+
+def _numbered(folder: Path) -> list[Path]:
+    found = [path for path in folder.glob("*") if path.name.isdigit()]
+    return sorted(found, key=lambda path: int(path.name))
+
+
+def _free(folder: Path) -> Path:
+    """Return the folder of the next start of a subject."""
+    last = [int(path.name) for path in _numbered(folder)[-1:]]
+    return folder / str(1 + sum(last))

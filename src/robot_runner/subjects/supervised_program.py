@@ -1,0 +1,325 @@
+"""One start of a program under its supervisor: the files that it writes to, and what the supervisor has told of it."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import PluginError
+from robot_runner.core.links.ssh_host import gist, remedy, ssh_command
+from robot_runner.core.words import listed, one_line
+from robot_runner.subjects.remote_supervision import BOOTSTRAP, LEASE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+__all__ = ["Ended", "Start", "SupervisedProgram", "Task", "shell_words", "tail", "user_cache"]
+
+#: How long a supervisor may take to start its program, s: here, and over a network.
+_PATIENCE, _FAR_PATIENCE = 20.0, 40.0
+#: How much longer than its own deadlines a supervisor may take to end everything, s; over a network that is cut, the
+#: one over there ends it once its lease is over.
+_LAST_PATIENCE = 15.0
+_LOOK = 0.01
+#: How much of the end of an output is shown.
+_TAIL_BYTES, _TAIL_LINES = 4096, 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """What is to be started, and how it is ended.
+
+    Attributes:
+        command: the program and its arguments.
+        environment: variables beside those that are there; None takes one away.
+        folder: where it is executed; None for where Robot Runner is, or the user's home on another computer.
+        stop_signal: what the program takes for "end".
+        grace_s: how long it may take for that, s.
+        last: a command for when everything has ended.
+        last_s: how long that may take, s.
+        host: the computer as ssh takes it; None for this one.
+        ssh_config: a file to take the place of the user's ssh config.
+        lock: a file that is locked until everything has ended: the next start waits for the end of this one.
+    """
+
+    command: tuple[str, ...]
+    environment: Mapping[str, str | None]
+    folder: str | None = None
+    stop_signal: signal.Signals = signal.SIGTERM
+    grace_s: float = 10.0
+    last: tuple[str, ...] | None = None
+    last_s: float = 60.0
+    host: str | None = None
+    ssh_config: Path | None = None
+    lock: Path | None = None
+
+    @property
+    def ending_s(self) -> float:
+        """How long its end may take, s."""
+        return self.grace_s + (self.last_s if self.last else 0.0) + 2 * _LAST_PATIENCE
+
+    def line(self, stdout: Path, stderr: Path) -> bytes:
+        """Return the line that tells the supervisor its task."""
+        fields: dict[str, Any] = {
+            "command": self.command,
+            "environment": dict(self.environment),
+            "folder": self.folder,
+            "stdout": str(stdout),
+            "stderr": str(stderr),
+            "stop_signal": int(self.stop_signal),
+            "grace": self.grace_s,
+            "last": self.last,
+            "last_seconds": self.last_s,
+            "lease": None,
+        }
+        if self.host is not None:
+            fields |= {"where": self.host, "ssh": ssh_command(self.host, BOOTSTRAP, config=self.ssh_config)}
+        return json.dumps(fields).encode() + b"\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How a program ended.
+
+    Attributes:
+        code: its exit code; negative for the signal that ended it; None where nobody knows.
+        how: the same in words.
+        was_asked: whether we asked it to.
+        was_killed: whether it took SIGKILL.
+    """
+
+    code: int | None
+    how: str
+    was_asked: bool = False
+    was_killed: bool = False
+
+
+class Start:
+    """What one start of a program left on disk; any process may look at it while the program goes on.
+
+    Args:
+        folder: takes `stdout.txt`, `stderr.txt`, and the supervisor's `events.jsonl`.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.stdout = folder / "stdout.txt"
+        self.stderr = folder / "stderr.txt"
+        self.events = folder / "events.jsonl"
+
+    @property
+    def pid(self) -> int | None:
+        """The program's process id, on the computer where it is executed; None before it was started."""
+        pid = self._told("started").get("started")
+        return int(pid) if pid is not None else None
+
+    @property
+    def refusal(self) -> str:
+        """Why it could not be started; empty where that is not so."""
+        return str(self._told("refused").get("refused", ""))
+
+    def ended(self) -> Ended | None:
+        """Return how it ended, or None where it goes on."""
+        supervised = self._is_supervised()  # before its last words are read, which it writes before it leaves
+        told = self._told("ended")
+        if told:
+            code = told["ended"]
+            return Ended(code, _how(code), bool(told["asked"]), bool(told["killed"]))
+        lost = self._told("lost")
+        if lost:
+            return Ended(None, f"the connection is lost: {gist(str(lost['lost']))}")
+        return None if supervised else Ended(None, "its supervisor was killed")
+
+    def remarks(self) -> list[str]:
+        """Return what went wrong at the end: what could not be ended, or cleaned up."""
+        left = self._told("gone").get("gone") or []
+        unclean = self._told("unclean").get("unclean")
+        lost = self._told("lost").get("lost")
+        told = [f"could not be ended with all that it started: process {listed(map(str, left))}"] if left else []
+        told += [f"left something behind: {unclean}"] if unclean else []
+        if lost:
+            told.append(f"was out of reach when it was to end; it is ended there {LEASE:g} s after the connection")
+        return told
+
+    def last_lines(self) -> str:
+        """Return the end of what it wrote to stderr, or else to stdout, on one line."""
+        for path in (self.stderr, self.stdout):
+            lines = [line.strip() for line in tail(path).splitlines() if line.strip()]
+            if lines:
+                return one_line(" | ".join(lines[-_TAIL_LINES:]))
+        return ""
+
+    def _is_supervised(self) -> bool:
+        try:
+            with self.events.open("rb") as file:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+        return False
+
+    def _told(self, kind: str) -> dict[str, Any]:
+        """Return the supervisor's event of a kind, or nothing where it has not come."""
+        try:
+            lines = self.events.read_bytes().split(b"\n")[:-1]
+        except OSError:
+            return {}
+        for line in lines:
+            with suppress(ValueError):
+                event = json.loads(line)
+                if isinstance(event, dict) and kind in event:
+                    return event
+        return {}
+
+
+class SupervisedProgram(Start):
+    """A program that this process has started; its supervisor ends it with this process.
+
+    Args:
+        folder: takes what it writes; made where it is not there.
+        task: what is started.
+        name: of the plugin that asks, for messages.
+
+    Raises:
+        PluginError: it cannot be started.
+    """
+
+    def __init__(self, folder: Path, task: Task, *, name: str) -> None:
+        super().__init__(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        self._task = task
+        self._name = name
+        self.begun_at = time.monotonic()
+        for path in (self.stdout, self.stderr):
+            path.touch()
+        module = "supervisor.py" if task.host is None else "remote_supervision.py"
+        # Unbuffered, and isolated from what lies around in the folder it is started in.
+        words = [sys.executable, "-I", str(Path(__file__).with_name(module))]
+        with self._turn() as turn, self.events.open("wb") as events:
+            self._supervisor = subprocess.Popen(  # noqa: S603 - our own program
+                words,
+                stdin=subprocess.PIPE,
+                stdout=events,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+                pass_fds=turn,
+            )
+        self._say(task.line(self.stdout, self.stderr))
+        self._await_start()
+
+    @property
+    def supervisor_pid(self) -> int:
+        """The process id of the supervisor, which is on this machine in any case."""
+        return self._supervisor.pid
+
+    def stop(self) -> Ended:
+        """End the program with everything that it started, and return how it ended; a second call returns the same."""
+        if self._supervisor.stdin is not None and not self._supervisor.stdin.closed:
+            self._say(b"stop\n")
+            with suppress(OSError):
+                self._supervisor.stdin.close()
+        try:
+            self._supervisor.wait(self._task.ending_s)
+        except subprocess.TimeoutExpired:
+            self._supervisor.kill()
+            self._supervisor.wait()
+        return self.ended() or Ended(None, "nobody knows how")
+
+    @contextmanager
+    def _turn(self) -> Iterator[tuple[int, ...]]:
+        """Wait until an earlier start has ended, and yield what the supervisor has to inherit to keep a later one off.
+
+        Where a run was killed, its supervisor may still be at work.
+        """
+        if self._task.lock is None:
+            yield ()
+            return
+        deadline = time.monotonic() + self._task.ending_s
+        self._task.lock.parent.mkdir(parents=True, exist_ok=True)
+        with self._task.lock.open("w") as lock:
+            while True:
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    break
+                except BlockingIOError:
+                    if time.monotonic() > deadline:
+                        fix = f"Look who has this file open, and end it: lsof {lock.name}"
+                        raise PluginError("an earlier start of it goes on", where=self._name, fix=fix) from None
+                    time.sleep(_LOOK)
+            yield (lock.fileno(),)
+
+    def _say(self, data: bytes) -> None:
+        pipe = self._supervisor.stdin
+        with suppress(OSError):  # it has ended, which is seen in its events
+            if pipe is not None:
+                pipe.write(data)
+                pipe.flush()
+
+    def _await_start(self) -> None:
+        deadline = time.monotonic() + (_PATIENCE if self._task.host is None else _FAR_PATIENCE)
+        while self.pid is None:
+            ended = self.ended() if self._supervisor.poll() is not None or self.refusal else None
+            if ended is not None or time.monotonic() > deadline:
+                raise self._refused(ended)
+            time.sleep(_LOOK)
+
+    def _refused(self, ended: Ended | None) -> PluginError:
+        refusal, lost = self.refusal, str(self._told("lost").get("lost", ""))
+        with suppress(ProcessLookupError):
+            os.killpg(self._supervisor.pid, signal.SIGKILL)
+        self._supervisor.wait()
+        host = self._task.host
+        if refusal:
+            problem = f"{self._task.command[0]!r} cannot be started: {refusal}"
+            return PluginError(problem, where=self._name, fix="Install it, or give its full path.")
+        if host is not None and lost:
+            return PluginError(f"{host} cannot be reached: {gist(lost)}", where=self._name, fix=remedy(host, lost))
+        problem = f"{self._task.command[0]!r} was not started: {ended.how if ended else 'its supervisor is silent'}"
+        return PluginError(problem, where=self._name, fix="Execute it by hand to see why.")
+
+
+def user_cache() -> Path:
+    """Return our folder among the user's caches (XDG_CACHE_HOME)."""
+    home = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    return Path(home).expanduser() / "robot-runner"
+
+
+def tail(path: Path, size: int = _TAIL_BYTES) -> str:
+    """Return the end of a text file; nothing of one that cannot be read."""
+    try:
+        with path.open("rb") as file:
+            file.seek(max(0, path.stat().st_size - size))
+            return file.read().decode(errors="replace")
+    except OSError:
+        return ""
+
+
+def _how(code: int | None) -> str:
+    if code is None:
+        return "nothing could end it"
+    return f"{signal.Signals(-code).name} ended it" if code < 0 else f"exit code {code}"
+
+
+def shell_words(command: Sequence[str], setup: str | None) -> tuple[str, ...]:
+    """Return the command that sources a file first, such as the setup file of a ROS workspace.
+
+    Example:
+        >>> shell_words(["ros2", "topic", "list"], "install/setup.bash")[-4:]
+        ('install/setup.bash', 'ros2', 'topic', 'list')
+    """
+    if setup is None:
+        return tuple(command)
+    shell = "bash" if setup.endswith(".bash") else "sh"
+    file = setup if "/" in setup else f"./{setup}"
+    # Within a function, as such a file would take our own arguments for its.
+    return (shell, "-c", 'load() { . "$0"; }; load && exec "$@"', file, *command)

@@ -1,0 +1,222 @@
+"""Where a subject is executed: the computer, the folder, the environment, and the file that is sourced first."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from robot_runner.core.design.revision import Revision
+from robot_runner.core.errors import Finding, LinkError, PluginError
+from robot_runner.core.links.host import LOCAL
+from robot_runner.core.links.ssh_host import checked_destination, execute, ssh_command, ssh_findings
+from robot_runner.core.storage.git_repository import repository_state
+from robot_runner.subjects.supervised_program import shell_words
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+__all__ = ["Answer", "Surroundings", "is_known", "word"]
+
+#: How long a question to a program may take, s: roslaunch needs one second here and several on a small computer.
+_PATIENCE = 30.0
+_NO_PROGRAM = 127  # what a shell says of a program that it does not find
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a program answered to a question.
+
+    Attributes:
+        code: its exit code; None where it took too long, or could not be started.
+        said: what it wrote to stdout.
+        complaint: what it wrote to stderr, or why it could not be started.
+    """
+
+    code: int | None
+    said: str
+    complaint: str
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """Where a subject is executed.
+
+    Attributes:
+        folder: a path, or what stands for one, such as a revision that is not built before the experiment begins.
+        host: another computer as ssh takes it; None for this one.
+    """
+
+    folder: Any
+    environment: Mapping[str, str | None]
+    setup: str | None
+    host: str | None
+    ssh_config: Path | None
+
+    @classmethod
+    def of(
+        cls,
+        plugin: str,
+        *,
+        folder: Any,
+        environment: Mapping[str, Any],
+        setup: str | Path | None,
+        host: str | None,
+        ssh_config: str | Path | None,
+    ) -> Self:
+        """Return the surroundings that a config asks for.
+
+        Raises:
+            PluginError: one of them cannot be.
+        """
+        if folder is not None and not isinstance(folder, str | os.PathLike):
+            fix = "Give a path, or bind it to Factor.revisions(...)."
+            raise PluginError(f"folder is {folder!r}", where=plugin, fix=fix)
+        host = None if host == LOCAL else host
+        try:
+            checked_destination(host or LOCAL)
+        except LinkError as error:
+            raise PluginError(error.problem, where=plugin, fix=error.fix) from error
+        if host is None and ssh_config is not None:
+            raise PluginError("ssh_config is given, and no host", where=plugin, fix="Leave ssh_config out.")
+        variables = {name: None if value is None else word(plugin, value) for name, value in environment.items()}
+        config = None if ssh_config is None else Path(ssh_config).expanduser()
+        return cls(folder, variables, None if setup is None else str(setup), host, config)
+
+    @property
+    def path(self) -> str | None:
+        """The folder's path; None for the one that is there anyway."""
+        if self.folder is None:
+            return None
+        path = os.fspath(self.folder)
+        return path if self.host is not None else str(Path(path).expanduser())
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the folder can be looked into now: a revision is built once the experiment begins."""
+        return is_known(self.folder)
+
+    def wrapped(self, words: Sequence[str]) -> tuple[str, ...]:
+        """Return a command with the sourcing of the setup file."""
+        return shell_words(words, self.setup)
+
+    def findings(self, where: str) -> Iterator[Finding]:
+        """Yield what is not as it should be, whatever is executed there."""
+        if self.host is not None and isinstance(self.folder, Revision):
+            problem = f"revisions are built on this machine, and the subject is executed on {self.host}"
+            yield Finding.error(where, problem, "Leave host out, or name a folder over there.")
+        elif self.host is not None:
+            yield from self._host_findings(where)
+        elif self.is_there:
+            folder = Path(self.path or ".")
+            if not folder.is_dir():
+                yield Finding.error(where, f"there is no folder {str(folder)!r}", "Make it, or name another.")
+            elif self.setup is not None and not (folder / self.setup).is_file():
+                yield Finding.error(where, f"there is no file {self.setup!r} to source", "Build the workspace first.")
+
+    def _host_findings(self, where: str) -> Iterator[Finding]:
+        found = ssh_findings(where, str(self.host), config=self.ssh_config)
+        yield from found
+        if found:
+            return
+        tests = [("python3 is not there", "command -v python3", "Install it there: it watches over the subject.")]
+        if self.path is not None:
+            tests.append((f"there is no folder {self.path!r}", f"cd {_quoted(self.path)}", "Make it there."))
+        if self.setup is not None:
+            test = f"{self._entered()}test -f {shlex.quote(self.setup)}"
+            tests.append((f"there is no file {self.setup!r} to source", test, "Build the workspace there."))
+        for problem, test, fix in tests:
+            if self._over_there(f"{test} >/dev/null").code != 0:
+                yield Finding.error(where, f"{self.host}: {problem}", fix)
+
+    def ask(self, words: Sequence[str]) -> Answer:
+        """Have a program answer a question, in these surroundings."""
+        wrapped = self.wrapped(words)
+        if self.host is not None:
+            variables = [f"{name}={value}" for name, value in self.environment.items() if value is not None]
+            without = [word for name, value in self.environment.items() if value is None for word in ("-u", name)]
+            return self._over_there(self._entered() + shlex.join(["env", *without, *variables, *wrapped]))
+        try:
+            done = subprocess.run(  # noqa: S603 - an argument list
+                wrapped,
+                cwd=self.path,
+                env=self.local_environment,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                timeout=_PATIENCE,
+                check=False,
+                start_new_session=True,
+            )
+        except subprocess.TimeoutExpired:
+            return Answer(None, "", f"it did not answer within {_PATIENCE:g} s")
+        except OSError as error:
+            return Answer(_NO_PROGRAM, "", f"{wrapped[0]}: {error.strerror}")
+        return Answer(done.returncode, done.stdout.decode(errors="replace"), done.stderr.decode(errors="replace"))
+
+    @property
+    def local_environment(self) -> dict[str, str]:
+        """The environment of a program on this machine."""
+        return {name: value for name, value in {**os.environ, **self.environment}.items() if value is not None}
+
+    def lacks(self, program: str) -> bool:
+        """Whether a program is not there, as far as that can be known without executing it."""
+        if self.host is not None or self.setup is not None:
+            return self.ask(["sh", "-c", 'command -v "$0"', program]).code != 0
+        if "/" in program:
+            return shutil.which(str(Path(self.path or ".") / Path(program).expanduser())) is None
+        return shutil.which(program, path=self.local_environment.get("PATH")) is None
+
+    def facts(self) -> dict[str, Any]:
+        """Return what is to be known of them, as plain data; what is as usual is left out."""
+        facts = {"host": self.host, "folder": self.path, "setup": self.setup, "environment": dict(self.environment)}
+        state = repository_state(self.path) if self.path is not None and self.host is None else None
+        facts |= {"repository": state.facts()} if state is not None else {}
+        return {name: value for name, value in facts.items() if value}
+
+    def _entered(self) -> str:
+        return f"cd {_quoted(self.path)} && " if self.path is not None else ""
+
+    def _over_there(self, script: str) -> Answer:
+        command = ssh_command(str(self.host), f"exec sh -c {shlex.quote(script)}", config=self.ssh_config)
+        try:
+            done = execute(command, timeout=_PATIENCE)
+        except subprocess.TimeoutExpired:
+            return Answer(None, "", f"{self.host} did not answer within {_PATIENCE:g} s")
+        except OSError as error:
+            return Answer(None, "", f"ssh: {error.strerror}")
+        return Answer(done.returncode, done.stdout.decode(errors="replace"), done.stderr.decode(errors="replace"))
+
+
+def is_known(value: Any) -> bool:
+    """Whether a path can be looked at now: that of a revision is known once the experiment has begun."""
+    return not isinstance(value, Revision) or value.is_prepared
+
+
+def word(plugin: str, value: Any) -> str:
+    """Return a value as a word of a command or of an environment; a list is its parts in one word.
+
+    Raises:
+        PluginError: it is nothing that could be one.
+
+    Example:
+        >>> word("nav", ["--speed=", 0.2])
+        '--speed=0.2'
+    """
+    if isinstance(value, list | tuple):
+        return "".join(word(plugin, part) for part in value)
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, os.PathLike):
+        value = os.fspath(value) if is_known(value) else str(value)
+    if isinstance(value, str | int | float) and "\0" not in str(value):
+        return str(value)
+    raise PluginError(f"{value!r} is no word of a command", where=plugin, fix="Give texts, numbers or paths.")
+
+
+def _quoted(path: str) -> str:
+    """Return a path for a shell, which is to know what `~` at its beginning means."""
+    return f"~/{shlex.quote(path[2:])}" if path.startswith("~/") else shlex.quote(path)

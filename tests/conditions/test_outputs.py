@@ -1,0 +1,153 @@
+"""Texts are found in files that programs are writing, and files are complete when they are."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import threading
+import time
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+import pytest
+
+from robot_runner import Condition, ConditionError, file_complete, text_in
+from robot_runner.core.events.context import SystemClock
+from robot_runner.testing import make_context
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from robot_runner import Look
+
+PROGRAM = """
+import sys, time
+print("booting \\x1b[31m", flush=True)
+time.sleep(0.3)
+sys.stdout.write("listening on "); sys.stdout.flush()
+time.sleep(0.2)
+print("port 8080", flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.fixture
+def watching(tmp_path: Path) -> Callable[[Condition], Callable[[], Look]]:
+    context = make_context(tmp_path, clock=SystemClock(), robot=None)
+    return lambda condition: condition.watch(context, ExitStack())
+
+
+def test_a_text_is_found_in_the_output_of_a_program_however_it_was_flushed(tmp_path: Path) -> None:
+    context = make_context(tmp_path, clock=SystemClock(), robot=None)
+    with (context.run_folder / "server.txt").open("wb") as output:
+        process = subprocess.Popen([sys.executable, "-c", PROGRAM], stdout=output)
+    try:
+        look = text_in("server.txt", re.compile(r"listening on port (\d+)")).wait(context, timeout_s=20.0)
+        assert look.value == "listening on port 8080"
+        with pytest.raises(ConditionError, match=re.escape("last line: 'listening on port 8080'")):
+            text_in("server.txt", "never").wait(context, timeout_s=0.1)
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_only_what_is_new_counts_where_that_is_asked_for(
+    watching: Callable[..., Callable[[], Look]], tmp_path: Path
+) -> None:
+    log = tmp_path / "system.log"
+    log.write_text("ready\n")
+    every, new = watching(text_in(log, "ready")), watching(text_in(log, "ready", new_only=True))
+    assert every().holds
+    assert not new().holds
+    with log.open("a") as file:
+        file.write("ready\n")
+    assert new().holds
+
+
+def test_a_file_that_begins_anew_is_read_from_its_beginning(
+    watching: Callable[..., Callable[[], Look]], tmp_path: Path
+) -> None:
+    log = tmp_path / "system.log"
+    log.write_text("a" * 100)
+    look = watching(text_in(log, "ready", new_only=True))
+    assert not look().holds
+    log.write_text("ready")  # emptied, and written by the next start of the program
+    assert look().holds
+
+    look = watching(text_in(log, "fire"))
+    assert not look().holds
+    log.write_text("on fire by now")  # emptied, and longer than it was at the next look
+    assert look().holds
+
+    (tmp_path / "rotated.log").write_text("a" * 100)
+    look = watching(text_in(tmp_path / "rotated.log", "ready"))
+    assert not look().holds
+    (tmp_path / "other").write_text("ready " + "b" * 200)
+    (tmp_path / "other").replace(tmp_path / "rotated.log")
+    assert look().holds
+
+
+def test_a_text_that_was_found_stays_found_and_long_outputs_are_not_kept(
+    watching: Callable[..., Callable[[], Look]], tmp_path: Path
+) -> None:
+    log = tmp_path / "system.log"
+    log.write_bytes(b"ready\n" + b"\xff" * 3_000_000)
+    look = watching(text_in(log, "never"))
+    assert not look().holds
+    log.write_bytes(b"x" * 2_000_000 + b"ready \xe2\x82")
+    look = watching(text_in(log, "ready €"))
+    assert not look().holds
+    with log.open("ab") as file:
+        file.write(b"\xac\n")
+    assert look().holds
+    log.unlink()
+    assert look().holds
+
+
+def test_nobody_waits_for_who_might_write_to_a_pipe(
+    watching: Callable[..., Callable[[], Look]], tmp_path: Path
+) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for condition in (text_in(tmp_path / "pipe", "ready"), file_complete(tmp_path / "pipe")):
+        look = watching(condition)()
+        assert not look.holds
+        assert look.seen == "pipe is no file"
+
+
+def test_a_file_is_complete_when_its_size_is_steady(tmp_path: Path) -> None:
+    context = make_context(tmp_path, clock=SystemClock(), robot=None)
+    context.run_folder.joinpath("map.pgm").write_bytes(b"")
+
+    def write() -> None:
+        for _ in range(6):
+            time.sleep(0.1)
+            with (context.run_path / "map.pgm").open("ab") as file:
+                file.write(b"0" * 1000)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    look = file_complete("map.pgm", steady_s=0.4).wait(context, timeout_s=20.0)
+    writer.join()
+    assert look.value == 6000
+
+
+def test_a_file_is_complete_once_it_ends_as_it_should(
+    watching: Callable[..., Callable[[], Look]], tmp_path: Path
+) -> None:
+    look = watching(file_complete(tmp_path / "log.xml", end="</log>\n"))
+    assert look().seen == "log.xml cannot be read: No such file or directory"
+    for text in ("<", "<log>", "<log></log>"):
+        (tmp_path / "log.xml").write_text(text)
+        assert not look().holds
+    (tmp_path / "log.xml").write_text("<log></log>\n")
+    assert look().holds
+
+
+def test_an_empty_text_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConditionError, match="no text is looked for"):
+        text_in(tmp_path, "")
+    with pytest.raises(ConditionError, match="steady_s is -1"):
+        file_complete(tmp_path, steady_s=-1)

@@ -1,0 +1,72 @@
+"""A condition is awaited on the run's clock, and what was seen is recorded."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from robot_runner import Condition, ConditionError, ConditionTimeout, Look
+from robot_runner.testing import FakeClock, make_context
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from contextlib import ExitStack
+    from pathlib import Path
+
+    from robot_runner import RobotRunnerContext
+
+
+class _After(Condition):
+    """Holds from some moment of the run's clock on."""
+
+    def __init__(self, seconds: float, closed: list[str]) -> None:
+        self.seconds = seconds
+        self.closed = closed
+
+    def __str__(self) -> str:
+        return f"{self.seconds:g} s are over"
+
+    def watch(self, context: RobotRunnerContext, opened: ExitStack) -> Callable[[], Look]:
+        opened.callback(self.closed.append, "closed")
+        return lambda: Look(context.clock.now() >= self.seconds, f"{context.clock.now():.1f} s", context.clock.now())
+
+
+def test_a_condition_is_awaited_on_the_clock_of_the_run_and_what_it_opened_is_closed(tmp_path: Path) -> None:
+    clock = FakeClock()
+    closed: list[str] = []
+    condition = _After(clock.now() + 3.0, closed)
+
+    look = condition.wait(make_context(tmp_path, clock=clock, robot=None), timeout_s=10.0)
+
+    assert look.value == pytest.approx(condition.seconds, abs=0.06)
+    assert closed == ["closed"]
+
+
+def test_a_condition_that_does_not_hold_in_time_says_what_was_awaited_and_seen(tmp_path: Path) -> None:
+    clock = FakeClock()
+    closed: list[str] = []
+    condition = _After(clock.now() + 30.0, closed)
+
+    with pytest.raises(ConditionError, match=r"after 2 s it still did not hold that .* s are over: \d+\.\d s"):
+        condition.wait(make_context(tmp_path, clock=clock, robot=None), timeout_s=2.0)
+
+    assert closed == ["closed"]
+
+
+class _NanosecondClock(FakeClock):
+    """Counts whole nanoseconds, as the clock of the simulation does."""
+
+    def sleep(self, seconds: float) -> None:
+        super().sleep(round(seconds * 1e9) / 1e9)
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("kind", [FakeClock, _NanosecondClock])
+@pytest.mark.parametrize(("start", "timeout_s"), [(2.0, 0.3), (0.3, 2.0), (100.0, 0.1)])
+def test_a_wait_is_over_where_what_is_left_is_less_than_the_clock_can_show(
+    tmp_path: Path, kind: type[FakeClock], start: float, timeout_s: float
+) -> None:
+    context = make_context(tmp_path, clock=kind(start), robot=None)
+    with pytest.raises(ConditionTimeout):
+        _After(1e9, []).wait(context, timeout_s=timeout_s)

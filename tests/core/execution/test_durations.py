@@ -1,0 +1,239 @@
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.conftest import written_config
+from tests.core.execution.conftest import RecordingObserver
+
+from robot_runner.cli.planning import plan_of
+from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.events.manager import EventManager
+from robot_runner.core.execution.durations import Durations, TimeLeft
+from robot_runner.core.execution.experiment_status import read_status
+from robot_runner.core.execution.mission_knowledge import MissionKnowledge, combination_key
+from robot_runner.core.execution.notices import AttemptFinished, AttemptStarted, ExperimentStarted
+from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.plugin import System
+from robot_runner.core.storage.journal import last_records
+from robot_runner.core.treatments import bind, treatment
+from robot_runner.ros.turtlebot3.basic_turtlebot3 import BasicTurtlebot3
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+
+VIDEO, NETWORK = {"Task": "Video"}, {"Task": "Network"}
+FOUR = [VIDEO, NETWORK, VIDEO, NETWORK]
+
+
+def learn(durations: Durations, runs: list[tuple[Mapping[str, Any], float]], *, pause: float = 0.0) -> float:
+    now = 0.0
+    for combination, seconds in runs:
+        durations.begin(combination_key(combination), now)
+        now += seconds
+        durations.end(now, "done", is_last=True)
+        now += pause
+    return now
+
+
+class Said(System):
+    def __init__(self, seconds: Any = 95.0) -> None:
+        super().__init__()
+        self.seconds = seconds
+
+    def launch_mission(self) -> None:
+        pass
+
+    def duration_s(self, combination: Mapping[str, Any]) -> float | None:
+        if isinstance(self.seconds, Exception):
+            raise self.seconds
+        return self.seconds
+
+
+def knowledge_of(*plugins: System, config: Any = None, robot: str | None = None) -> MissionKnowledge:
+    events = EventManager()
+    for plugin in plugins:
+        events.subscribe_methods(plugin, owner=plugin.name, kind=0)  # type: ignore[arg-type] # systems first
+    return MissionKnowledge.of(config, plugins, events, robot)
+
+
+def test_nothing_is_invented_where_nobody_knows_anything() -> None:
+    durations = Durations(rest_s=5.0)
+    durations.plan(FOUR)
+    assert durations.left() is None
+    estimate = durations.estimate()
+    assert estimate.seconds is None
+    assert "how long a run takes, until one has ended" in str(estimate)
+
+
+def test_what_plugins_know_and_the_rests_add_up() -> None:
+    knowledge = knowledge_of(BasicTurtlebot3(), Said(5.0))
+    durations = Durations(knowledge, FOUR, rest_s=2.0, waits=["the operator between two runs"])
+    durations.plan(FOUR)
+    estimate = durations.estimate(probe_s=0.5)
+    assert estimate.seconds == pytest.approx(4 * 100.0 + 3 * 2.0 + 0.5)
+    assert estimate.is_least, "what the operator takes comes on top"
+    assert "4 runs of 1 min 40 s, as BasicTurtlebot3 and Said say" in str(estimate)
+    assert "the operator between two runs" in estimate.unknown
+
+
+def test_a_bound_parameter_is_asked_with_its_treatment() -> None:
+    tasks = [{"Seconds": 20.0}, {"Seconds": 10.0}]
+    turtlebot3 = BasicTurtlebot3(task_s=treatment("Seconds"))
+    bind(turtlebot3, tasks[0])
+    knowledge = knowledge_of(turtlebot3)
+    assert [knowledge.seconds(each) for each in tasks] == [125.0, 95.0]
+
+
+@pytest.mark.parametrize(
+    ("answer", "problem"),
+    [
+        (ValueError("no map"), "it raised ValueError: no map"),
+        (-1.0, "it returned -1.0"),
+        (float("nan"), "it returned nan"),
+        (True, "it returned True"),
+    ],
+)
+def test_an_answer_that_is_no_duration_is_a_finding(answer: Any, problem: str) -> None:
+    knowledge = knowledge_of(Said(answer))
+    assert knowledge.seconds(VIDEO) is None
+    assert knowledge.seconds(NETWORK) is None
+    (finding,) = knowledge.findings
+    assert finding.where == "Said.duration_s"
+    assert problem in finding.problem
+
+
+def test_the_simulated_robot_takes_as_long_as_the_physics_needs() -> None:
+    knowledge = knowledge_of(BasicTurtlebot3(), robot="simulated")
+    assert knowledge.seconds(VIDEO) is None
+    durations = Durations(knowledge, FOUR)
+    durations.plan(FOUR)
+    assert "how long the simulated robot takes" in str(durations.estimate())
+
+
+def test_who_takes_part_in_the_mission_and_says_nothing_is_named() -> None:
+    class Mute(System):
+        def launch_mission(self) -> None:
+            pass
+
+    durations = Durations(knowledge_of(Said(95.0), Mute()), FOUR)
+    durations.plan(FOUR)
+    assert "launch_mission of Mute" in durations.estimate().unknown
+
+
+def test_runs_that_ended_correct_the_estimate_by_treatment() -> None:
+    durations = Durations(rest_s=1.0)
+    durations.plan(FOUR)
+    learn(durations, [(VIDEO, 100.0), (NETWORK, 10.0)], pause=6.0)
+    assert durations.left() == TimeLeft(0.0, 110.0 + 2 * 6.0)
+    durations.begin(combination_key(VIDEO), 122.0)
+    assert durations.left() == TimeLeft(100.0, 10.0 + 6.0)
+    estimate = durations.estimate()
+    assert estimate.seconds is not None
+    assert "as the 2 runs that ended" in str(estimate)
+
+
+def test_a_combination_that_was_not_seen_has_the_sum_of_its_treatments_effects() -> None:
+    durations = Durations()
+    cells = {("a", 1): 10.0, ("a", 2): 20.0, ("b", 1): 110.0}
+    learn(durations, [({"F": f, "G": g}, seconds) for (f, g), seconds in cells.items()])
+    expected = durations.of_run(combination_key({"F": "b", "G": 2}))
+    assert expected is not None
+    assert 60.0 < expected <= 110.0
+    assert durations.of_run(combination_key({"F": "a", "G": 2})) == 20.0
+
+
+def test_what_runs_take_beyond_what_was_said_holds_for_the_others() -> None:
+    class Two(Said):
+        def duration_s(self, combination: Mapping[str, Any]) -> float:
+            return {"Video": 95.0, "Network": 300.0}[combination["Task"]]
+
+    durations = Durations(knowledge_of(Two()), FOUR)
+    durations.plan(FOUR)
+    learn(durations, [(VIDEO, 99.0)])
+    assert durations.of_run(combination_key(NETWORK)) == pytest.approx(304.0)
+
+
+def test_all_attempts_of_a_run_count_and_interrupted_ones_do_not() -> None:
+    durations = Durations()
+    video = combination_key(VIDEO)
+    durations.begin(video, 0.0)
+    durations.end(10.0, "failed", is_last=False)
+    durations.begin(video, 11.0)
+    durations.end(16.0, "done", is_last=True)
+    assert durations.of_run(video) == 16.0
+    durations.begin(video, 20.0)
+    durations.end(21.0, "interrupted", is_last=True)
+    durations.begin(video, 5000.0)
+    durations.end(5001.0, "failed", is_last=True)
+    assert durations.of_run(video) == 16.0, "runs that failed say less than one that is done"
+    assert durations.pause == 4.0
+
+
+def test_a_pause_that_took_a_night_does_not_count() -> None:
+    durations = Durations(rest_s=3.0)
+    learn(durations, [(VIDEO, 10.0), (VIDEO, 10.0)], pause=40_000.0)
+    assert durations.pause == 3.0
+
+
+def test_only_the_end_of_a_long_journal_is_read(tmp_path: Path) -> None:
+    journal = tmp_path / "journal.jsonl"
+    lines = [f'{{"kind":"attempt_started","at":"x","run":"r_{number}"}}\n' for number in range(1000)]
+    journal.write_text("".join(lines) + '{"kind":"attempt_st')
+    found = [record["run"] for record in last_records(journal, kinds=["attempt_started"], within=500)]
+    assert found[-1] == "r_999"
+    assert 1 < len(found) < 12
+    assert list(last_records(tmp_path / "nothing", kinds=["attempt_started"])) == []
+
+
+def test_what_a_journal_tells_of_time_left_is_not_trusted() -> None:
+    assert TimeLeft.of_facts(TimeLeft(1.0, 2.0, is_least=True).facts()) == TimeLeft(1.0, 2.0, is_least=True)
+    for odd in (None, [], "x", {"run": None, "others": 1, "is_least": 0}, {}):
+        assert TimeLeft.of_facts(odd) is None
+
+
+SLOW = """
+def duration_s(self, combination): return 60.0
+def launch_mission(self): time.sleep(0.2)
+def populate_run_data(self): return {"Energy": 1.0}
+"""
+HEAD = """\
+import time
+from pathlib import Path
+from robot_runner import *
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = Path("results")
+    time_between_runs_in_ms = 50
+"""
+
+
+def test_plan_screens_and_status_tell_the_same_and_correct_themselves(tmp_path: Path) -> None:
+    config = written_config(tmp_path, SLOW, head=HEAD)
+    assert plan_of(config, {}).duration.seconds == pytest.approx(4 * 60.0 + 3 * 0.05)
+    observer = RecordingObserver()
+    execute_experiment(prepare_or_refuse(config, {}), observer, resumption=Resumption(only=("r_1", "r_2")))
+    started = next(each for each in observer.notices if isinstance(each, ExperimentStarted))
+    assert started.left == TimeLeft(0.0, pytest.approx(2 * 60.0 + 2 * 0.05), is_least=True)
+    begun = [each.left for each in observer.notices if isinstance(each, AttemptStarted)]
+    ended = [each.left for each in observer.notices if isinstance(each, AttemptFinished)]
+    assert begun[0] is not None
+    assert begun[0].run == 60.0
+    assert ended[0] is not None
+    assert 0.2 < ended[0].others < 2.0, "one run has shown how long it takes"
+    assert not ended[0].is_least
+    journal = [json.loads(line) for line in (tmp_path / "results/trial/journal.jsonl").read_text().splitlines()]
+    kept = [record["left"] for record in journal if record["kind"] == "attempt_finished"]
+    assert kept == [each.facts() for each in ended if each is not None]
+    planned = plan_of(config, {}).duration
+    status = read_status(tmp_path / "results/trial")
+    assert planned.seconds == pytest.approx(status.seconds_left)
+    assert 0.4 < planned.seconds < 3.0
+    assert "as the 2 runs that ended" in str(planned)

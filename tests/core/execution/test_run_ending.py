@@ -1,0 +1,245 @@
+"""A run, and its mission, are ended from anywhere: by `fail`, by `stop_mission`, and by what a thread raises."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.errors import PluginError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.early_end import MissionStopped, RunFailed
+from robot_runner.core.events.window import MissionTimes
+from robot_runner.core.execution.notices import AttemptFinished, SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.storage.journal import read_journal
+from robot_runner.replication.explanation import explain_run
+from robot_runner.testing import make_context, rehearse
+
+Execute = Callable[..., Any]
+
+#: A system that is to be made safe, and a mission of an hour, which something ends.
+HEAD = """
+import threading, time
+from pathlib import Path
+from robot_runner import *
+from robot_runner.plugins import System
+
+class Arm(System):
+    measures = ()
+    def stop_run(self, context): print("arm closed")
+    def make_safe(self, context): print("arm made safe")
+
+def after(seconds, what):
+    timer = threading.Timer(seconds, what)
+    timer.daemon = True
+    timer.start()
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = Path("results")
+"""
+
+TABLE = """
+    def create_run_table(self):
+        return RunTableModel([Factor("N", [1])], data_columns=["Energy"])
+"""
+BODY = """
+plugins = [Arm()]
+grace_in_s = 5
+def start_run(self, context): {start}
+def launch_mission(self, context):
+    {mission}
+    print("the mission went on")
+def stop_measurement(self, context): print("measurement closed")
+def stop_run(self, context): {stop}
+def populate_run_data(self, context):
+    {populate}
+    print("populated")
+    return {{"Energy": round(context.window.duration, 3)}}
+def throw(self): raise ValueError("the thread's own")
+"""
+FAIL = "after(0.2, lambda: context.fail('too warm'))"
+STOP = "after(0.2, lambda: context.stop_mission('goal reached'))"
+
+
+def failure_of(executed: Any) -> Any:
+    (outcome,) = [notice.outcome for notice in executed.notices if isinstance(notice, AttemptFinished)]
+    return outcome.failure
+
+
+def ended(execute: Execute, mission: str = "pass", **more: str) -> Any:
+    settings = {name: more.pop(name) for name in ("run_process", "robot", "grace_in_s") if name in more}
+    lines = {"start": "pass", "stop": "pass", "populate": "pass", **more}
+    body = BODY.format(mission=mission.replace("\n", "\n    "), **lines)
+    began = time.monotonic()
+    executed = execute(body, head=HEAD, table=TABLE, **settings)
+    assert time.monotonic() - began < 60, "the mission was not ended"
+    return executed
+
+
+@pytest.mark.parametrize("run_process", ["fork", "spawn", "in_process"])
+def test_a_thread_fails_the_run_with_its_reason_and_the_robot_is_made_safe(execute: Execute, run_process: str) -> None:
+    executed = ended(execute, f"{FAIL}\ntime.sleep(3600)", run_process=run_process)
+    (failure,) = executed.journal("failure")
+    assert (failure["problem"], failure["owner"], failure["event"]) == ("too warm", "config", "launch_mission")
+    assert "in <lambda>" in failure["traceback"]
+    assert failure_of(executed).problem == "too warm"
+    log = executed.log("r_1")
+    assert [line for line in log.splitlines() if line.endswith(("closed", "safe", "on", "populated"))] == [
+        "measurement closed",
+        "arm closed",
+        "arm made safe",
+    ]
+    assert "launch_mission of config failed: too warm" in log
+
+
+@pytest.mark.parametrize("run_process", ["fork", "spawn", "in_process"])
+def test_a_thread_stops_the_mission_and_the_run_is_done(execute: Execute, run_process: str) -> None:
+    executed = ended(execute, f"{STOP}\ntime.sleep(3600)", run_process=run_process)
+    (row,) = executed.table
+    assert row["status"] == "Done"
+    assert 0.2 <= float(row["Energy"]) < 30.0  # the window
+    (stopped,) = executed.journal("mission_stopped")
+    assert (stopped["owner"], stopped["reason"]) == ("config", "goal reached")
+    assert ("Mission", "stopped by config: goal reached") in explain_run(executed.folder, "r_1").facts
+    log = executed.log("r_1")
+    assert "the mission was stopped by config: goal reached" in log
+    assert [line for line in log.splitlines() if line.endswith(("closed", "safe", "on", "populated"))] == [
+        "measurement closed",
+        "arm closed",
+        "arm made safe",
+        "populated",
+    ]
+
+
+@pytest.mark.parametrize(
+    "mission",
+    [
+        "context.clock.sleep(3600)",
+        "threading.Event().wait()",
+        "joined = threading.Thread(target=time.sleep, args=(3600,), daemon=True)\njoined.start()\njoined.join()",
+        "import subprocess; subprocess.run(['sleep', '3600'])",
+        "import select; select.select([], [], [])",
+        "import asyncio; asyncio.run(asyncio.sleep(3600))",
+        "while True: pass",
+    ],
+    ids=["clock", "wait", "join", "subprocess", "select", "asyncio", "loop"],
+)
+def test_whatever_the_mission_does_in_python_ends_at_once(execute: Execute, mission: str) -> None:
+    began = time.monotonic()
+    executed = ended(execute, f"{FAIL}\n{mission}")
+    assert failure_of(executed).problem == "too warm"
+    assert time.monotonic() - began < 5.0, "not before the grace was over"
+
+
+def test_a_mission_on_the_simulated_robot_ends_from_a_topic_and_from_a_thread(execute: Execute) -> None:
+    topic = """
+    from robot_runner.plugins import connect_robot
+    def look(message):
+        if context.clock.now() > 2.0:
+            context.stop_mission("two seconds are over")
+            print("the callback went on")
+    connect_robot(context).subscribe("odom", "nav_msgs/Odometry", look)
+    context.clock.sleep(3600)
+    """
+    executed = ended(execute, "\n".join(line[4:] for line in topic.splitlines()), robot="simulated")
+    assert [row["status"] for row in executed.table] == ["Done"]
+    assert 2.0 < float(executed.table[0]["Energy"]) < 2.2
+    assert "went on" not in executed.log("r_1")
+    executed.folder.rename(executed.folder.with_name("first"))
+    executed = ended(execute, f"{FAIL}\nwhile True: context.clock.sleep(1.0)", robot="simulated")
+    assert failure_of(executed).problem == "too warm"
+
+
+def test_a_run_can_be_failed_before_and_after_its_mission(execute: Execute) -> None:
+    executed = ended(execute, start="context.fail('the door is open')")
+    assert str(failure_of(executed)) == "start_run of config: the door is open"
+    assert "arm made safe" in executed.log("r_1")
+    assert "went on" not in executed.log("r_1")
+    for name in ("stop", "populate"):
+        executed.folder.rename(executed.folder.with_name(f"before {name}"))
+        executed = ended(execute, **{name: "context.fail('the arm was moved')"})
+        assert failure_of(executed).problem == "the arm was moved"
+        assert "arm made safe" in executed.log("r_1")
+
+
+def test_before_run_can_fail_its_run(execute: Execute) -> None:
+    executed = execute("def before_run(self, context): context.fail('the battery is empty')", table=TABLE)
+    assert str(failure_of(executed)) == "before_run of config: the battery is empty"
+
+
+def test_the_mission_cannot_be_stopped_before_it_begins_and_is_stopped_once(execute: Execute) -> None:
+    executed = ended(execute, start="context.stop_mission('too early')")
+    assert "there is no mission going on" in failure_of(executed).problem
+    executed.folder.rename(executed.folder.with_name("too early"))
+    executed = ended(
+        execute, "context.stop_mission('goal reached')", stop="context.stop_mission('late'); print('went through')"
+    )
+    assert [row["status"] for row in executed.table] == ["Done"]
+    assert [record["reason"] for record in executed.journal("mission_stopped")] == ["goal reached"]
+    assert "went through" in executed.log("r_1")
+
+
+def test_a_mission_that_does_not_leave_c_is_ended_when_the_grace_is_over(execute: Execute) -> None:
+    hang = "import ctypes; m = ctypes.create_string_buffer(64); [ctypes.CDLL(None).pthread_mutex_lock(m) for _ in 'ab']"
+    executed = ended(execute, f"{FAIL}\n{hang}", grace_in_s="1")
+    expected = "too warm; launch_mission had not ended grace_in_s = 1 s later"
+    assert str(failure_of(executed)) == f"launch_mission of config: {expected}"
+
+
+def test_what_a_thread_raises_fails_the_run_and_ends_the_mission(execute: Execute) -> None:
+    executed = ended(execute, "after(0.2, self.throw)\ntime.sleep(3600)")
+    (failure,) = executed.journal("failure")
+    assert failure["problem"].endswith("raised ValueError: the thread's own")
+    assert failure["problem"].startswith("thread Thread-")
+    assert "in throw" in failure["traceback"]
+    assert "arm made safe" in executed.log("r_1")
+
+
+def test_what_a_thread_raises_while_things_are_closed_is_a_finding(execute: Execute) -> None:
+    stop = "t = threading.Thread(target=self.throw); t.start(); t.join()"
+    executed = ended(execute, stop=stop)
+    assert [row["status"] for row in executed.table] == ["Done"]
+    assert any("the thread's own" in finding["problem"] for finding in executed.journal("finding"))
+
+
+def test_without_a_run_around_it_a_context_ends_the_callback_in_place(tmp_path: Path) -> None:
+    context = make_context(tmp_path, robot=None)
+    with pytest.raises(RunFailed, match="too warm"):
+        context.fail("too warm")
+    with pytest.raises(MissionStopped, match="goal reached"):
+        rehearse(context, mission=lambda: context.stop_mission("goal reached"))
+
+
+def test_the_example_of_the_page_drives_a_metre_and_stops(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[3] / "docs" / "stop-or-fail.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    config = tmp_path / "one_metre.py"
+    config.write_text(block, encoding="utf-8")
+    finished = execute_experiment(prepare_or_refuse(config, {}), SilentObserver())
+    assert finished.done_count == 2
+    (stopped, _) = read_journal(finished.folder / "journal.jsonl", kinds=["mission_stopped"])
+    assert stopped["reason"] == "one metre was driven"
+
+
+def test_the_window_ends_when_the_mission_is_stopped_whatever_comes_after() -> None:
+    times = MissionTimes(SystemClock())
+    with pytest.raises(PluginError):
+        times.stop()
+    times.begin()
+    assert times.stop()
+    ended = time.monotonic()
+    assert not times.stop()
+    time.sleep(0.01)
+    times.end_window()
+    times.end()
+    assert not times.stop()
+    window = times.window()
+    assert window is not None
+    assert window.end <= ended

@@ -1,0 +1,76 @@
+"""Profilers that measure a subject: with all that it has started, here and on another computer."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.conftest import HEAD, written_config
+from tests.core.execution.conftest import Executed, execute_in
+
+from robot_runner.core.config.preparation import prepare
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from tests.core.links.ssh_server import SshServer
+
+IMPORTS = """\
+from robot_runner.plugins.profilers import PsUtil
+from robot_runner.plugins.systems import Program
+"""
+OURS = HEAD.replace("import *\n", f"import *\n{IMPORTS}", 1)
+ONE_RUN = "    def create_run_table(self):\n        return RunTableModel([Factor('Task', ['Video'])], seed=1)"
+#: A program that does nothing itself; a child of its child, in a session of its own, keeps a core busy.
+BUSY = ["sh", "-c", "echo up; (setsid sh -c 'while :; do :; done' &); exec sleep 100"]
+
+
+@pytest.fixture
+def execute(tmp_path: Path) -> Callable[..., Executed]:
+    return partial(execute_in, tmp_path, head=OURS, table=ONE_RUN)
+
+
+def body_of(where: str, form: str = "") -> str:
+    return f"""
+    plugins = [
+        Program({BUSY!r}, name="Busy", ready="up" {where}),
+        PsUtil(processes=["subject:Busy"] {where or ", host='localhost'"} {form}),
+    ]
+
+    def launch_mission(self, context):
+        context.clock.sleep(3)
+    """
+
+
+def measured(done: Executed) -> tuple[float, float]:
+    assert done.finished.failures == ()
+    return float(done.table[0]["CPU_Busy"]), float(done.table[0]["CPU"])
+
+
+def test_a_subject_is_measured_with_all_that_it_started(execute: Callable[..., Executed]) -> None:
+    subject, computer = measured(execute(body_of("")))
+    assert 0 < subject <= computer + 5
+
+
+@pytest.mark.parametrize("form", ["python3", "sh"])
+def test_a_subject_over_there_is_measured_and_is_no_disturbance(
+    execute: Callable[..., Executed], server: SshServer, form: str
+) -> None:
+    done = execute(body_of(f", host='robot', ssh_config={str(server.config)!r}", f", form={form!r}"))
+    subject, computer = measured(done)
+    assert 0 < subject <= computer + 5
+    facts = json.loads((done.folder / "runs/r_1/machine/robot.json").read_text())
+    (started,) = [record for record in done.journal("subject") if "pid" in record]
+    # It was busy for seconds, which is more than anything that is not told.
+    assert facts["percent_of_a_core"]["experiment"] > 10
+    assert started["pid"] not in [each["pid"] for each in facts["others"]]
+
+
+def test_a_subject_that_there_is_not_is_found(tmp_path: Path) -> None:
+    body = "plugins = [Program(['true'], name='Nav'), PsUtil(host='localhost', processes=['subject:Nva'])]"
+    (finding,) = prepare(written_config(tmp_path, body, head=OURS, table=ONE_RUN)).findings
+    assert finding.problem == "no plugin is named 'Nva', whose processes are to be measured"
+    assert finding.fix == "Did you mean 'Nav'?"

@@ -1,0 +1,242 @@
+"""Programs under test: real processes, from the config that names them to the last of their children."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import time
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.command_line import PROGRAM
+from tests.conftest import HEAD, written_config
+from tests.core.execution.conftest import Executed, execute_in
+from tests.subjects.conftest import alive, gone
+
+from robot_runner.core.config.preparation import prepare
+from robot_runner.core.errors import PluginError
+from robot_runner.plugins.systems import Program
+from robot_runner.testing import SystemContract
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from robot_runner.core.events.context import RobotRunnerContext
+
+OURS = HEAD.replace("import *\n", "import *\nfrom robot_runner.plugins.systems import Program\n", 1)
+ONE_RUN = '    def create_run_table(self):\n        return RunTableModel([Factor("Task", ["Video"])], seed=1)'
+TWO_RUNS = (
+    '    def create_run_table(self):\n        return RunTableModel([Factor("Task", ["a", "b"])], seed=1, shuffle=False)'
+)
+#: Two factors, bound to a word, to a part of a word, and to a variable.
+BOUND = """
+plugins = [
+    Program(
+        ["sh", "-c", 'echo "$0 $1 $SPEED"; echo ready; exec sleep 100', treatment("Algorithm"), ["--speed=", treatment("Speed")]],
+        name="Planner", environment={"SPEED": treatment("Speed")}, ready="ready",
+    )
+]
+"""
+TABLE = """\
+    def create_run_table(self):
+        return RunTableModel([Factor("Algorithm", ["dwa", "teb"]), Factor("Speed", [0.1, 0.2])], seed=1, shuffle=False)
+"""
+
+
+@pytest.fixture
+def execute(tmp_path: Path) -> Callable[..., Executed]:
+    return partial(execute_in, tmp_path, head=OURS, table=ONE_RUN)
+
+
+def findings(folder: Path, body: str, **parts: str) -> list[str]:
+    prepared = prepare(written_config(folder, body, **{"head": OURS, "table": TABLE, **parts}))
+    return [str(finding) for finding in prepared.findings]
+
+
+class TestProgram(SystemContract):
+    """What holds for every system."""
+
+    is_repeatable = False  # real time
+
+    def make_plugin(self) -> Program:
+        return Program(["sleep", "1000"])
+
+    def robot_stands_still(self, context: RobotRunnerContext) -> bool:
+        del context
+        return not alive("sleep\x001000")
+
+
+def test_the_treatments_of_a_run_reach_the_program(execute: Callable[..., Executed]) -> None:
+    done = execute(BOUND, table=TABLE)
+    combinations = [("dwa", "0.1"), ("dwa", "0.2"), ("teb", "0.1"), ("teb", "0.2")]
+    assert done.finished.done_count == 4
+    for number, (algorithm, speed) in enumerate(combinations, start=1):
+        folder = done.folder / "runs" / f"r_{number}" / "Planner"
+        assert (folder / "stdout.txt").read_text() == f"{algorithm} --speed={speed} {speed}\nready\n"
+        assert 0 < float(done.table[number - 1]["Startup_time"]) < 20
+    started, ended = done.journal("subject")[:2]
+    assert started["command"][-2:] == ["dwa", "--speed=0.1"]
+    assert started["output"] == "runs/r_1/Planner"
+    assert (ended["ended"], ended["was_asked"]) == ("SIGTERM ended it", True)
+    bound = done.journal("bound")[0]["parameters"]
+    assert bound["command[4][1]"] == {"factor": "Speed", "value": 0.1}
+
+
+def test_all_that_a_program_started_ends_with_its_run(
+    execute: Callable[..., Executed], rude_tree: Callable[..., list[str]], token: str
+) -> None:
+    command = rude_tree()
+    done = execute(f"plugins = [Program({command!r}, name='Tree', ready='started', grace_s=0.3)]", table=TWO_RUNS)
+    assert done.finished.done_count == 2
+    assert alive(token) == []
+    warnings = [finding.problem for finding in done.finished.findings if finding.where.endswith("Tree")]
+    assert warnings == ["Tree did not end within 0.3 s of SIGTERM and was killed"] * 2
+
+
+def test_a_death_fails_the_run_at_once_with_its_last_words(
+    execute: Callable[..., Executed], rude_tree: Callable[..., list[str]], token: str
+) -> None:
+    command = rude_tree("sleep 0.5; echo 'no map: /maps/hall.yaml' >&2; exit 3", is_rude=False)
+    started = time.monotonic()
+    body = (
+        f"plugins = [Program({command!r}, name='Nav')]\ndef launch_mission(self, context):\n    context.clock.sleep(60)"
+    )
+    done = execute(body)
+    assert time.monotonic() - started < 30
+    (failure,) = done.finished.failures
+    assert "Nav has died: exit code 3; it wrote last: no map: /maps/hall.yaml" in failure
+    assert gone(token)
+
+
+def test_what_is_not_ready_in_time_or_dies_before_fails_its_run(execute: Callable[..., Executed], token: str) -> None:
+    body = """
+    plugins = [Program(["sh", "-c", "echo waiting for a map; sleep 100", "{token}"], ready="goal", ready_timeout_s=0.5)]
+    """
+    done = execute(body.replace("{token}", token))
+    assert (
+        "it still did not hold that 'goal' stands in the output of Program: waiting for a map"
+        in done.finished.failures[0]
+    )
+    assert alive(token) == []
+    done = execute("plugins = [Program(['sh', '-c', 'kill -SEGV $$'], ready='x')]", experiment_name="dead")
+    assert "Program has died: SIGSEGV ended it" in done.finished.failures[0]
+
+
+@pytest.mark.parametrize("process", ["FORK", "SPAWN"])
+def test_a_subject_of_the_experiment_is_started_once_and_told_of_in_each_run(
+    execute: Callable[..., Executed], rude_tree: Callable[..., list[str]], token: str, process: str
+) -> None:
+    command = rude_tree(is_rude=False)
+    body = f"plugins = [Program({command!r}, name='World', per='experiment', ready='started', grace_s=0.3)]"
+    done = execute(f"{body}\nrun_process = RunProcess.{process}", table=TWO_RUNS)
+    assert done.finished.done_count == 2
+    told = [record for record in done.journal("subject") if "pid" in record]
+    assert len({record["pid"] for record in told}) == 1
+    assert {record["output"] for record in told} == {"subjects/World/1"}
+    assert (done.folder / "subjects/World/1/stdout.txt").read_text().startswith("started")
+    assert "Startup_time" not in done.table[0]
+    assert alive(token) == []
+
+
+def test_a_subject_of_the_experiment_that_died_is_started_again_for_the_next_run(
+    execute: Callable[..., Executed], tmp_path: Path
+) -> None:
+    mark = tmp_path / "first"
+    fatal = f"while [ ! -e {mark} ]; do sleep 0.1; done; exit 9"
+    command = ["sh", "-c", f"echo up; [ -e {mark} ] && exec sleep 100; {fatal}"]
+    body = f"""
+    plugins = [Program({command!r}, name="World", per="experiment", ready="up")]
+
+    def launch_mission(self, context):
+        Path({str(mark)!r}).touch()
+        context.clock.sleep(3)
+    """
+    done = execute(body, table=TWO_RUNS)
+    assert [row["status"] for row in done.table] == ["Failed", "Done"]
+    assert "World has died: exit code 9" in done.finished.failures[0]
+    assert any("it was started again before this run" in finding.problem for finding in done.finished.findings)
+    assert sorted(path.name for path in (done.folder / "subjects/World").iterdir()) == ["1", "2"]
+
+
+def test_a_program_that_computes_something_is_the_mission(execute: Callable[..., Executed]) -> None:
+    body = """
+    plugins = [Program(["sh", "-c", "sleep 0.3; exit 4"], exit_codes=[0, 4])]
+
+    def launch_mission(self, context):
+        assert self.plugins[0].wait(context, timeout_s=20) == 4
+    """
+    done = execute(body)
+    assert (done.finished.failures, done.table[0]["Exit_code"]) == ((), "4")
+    refused = execute(body.replace("exit 4", "exit 5"), experiment_name="refused")
+    assert "Program has died: exit code 5" in refused.finished.failures[0]
+
+
+@pytest.mark.parametrize("per", ["run", "experiment"])
+def test_nobody_is_left_when_the_orchestrator_is_killed(
+    tmp_path: Path, rude_tree: Callable[..., list[str]], token: str, per: str
+) -> None:
+    command = rude_tree(is_rude=False)
+    body = f"""
+    plugins = [Program({command!r}, ready="started", per={per!r}, grace_s=0.3)]
+
+    def launch_mission(self, context):
+        print("mission", flush=True)
+        context.clock.sleep(100)
+    """
+    config = written_config(tmp_path, body, head=OURS, table=ONE_RUN)
+    orchestrator = subprocess.Popen([PROGRAM, "run", config], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    log = tmp_path / "results/trial/current_log.txt"
+    deadline = time.monotonic() + 60
+    while not (log.exists() and "mission" in log.read_text()):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    assert len(alive(token)) >= 3
+    os.kill(orchestrator.pid, signal.SIGKILL)
+    orchestrator.wait()
+    assert gone(token)
+
+
+def test_what_cannot_be_is_found_with_each_treatment_before_anything_moves(tmp_path: Path) -> None:
+    missing = findings(tmp_path, "plugins = [Program([treatment('Algorithm'), treatment('Speed')])]")
+    assert missing == [
+        f"plugin Program: with Algorithm = {name}, Speed = 0.1; Algorithm = {name}, Speed = 0.2: the program '{name}' is "
+        "not there → Install it, or give its full path."
+        for name in ("dwa", "teb")
+    ]
+    once = findings(tmp_path, "plugins = [Program(['sleep', treatment('Speed')], per='experiment')]")
+    assert "is started once for all runs, and bound to the factor 'Speed'" in once[0]
+    (nowhere,) = findings(tmp_path, "plugins = [Program(['true'], folder='nowhere')]")
+    assert "there is no folder 'nowhere'" in nowhere
+    (setup,) = findings(tmp_path, "plugins = [Program(['true'], setup='install/setup.bash')]")
+    assert "there is no file 'install/setup.bash' to source" in setup
+
+
+@pytest.mark.parametrize(
+    ("wrong", "fix"),
+    [
+        ({"command": "planner --fast"}, "Give a list of words: ['planner', '--fast']"),
+        ({"command": []}, "Give a list of words"),
+        ({"command": ["planner", object]}, "Give texts, numbers or paths."),
+        ({"command": ["planner"], "per": "experimnt"}, "Did you mean 'experiment'?"),
+        ({"command": ["planner"], "grace_s": 0}, "Give grace_s a number of seconds above 0."),
+        ({"command": ["planner"], "ready": 8080}, "Give a condition"),
+        ({"command": ["planner"], "host": "-oProxyCommand=x"}, "Name it as for ssh"),
+        ({"command": ["planner"], "ssh_config": "x"}, "Leave ssh_config out."),
+    ],
+)
+def test_a_parameter_that_cannot_be_is_refused(wrong: dict[str, Any], fix: str) -> None:
+    with pytest.raises(PluginError) as caught:
+        Program(**wrong)
+    assert caught.value.fix.startswith(fix)
+
+
+def test_a_setup_file_is_sourced_first(execute: Callable[..., Executed], tmp_path: Path) -> None:
+    (tmp_path / "setup.sh").write_text("PLANNER=teb$#\nexport PLANNER\n")
+    command = ["sh", "-c", "echo $PLANNER $0; exec sleep 100", "a"]
+    done = execute(f"plugins = [Program({command!r}, folder={str(tmp_path)!r}, setup='setup.sh', ready='teb')]")
+    assert (done.folder / "runs/r_1/Program/stdout.txt").read_text() == "teb0 a\n"
+    assert json.loads(json.dumps(done.journal("subject")[0]))["setup"] == "setup.sh"

@@ -1,0 +1,158 @@
+"""Launch files under test: the real roslaunch of ROS 1, and a stand-in for `ros2 launch`, which answers as that does."""
+
+from __future__ import annotations
+
+import shutil
+from functools import partial
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.conftest import HEAD, written_config
+from tests.core.execution.conftest import Executed, execute_in
+from tests.loopback_port import claim_port
+from tests.ros.ros1_master import ros1_environment
+from tests.subjects.conftest import gone
+
+from robot_runner.core.config.preparation import prepare
+from robot_runner.core.errors import PluginError
+from robot_runner.plugins.systems import RosLaunch
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+needs_roslaunch = pytest.mark.skipif(
+    shutil.which("roslaunch") is None, reason="no roslaunch on this machine (on Debian: apt install python3-roslaunch)"
+)
+OURS = HEAD.replace("import *\n", "import *\nfrom robot_runner.plugins.systems import RosLaunch\n", 1)
+TABLE = """\
+    def create_run_table(self):
+        return RunTableModel([Factor("Planner", ["dwa", "teb"])], seed=1, shuffle=False)
+"""
+LAUNCH = """\
+<launch>
+  <arg name="planner"/>
+  <arg name="rviz" default="true"/>
+  <node name="planner" pkg="subject_nav" type="planner.py" args="$(arg planner) $(arg rviz) TOKEN" output="screen"/>
+</launch>
+"""
+#: A node that is known to the master, and that says which of the signals ends it.
+NODE = """\
+#!/usr/bin/python3
+import sys
+import rospy
+rospy.init_node("planner")
+rospy.on_shutdown(lambda: print("shut down", flush=True))
+print("plans with", *sys.argv[1:3], flush=True)
+rospy.spin()
+"""
+#: As ros2 launch of ROS 2 Jazzy answers: the arguments of a launch file, its errors, and its end after SIGINT.
+ROS2 = """\
+#!/bin/sh
+[ "$1" = launch ] || exit 2
+case "$*" in
+    *no_package*) echo "Package 'no_package' not found: \\"package 'no_package' not found\\"" >&2; exit 1;;
+    *--show-args*)
+        printf "Arguments (pass arguments as '<name>:=<value>'):\\n\\n    'planner':\\n        Which one.\\n        (default: 'dwa')\\n\\n"
+        printf "    'rviz':\\n        no description given\\n"; exit 0;;
+esac
+echo "[INFO] [launch]: All log files can be found below $ROS_LOG_DIR"
+echo "[planner-1] plans with $*"
+trap 'echo "[INFO] [planner-1]: process has finished cleanly"; kill $!; exit 0' INT
+sh -c 'while :; do sleep 0.2; done' TOKEN &
+wait
+"""
+
+
+def body_of(parameters: str, environment: dict[str, str], ros: int) -> str:
+    return (
+        f"plugins = [RosLaunch({parameters}, environment={environment!r}, ros={ros}, name='Nav', ready='plans with')]"
+    )
+
+
+@pytest.fixture
+def execute(tmp_path: Path) -> Callable[..., Executed]:
+    return partial(execute_in, tmp_path, head=OURS, table=TABLE)
+
+
+@pytest.fixture
+def problems(tmp_path: Path) -> Callable[[str], list[str]]:
+    def found(body: str) -> list[str]:
+        return [finding.problem for finding in prepare(written_config(tmp_path, body, head=OURS, table=TABLE)).findings]
+
+    return found
+
+
+@pytest.fixture
+def environment(tmp_path: Path, token: str) -> dict[str, str]:
+    """Return the environment of a workspace with one package, whose launch starts a master of its own."""
+    package = tmp_path / "subject_nav"
+    package.mkdir()
+    (package / "package.xml").write_text("<package><name>subject_nav</name></package>")
+    (package / "nav.launch").write_text(LAUNCH.replace("TOKEN", token))
+    (package / "planner.py").write_text(NODE)
+    (package / "planner.py").chmod(0o755)
+    named = ros1_environment(f"http://127.0.0.1:{claim_port()}", tmp_path)
+    return {**named, "ROS_PACKAGE_PATH": str(tmp_path), "ROS_LOG_DIR": str(tmp_path / "log"), "PYTHONUNBUFFERED": "1"}
+
+
+@needs_roslaunch
+def test_roslaunch_launches_nodes_with_the_treatments_and_ends_them_as_ctrl_c_would(
+    execute: Callable[..., Executed], environment: dict[str, str], token: str
+) -> None:
+    parameters = "'subject_nav', 'nav.launch', arguments={'planner': treatment('Planner'), 'rviz': False}"
+    done = execute(body_of(parameters, environment, 1))
+    assert (done.finished.failures, done.finished.done_count) == ((), 2)
+    for run_id, planner in (("r_1", "dwa"), ("r_2", "teb")):
+        output = (done.folder / "runs" / run_id / "Nav" / "stdout.txt").read_text()
+        assert f"plans with {planner} false" in output
+        assert "shut down" in output
+    ended = done.journal("subject")[1]
+    assert (ended["was_asked"], ended["exit_code"]) == (True, 0)
+    assert gone(token)
+
+
+@needs_roslaunch
+def test_roslaunch_is_asked_for_what_it_would_refuse_with_each_treatment(
+    problems: Callable[[str], list[str]], environment: dict[str, str]
+) -> None:
+    (unknown, missing) = problems(body_of("'subject_nav', 'nav.launch', arguments={'planer': 'dwa'}", environment, 1))
+    assert unknown == "the launch file takes no argument 'planer': nothing would read it"
+    assert "requires the 'planner' arg to be set" in missing
+    absent = problems(body_of("'subject_nav', treatment('Planner')", environment, 1))
+    assert [each[: each.index(":")] for each in absent] == ["with Planner = dwa", "with Planner = teb"]
+    assert all("is neither a launch file in package [subject_nav]" in each for each in absent)
+
+
+def test_ros2_launch_gets_the_treatments_and_is_interrupted(
+    execute: Callable[..., Executed], problems: Callable[[str], list[str]], tmp_path: Path, token: str
+) -> None:
+    (tmp_path / "bin").mkdir()
+    program = tmp_path / "bin" / "ros2"
+    program.write_text(ROS2.replace("TOKEN", token))
+    program.chmod(0o755)
+    path = {"PATH": f"{program.parent}:/usr/bin:/bin"}
+    done = execute(body_of("'nav', 'nav.launch.py', arguments={'planner': treatment('Planner')}", path, 2))
+    assert (done.finished.failures, done.finished.done_count) == ((), 2)
+    output = (done.folder / "runs/r_2/Nav/stdout.txt").read_text()
+    assert f"below {done.folder}/runs/r_2/Nav/ros_log" in output
+    assert "plans with launch nav nav.launch.py planner:=teb" in output
+    assert "process has finished cleanly" in output
+    assert gone(token)
+    assert problems(body_of("'nav', 'nav.launch.py', arguments={'planer': 1}", path, 2)) == [
+        "the launch file takes no argument 'planer': nothing would read it"
+    ]
+    (refused,) = problems(body_of("'no_package', 'nav.launch.py'", path, 2))
+    assert refused.startswith("ros2 refuses no_package/nav.launch.py: Package 'no_package' not found")
+    assert problems(body_of("'nav', 'nav.launch.py'", {"PATH": "/nowhere"}, 2)) == ["the program 'ros2' is not there"]
+
+
+@pytest.mark.parametrize("wrong", [{"ros": 3}, {"host": "pi@robot"}, {"setup": "install/setup.bash"}])
+def test_which_ros_is_meant_has_to_be_said_where_it_cannot_be_seen(wrong: dict[str, object]) -> None:
+    with pytest.raises(PluginError, match="ros"):
+        RosLaunch("nav", "nav.launch", **wrong)
+
+
+def test_the_ros_that_is_sourced_is_taken() -> None:
+    for ros, first in (("1", "roslaunch"), ("2", "ros2")):
+        assert RosLaunch("nav", "nav.launch", environment={"ROS_VERSION": ros}).words()[0] == first
