@@ -153,12 +153,11 @@ def _of_size(what: str, size: dict[str, Any], p_value: float, alpha: float) -> I
 
 def _reasons_missing(measure: dict[str, Any]) -> Iterator[tuple[str, str]]:
     told = [each["what"] for each in measure["not_computed"]]
-    for post_hoc in measure["post_hoc"]:
-        for pair in post_hoc["comparisons"]:
-            for size in pair["effect_sizes"]:
-                what = f"interval of {size['name']} of {pair['first']} and {pair['second']}"
-                if size["name"].endswith(" d") and size["interval"] is None and what not in told:
-                    yield size["name"], "interval"
+    compared = [*measure["test"]["effects"], *(pair for each in measure["post_hoc"] for pair in each["comparisons"])]
+    for each in compared:
+        for size in each["effect_sizes"]:
+            if size["interval"] is None and not any(what.startswith(f"interval of {size['name']}") for what in told):
+                yield size["name"], "interval"
 
 
 def _of_hypothesis(outcome: dict[str, Any], statistics: dict[str, Any]) -> Iterator[str]:

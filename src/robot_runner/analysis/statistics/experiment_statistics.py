@@ -13,7 +13,7 @@ from robot_runner.analysis.statistics.descriptive import describe
 from robot_runner.analysis.statistics.design import design_of
 from robot_runner.analysis.statistics.families import concluded
 from robot_runner.analysis.statistics.outcome import ExperimentStatistics, MeasureStatistics
-from robot_runner.analysis.statistics.post_hoc import carry_out_contrast, compare_pairs
+from robot_runner.analysis.statistics.post_hoc import carry_out_contrast, compare_pairs, missing_intervals
 from robot_runner.analysis.statistics.power import power_of
 from robot_runner.analysis.statistics.robustness import doubtful_runs, standing_effects, standing_hypotheses
 from robot_runner.analysis.statistics.tested import NotComputed
@@ -86,6 +86,8 @@ def measure_statistics(
     test = None if model is None else carry_out(data, model, choices)
     post_hoc, missed = ((), ()) if model is None or test is None else compare_pairs(data, model, test, choices)
     gathered.missing += missed
+    if test is not None:
+        gathered.missing += missing_intervals(test, post_hoc)
     claimed = [] if model is None or plan is None else [each for each in plan.hypotheses if _is_contrast(each, name)]
     contrasts: list[ContrastTest | None] = [
         gathered.take(carry_out_contrast(model, each, choices)) for each in claimed if model is not None

@@ -16,6 +16,7 @@ from robot_runner.analysis.statistics.effect_sizes import cliffs_delta, cohens_d
 from robot_runner.analysis.statistics.linear_model import FittedModel
 from robot_runner.analysis.statistics.tested import Comparison, ContrastTest, Interval, NotComputed, PostHoc, TestMethod
 from robot_runner.analysis.statistics.tests import check_estimand, model_of
+from robot_runner.analysis.wording import listed
 from robot_runner.core.design.analysis_plan import Correction, Estimand
 
 if TYPE_CHECKING:
@@ -30,13 +31,18 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.tests import Choices
     from robot_runner.core.design.analysis_plan import Hypothesis
 
-__all__ = ["adjusted", "carry_out_contrast", "compare_pairs"]
+__all__ = ["adjusted", "carry_out_contrast", "compare_pairs", "missing_intervals"]
 
 #: More pairs can neither be read nor tested with any power left: 15 treatments make 105.
 _MOST_PAIRS = 105
 
 _QUANTITIES = {Estimand.MEAN: "means", Estimand.TRIMMED_MEAN: "trimmed means", Estimand.RANK: "relative ranks"}
 _T = "t distribution"
+_WHY_MISSING = {
+    "Cliff's delta": "a group has a single run.",
+    "Vargha-Delaney A12": "a group has a single run.",
+    "rank-biserial correlation": "all differences have one sign, or they are fewer than five.",
+}
 _PAIRED = {
     TestMethod.WELCH_T: "Welch's t-test",
     TestMethod.WELCH_ANOVA: "Welch's t-tests",
@@ -64,21 +70,33 @@ def compare_pairs(
             missing.append(NotComputed(what, f"{len(groups)} groups make {pairs:,} pairs: compare chosen ones."))
             continue
         with quiet():
-            listed = [_comparison(data, model, beside, pair, choices) for pair in combinations(groups, 2)]
-        after = iter(adjusted([each.p_value for each in listed if each.p_value is not None], choices.correction))
+            every = [_comparison(data, model, beside, pair, choices) for pair in combinations(groups, 2)]
+        after = iter(adjusted([each.p_value for each in every if each.p_value is not None], choices.correction))
         compared = tuple(
-            each if each.p_value is None else _with_adjusted(each, next(after), choices.alpha) for each in listed
+            each if each.p_value is None else _with_adjusted(each, next(after), choices.alpha) for each in every
         )
-        missing += [
-            NotComputed(f"interval of {size.name} of {pair.first} and {pair.second}", "it is beyond what floats hold.")
-            for pair in compared
-            for size in pair.effect_sizes
-            if size.interval is None and size.name.endswith(" d")
-        ]
         found.append(
             PostHoc(factors, _PAIRED[model.method], choices.correction, _QUANTITIES[choices.estimand], compared)
         )
     return tuple(found), tuple(missing)
+
+
+def missing_intervals(test: MeasureTest, post_hoc: Sequence[PostHoc]) -> Iterator[NotComputed]:
+    """Yield, for each kind of effect size, which intervals there are not, and why."""
+    pairs = [
+        (size, f"{pair.first} and {pair.second}")
+        for each in post_hoc
+        for pair in each.comparisons
+        for size in pair.effect_sizes
+    ]
+    effects = [(size, effect.label) for effect in test.effects for size in effect.effect_sizes]
+    missing: dict[str, list[str]] = {}
+    for size, what in (*effects, *pairs):
+        if size.interval is None:
+            missing.setdefault(size.name, []).append(what)
+    for name, several in missing.items():
+        why = _WHY_MISSING.get(name, "the noncentral distribution cannot be inverted with floating-point numbers.")
+        yield NotComputed(f"interval of {name} of {listed(several)}", why)
 
 
 def adjusted(p_values: Sequence[float], correction: Correction) -> list[float]:
