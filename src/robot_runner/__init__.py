@@ -35,6 +35,10 @@ if TYPE_CHECKING:
     from robot_runner.conditions.topic_messages import topic_above as topic_above
     from robot_runner.conditions.topic_messages import topic_below as topic_below
     from robot_runner.core.config.authors import Author as Author
+    from robot_runner.core.config.gate_parameters import Gate as Gate
+    from robot_runner.core.config.gate_parameters import GatePolicy as GatePolicy
+    from robot_runner.core.config.gate_parameters import Guard as Guard
+    from robot_runner.core.config.gate_parameters import GuardAction as GuardAction
     from robot_runner.core.config.parameters import BadValuePolicy as BadValuePolicy
     from robot_runner.core.config.parameters import ExperimentConfig as ExperimentConfig
     from robot_runner.core.config.parameters import FailurePolicy as FailurePolicy
@@ -45,16 +49,21 @@ if TYPE_CHECKING:
     from robot_runner.core.design.analysis_plan import Hypothesis as Hypothesis
     from robot_runner.core.design.factor import Factor as Factor
     from robot_runner.core.design.run_table_model import RunTableModel as RunTableModel
+    from robot_runner.core.errors import CommandError as CommandError
     from robot_runner.core.errors import ConditionError as ConditionError
+    from robot_runner.core.errors import ConditionTimeout as ConditionTimeout
     from robot_runner.core.errors import RobotRunnerError as RobotRunnerError
     from robot_runner.core.events.condition import Condition as Condition
     from robot_runner.core.events.condition import Look as Look
     from robot_runner.core.events.context import ExperimentContext as ExperimentContext
     from robot_runner.core.events.context import RobotRunnerContext as RobotRunnerContext
+    from robot_runner.core.events.host_access import CommandResult as CommandResult
     from robot_runner.core.events.manager import EventSubscriptionController as EventSubscriptionController
     from robot_runner.core.events.manager import RobotRunnerEvents as RobotRunnerEvents
     from robot_runner.core.events.measure import Measure as Measure
     from robot_runner.core.events.measure import Origin as Origin
+    from robot_runner.core.links.declared_host import Host as Host
+    from robot_runner.core.links.declared_host import Reboot as Reboot
     from robot_runner.core.treatments import treatment as treatment
 else:
     __getattr__, __dir__ = open_door(__name__)

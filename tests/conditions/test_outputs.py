@@ -77,6 +77,11 @@ def test_a_file_that_begins_anew_is_read_from_its_beginning(
     log.write_text("ready")  # emptied, and written by the next start of the program
     assert look().holds
 
+    look = watching(text_in(log, "fire"))
+    assert not look().holds
+    log.write_text("on fire by now")  # emptied, and longer than it was at the next look
+    assert look().holds
+
     (tmp_path / "rotated.log").write_text("a" * 100)
     look = watching(text_in(tmp_path / "rotated.log", "ready"))
     assert not look().holds

@@ -143,7 +143,11 @@ def test_treatments_inside_lists_tuples_and_mappings_are_bound_each() -> None:
 
 @pytest.mark.parametrize(
     ("value", "where"),
-    [({treatment("A")}, "inside a set"), ((1, {"x": {treatment("A")}}), "inside a set"), ({treatment("A"): 1}, "for a key")],
+    [
+        ({treatment("A")}, "inside a set"),
+        ((1, {"x": {treatment("A")}}), "inside a set"),
+        ({treatment("A"): 1}, "for a key"),
+    ],
 )
 def test_a_treatment_without_a_place_of_its_own_is_refused(value: object, where: str) -> None:
     with pytest.raises(PluginError) as caught:

@@ -47,7 +47,14 @@ def test_every_event_has_its_row_in_order() -> None:
 
 @pytest.mark.parametrize("context", [ExperimentContext, RobotRunnerContext])
 def test_everything_that_a_context_offers_is_told(context: type) -> None:
-    internal = {"resources", "owner", "broker", "ending", "run_path"}  # for plugins, and for the context itself
+    internal = {
+        "resources",
+        "owner",
+        "broker",
+        "ending",
+        "hosts",
+        "run_path",
+    }  # for plugins, and for the context itself
     offered = {name for name in dir(context) if not name.startswith("_")} - internal
     assert {name for name in offered if not re.search(rf"^\|.*`{name}[`(]", PAGE, re.MULTILINE)} == set()
 

@@ -25,10 +25,11 @@ from robot_runner.analysis.sample_files import (
 )
 from robot_runner.analysis.samples import SampleRequest, read_samples
 from robot_runner.core.design.analysis_plan import AnalysisPlan
-from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
+from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STATUS
 from robot_runner.core.errors import AnalysisError, StorageError, did_you_mean
 from robot_runner.core.events.measure import QUALITY_SUFFIX, Quality, quality_of_value
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.excluded_runs import ExcludedRuns
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.manifest import read_manifest
@@ -51,6 +52,7 @@ class Results:
         folder: the experiment's folder.
         manifest: the circumstances, as in `manifest.json`.
         columns: what each column of the run table is, by its heading: role, type, unit, owner, origin.
+        with_excluded: whether runs that were excluded are among the others.
 
     Example:
         >>> results = load_results("experiments/basic_experiment")  # doctest: +SKIP
@@ -61,6 +63,7 @@ class Results:
     folder: Path
     manifest: Mapping[str, Any] = field(repr=False)
     columns: Mapping[str, ColumnDescription] = field(repr=False)
+    with_excluded: bool = False
 
     @property
     def name(self) -> str:
@@ -126,14 +129,33 @@ class Results:
 
     @property
     def runs(self) -> pd.DataFrame:
-        """The run table: one row a run, in the order of the file.
+        """The run table: one row a run, in the order of the file, without the runs that were excluded.
 
         Columns are those of `run_table.csv`: `run_id` (str), `status` (ordered categorical), time stamps
         (datetime64, UTC), factors (ordered categoricals, in the order in which the config has the treatments), the
         repetition (Int64), measures (float64, Int64, boolean or str), a user's own columns. What is missing is NaN,
-        NaT or <NA>. `attrs["units"]` has the units.
+        NaT or <NA>. `attrs["units"]` has the units. With `with_excluded`, all runs are there; where any run was ever
+        excluded, the column `excluded` has the reason.
         """
+        frame = self.all_runs
+        if self.with_excluded or EXCLUDED not in frame:
+            return frame
+        return frame[frame[EXCLUDED].isna()].drop(columns=EXCLUDED).reset_index(drop=True)
+
+    @property
+    def all_runs(self) -> pd.DataFrame:
+        """The whole run table, runs that were excluded among the others, as `runs` has it."""
         return self._run_frame.frame.copy(deep=False)
+
+    @property
+    def excluded(self) -> pd.DataFrame:
+        """The runs that were excluded, as `all_runs` has them: `excluded` is the reason, `excluded_at` when (UTC)."""
+        frame = self.all_runs
+        chosen = frame[frame[EXCLUDED].notna()] if EXCLUDED in frame else frame.iloc[:0].assign(**{EXCLUDED: None})
+        told = ExcludedRuns.read(self._files.journal).present
+        at = [told[run_id].at if run_id in told else None for run_id in chosen[RUN_ID]]
+        stamps = pd.to_datetime(pd.Series(at, dtype="object"), utc=True, format="ISO8601")
+        return chosen.reset_index(drop=True).assign(excluded_at=stamps)
 
     @property
     def done(self) -> pd.DataFrame:
@@ -154,7 +176,8 @@ class Results:
 
         One row a value: `run_id`, `measure`, `value` (object), `owner`, `origin`.
         """
-        return self._history.published
+        published = self._history.published
+        return published if self.with_excluded else published[~published["run_id"].isin(self.excluded[RUN_ID])]
 
     @property
     def odd(self) -> pd.DataFrame:
@@ -224,7 +247,7 @@ class Results:
         first = phases.groupby("run_id")["start_s"].transform("min")
         start = phases["run_id"].map(self._history.starts).astype("float64").fillna(first)
         phases = phases.assign(start_s=phases["start_s"] - start, end_s=phases["end_s"] - start)
-        treatments = self.runs[[RUN_ID, *self._labels]]
+        treatments = self.all_runs[[RUN_ID, *self._labels]]
         joined = phases.merge(treatments, on=RUN_ID, how="left")
         own = [name for name in joined.columns if name not in {RUN_ID, *self._labels}]
         return joined[[RUN_ID, *self._labels, *own]]
@@ -268,7 +291,7 @@ class Results:
         """
         kind = choose_file(self.sample_files, plugin, file)
         run_ids = [run_id for run_id in self._chosen(runs) if run_id in kind.paths]
-        table = self.runs.set_index(RUN_ID).loc[run_ids]
+        table = self.all_runs.set_index(RUN_ID).loc[run_ids]
         is_done = table[STATUS] == RunStatus.DONE.value
         windows = {**self._history.windows, **told_windows(kind, run_ids)}
         request = SampleRequest(
@@ -295,10 +318,15 @@ class Results:
         Raises:
             StorageError: a file cannot be written.
         """
+        everything = list(self.all_runs[RUN_ID])
         content = ExportContent(
             self.name,
             self.folder,
-            {"run_table.parquet": self.runs, "phases.parquet": self.phases(), "events.parquet": self.events()},
+            {
+                "run_table.parquet": self.all_runs,
+                "phases.parquet": self.phases(everything),
+                "events.parquet": self.events(everything),
+            },
             self.sample_files,
             lambda kind, runs: self.samples(kind.plugin, file=kind.name, runs=runs),
             self.unit,
@@ -338,20 +366,22 @@ class Results:
         return tuple(column.name for column in self.columns.values() if column.role is role)
 
     def _chosen(self, runs: Sequence[str] | None) -> list[str]:
-        known = list(self._run_frame.frame[RUN_ID])
         if runs is None:
-            return known
+            return list(self.runs[RUN_ID])
+        known = list(self._run_frame.frame[RUN_ID])
         wanted = [runs] if isinstance(runs, str) else list(runs)
         for run_id in set(wanted).difference(known):
             raise AnalysisError(f"there is no run {run_id!r}", where=self.name, fix=did_you_mean(run_id, known))
         return wanted
 
 
-def load_results(folder: Path | str) -> Results:
+def load_results(folder: Path | str, *, with_excluded: bool = False) -> Results:
     """Read the results of an experiment.
 
     Args:
         folder: the experiment's folder: the one that holds `run_table.csv` and `manifest.json`.
+        with_excluded: whether runs that were excluded (`robot-runner exclude`) are among the others. By default they
+            are in `excluded` and `all_runs` alone, and in no statistics.
 
     Raises:
         StorageError: there is no experiment here, or it cannot be read.
@@ -363,4 +393,4 @@ def load_results(folder: Path | str) -> Results:
         raise StorageError("there is a run table here, but no manifest.json", where=str(folder), fix=fix)
     manifest = read_manifest(files.manifest)
     columns = {column.name: column for column in column_descriptions(files, manifest)}
-    return Results(root, MappingProxyType(manifest), MappingProxyType(columns))
+    return Results(root, MappingProxyType(manifest), MappingProxyType(columns), with_excluded)

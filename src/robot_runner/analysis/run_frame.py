@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
 from robot_runner.core.errors import StorageError
 from robot_runner.core.events.manager import ORCHESTRATED_EVENTS, RobotRunnerEvents
 from robot_runner.core.storage.cells import RunStatus, typed_value, typed_values
+from robot_runner.core.storage.excluded_runs import ExcludedRuns
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import ColumnRole, TableLayout
@@ -89,10 +90,17 @@ def read_run_frame(
     if not folder.run_table.exists():
         fix = "Restore run_table.csv from a backup."
         raise StorageError("there is no run table in the folder", where=str(folder.root), fix=fix)
-    rows = read_run_table(folder.run_table, TableLayout.of_schema(columns))
+    excluded = ExcludedRuns.read(folder.journal) if folder.journal.exists() else None
+    layout = TableLayout.of_schema(columns)
+    if excluded is not None and excluded.were_any:
+        layout = replace(layout, has_exclusions=True)
+    rows = read_run_table(folder.run_table, layout)
     for record in newer.values():
         if rows.place_of(record["run"]) is not None:
             _take(rows, record)
+    if excluded is not None:  # the journal is the truth; a cell that was edited by hand is settled by the next session
+        for run_id in rows.values(RUN_ID) if rows.layout.has_exclusions else ():
+            rows.exclude(run_id, excluded.reason(run_id))
     return RunFrame(_frame(rows, columns, manifest), rows.warnings)
 
 
@@ -125,6 +133,8 @@ def _frame(rows: RunTableRows, columns: Sequence[ColumnDescription], manifest: M
         RUN_ID: pd.array(list(rows.values(RUN_ID)), dtype="str"),
         STATUS: pd.Categorical([status.value for status in rows.values(STATUS)], words, ordered=True),
     }
+    for name in rows.layout.exclusion:
+        data[name] = pd.array(list(rows.values(name)), dtype="str")
     for name in rows.layout.stamps:
         stamps = pd.Series(list(rows.values(name)), dtype="object")
         data[name] = pd.to_datetime(stamps, utc=True, errors="coerce", format="ISO8601")

@@ -11,11 +11,13 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
 __all__ = [
+    "RUNS_HELP",
     "CommandModule",
     "Parser",
     "UsageError",
     "add_config",
     "add_json",
+    "add_runs",
     "add_set",
     "add_target",
     "parser_of",
@@ -142,6 +144,15 @@ def add_set(parser: Parser) -> None:
         default=[],
         help="set a static parameter of the config, such as robot=simulated; may be given several times",
     )
+
+
+#: How runs are named on the command line.
+RUNS_HELP = "ids and treatments, such as r_1,r_2 or Task=Video,Speed=0.2"
+
+
+def add_runs(parser: Parser) -> None:
+    """Add the runs that are meant."""
+    parser.add_argument("runs", metavar="RUNS", nargs="+", help=f"the runs: {RUNS_HELP}")
 
 
 def add_json(parser: Parser) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.cli.console import quiet_loading, shown_path
 from robot_runner.cli.parser import UsageError
@@ -20,6 +20,8 @@ from robot_runner.core.execution.durations import Estimate, durations_of
 from robot_runner.core.execution.probe import probe_window_of, probed_plugins
 from robot_runner.core.execution.table_recovery import is_reordered
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.excluded_runs import ExcludedRuns
+from robot_runner.core.storage.executed_runs import executed_order, moved_in_words, moved_runs
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
@@ -54,6 +56,8 @@ class Plan:
         is_recorded: whether the seed is that of an experiment which has begun, so that executing it goes on in
             this order.
         duration: how long the runs take that are still to be executed.
+        executed: the runs that were begun, in the order in which they were.
+        excluded: why runs are left out, by id.
     """
 
     model: RunTableModel
@@ -64,10 +68,17 @@ class Plan:
     is_recorded: bool
     findings: tuple[Finding, ...]
     duration: Estimate = field(default_factory=lambda: Estimate(None))
+    executed: Sequence[str] = ()
+    excluded: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def order(self) -> str:
-        """How the runs were put in order."""
+        """How the runs were put in order, and how many were executed out of it."""
+        moved = moved_in_words(moved_runs([run.run_id for run in self.runs], self.executed), self.executed)
+        return f"{self._order_of_table}; {moved}" if moved else self._order_of_table
+
+    @property
+    def _order_of_table(self) -> str:
         if self.source is not None:
             return f"as in {shown_path(self.source)}"
         blocks = self.model.blocks
@@ -138,7 +149,7 @@ def _with_duration(
     durations.plan(
         run.combination
         for place, run in enumerate(plan.runs)
-        if rows is None or rows.status(place) is not RunStatus.DONE
+        if rows is None or (rows.status(place) is not RunStatus.DONE and rows.excluded(place) is None)
     )
     is_probed = parameters.probe
     probed = probe_window_of(probed_plugins(plugins, events, parameters.robot)) if is_probed else 0.0
@@ -179,22 +190,33 @@ def _plan_on_disk(
         manifest = read_manifest(folder.manifest)
     except StorageError:  # a table that was made by hand, before anything was executed
         manifest = {}
-    layout = TableLayout.of_model(model, columns.names, spelling=spelling)
+    known = ExcludedRuns.read(folder.journal)
+    layout = replace(TableLayout.of_model(model, columns.names, spelling=spelling), has_exclusions=known.were_any)
+    told: dict[str, Any] = {
+        "executed": executed_order(folder.journal),
+        "excluded": {run_id: each.reason for run_id, each in known.present.items()},
+    }
     if manifest.get("design", {}).get("source") == "config":
         table = model.plan(manifest["seed"])
         rows = read_run_table(folder.run_table, layout, table)
         if not is_reordered(table, rows):
-            return Plan(model, columns, table, None, table.seed, is_recorded=True, findings=warnings), rows
+            planned = Plan(model, columns, table, None, table.seed, is_recorded=True, findings=warnings, **told)
+            return planned, rows
         problem = "the rows were put into another order by hand: runs are executed in that order"
         warnings = (*warnings, Finding.warning(str(folder.run_table), problem))
     rows = read_run_table(folder.run_table, layout)
     runs = list(rows.planned)
     findings = (*warnings, *rows.warnings)
-    return Plan(model, columns, runs, folder.run_table, None, is_recorded=False, findings=findings), rows
+    return Plan(model, columns, runs, folder.run_table, None, is_recorded=False, findings=findings, **told), rows
 
 
-def folder_of_target(target: str, assignments: Sequence[str]) -> ExperimentFolder:
+def folder_of_target(target: str, assignments: Sequence[str], *, takes_older: bool = False) -> ExperimentFolder:
     """Return the folder of the experiment that is meant.
+
+    Args:
+        target: a folder or a config file.
+        assignments: static parameters to set, as `name=value`.
+        takes_older: whether a folder will do that another tool has filled, with a run table and no manifest.
 
     Raises:
         UsageError: parameters are set for a folder, which takes none.
@@ -205,21 +227,23 @@ def folder_of_target(target: str, assignments: Sequence[str]) -> ExperimentFolde
     if path.is_dir():
         if assignments:
             raise UsageError("--set is for config files", where=target, fix="Leave it out, or name the config file.")
-        return _in_folder(path)
+        return _in_folder(path, takes_older=takes_older)
     if not path.exists() and path.suffix != ".py":
         names = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
         fix = did_you_mean(path.name, names) if len(names) < _MOST_NAMES else "Name a folder that is there."
         raise StorageError("there is no such file or folder", where=target, fix=fix)
-    return _of_config(path, assignments)
+    return _of_config(path, assignments, takes_older=takes_older)
 
 
 _MOST_NAMES = 20
 
 
-def _in_folder(path: Path) -> ExperimentFolder:
+def _in_folder(path: Path, *, takes_older: bool) -> ExperimentFolder:
     folder = ExperimentFolder.found_at(path.resolve())
-    if folder.manifest.exists():
+    if folder.manifest.exists() or (takes_older and _is_of_older_tool(folder)):
         return folder
+    if _is_of_older_tool(folder):
+        raise _older(folder)
     within = sorted(each.name for each in path.iterdir() if ExperimentFolder(each).manifest.exists())
     if within:
         names = listed(shown_path(path / name) for name in within)
@@ -229,13 +253,31 @@ def _in_folder(path: Path) -> ExperimentFolder:
     raise StorageError("there is no experiment here", where=str(path), fix=fix)
 
 
-def _of_config(path: Path, assignments: Sequence[str]) -> ExperimentFolder:
+def _is_of_older_tool(folder: ExperimentFolder) -> bool:
+    """Return whether a folder has a run table with runs that were executed, and nothing of ours."""
+    if folder.manifest.exists() or not folder.run_table.exists():
+        return False
+    try:
+        rows = read_run_table(folder.run_table, TableLayout((), stamps=()))
+    except StorageError:
+        return False
+    return len(rows) > rows.count(RunStatus.TODO)
+
+
+def _older(folder: ExperimentFolder) -> StorageError:
+    fix = "Go on with its config (robot-runner run), or adopt the results (robot-runner import)."
+    return StorageError("another tool executed this experiment", where=shown_path(folder.root), fix=fix)
+
+
+def _of_config(path: Path, assignments: Sequence[str], *, takes_older: bool) -> ExperimentFolder:
     with quiet_loading():
         loaded = load_config(path, parse_assignments(assignments))
         folder = folder_of(loaded)
     if folder is None:
         raise ConfigError.of_findings(read_parameters(loaded)[1])
-    if not folder.manifest.exists():
+    if _is_of_older_tool(folder) and not takes_older:
+        raise _older(folder)
+    if not folder.manifest.exists() and not _is_of_older_tool(folder):
         raise StorageError(
             f"this experiment was never executed: there is nothing in {shown_path(folder.root)}",
             where=str(path),

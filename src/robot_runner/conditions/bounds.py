@@ -109,7 +109,7 @@ class Bound(Condition):
             if reading.value is None or not math.isfinite(reading.value):
                 return Look(holds=False, seen=reading.reason or f"{self.quantity} is not known")
             holds = reading.value < self.limit if self.is_below else reading.value > self.limit
-            return Look(holds, f"{self.quantity}: {_shown(reading.value, self.quantity.unit)}", reading.value)
+            return Look(holds, _shown(reading.value, self.quantity.unit), reading.value)
 
         return look
 

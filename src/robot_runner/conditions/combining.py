@@ -6,7 +6,7 @@ import time
 from abc import abstractmethod
 from typing import TYPE_CHECKING
 
-from robot_runner.conditions.bounds import contradictions
+from robot_runner.conditions.bounds import Bound, contradictions
 from robot_runner.core.errors import ConditionError
 from robot_runner.core.events.condition import Condition, Look
 
@@ -121,6 +121,10 @@ class _Combined(Condition):
         looks = [_now_and_then(each.watch(context, opened), each.every_s, clock) for each in self._parts]
         return lambda: self._judge([look_again() for look_again in looks])
 
+    def _seen(self, looks: Sequence[Look]) -> str:
+        told = zip(self._parts, looks, strict=True)
+        return "; ".join(f"{_subject(part)}{look.seen}" for part, look in told if look.seen)
+
     @abstractmethod
     def _judge(self, looks: Sequence[Look]) -> Look:
         """Return what the looks at the parts add up to."""
@@ -142,14 +146,14 @@ class _AllOf(_Combined):
                 yield part
 
     def _judge(self, looks: Sequence[Look]) -> Look:
-        return Look(all(look.holds for look in looks), _seen(looks))
+        return Look(all(look.holds for look in looks), self._seen(looks))
 
 
 class _AnyOf(_Combined):
     _joint = " or "
 
     def _judge(self, looks: Sequence[Look]) -> Look:
-        return Look(any(look.holds for look in looks), _seen(looks))
+        return Look(any(look.holds for look in looks), self._seen(looks))
 
 
 class _Not(_Combined):
@@ -157,16 +161,18 @@ class _Not(_Combined):
         return f"it does not hold that {self._parts[0]}"
 
     def check(self, robot: str | None) -> Iterable[Finding]:
-        """Return nothing: what keeps a condition from holding makes this one hold."""
-        del robot
-        return ()
+        """Yield what keeps the condition from being looked at; what keeps it from holding makes this one hold."""
+        for leaf in leaves(self):
+            yield from leaf.quantity.check(robot) if isinstance(leaf, Bound) else leaf.check(robot)
 
     def _judge(self, looks: Sequence[Look]) -> Look:
         return Look(not looks[0].holds, looks[0].seen, looks[0].value)
 
 
-def _seen(looks: Sequence[Look]) -> str:
-    return "; ".join(look.seen for look in looks if look.seen)
+def _subject(condition: Condition) -> str:
+    """Return of what a figure is that was seen, where that is one quantity."""
+    one, *others = leaves(condition)
+    return f"{one.quantity}: " if isinstance(one, Bound) and not others else ""
 
 
 def _now_and_then(look_again: LookAgain, every_s: float, clock: Clock) -> LookAgain:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass
+import shutil
+from dataclasses import dataclass, replace
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robot_runner.core.errors import Finding, LinkError
+from robot_runner.core.errors import Finding, LinkError, Severity
 from robot_runner.core.events.condition import Condition, Look
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.host import LOCAL, process_selector
@@ -71,8 +72,12 @@ class ComputerName:
 
     def check(self, what: str) -> Iterator[Finding]:
         """Yield what stands between us and the computer; `what` is the condition that asks."""
-        if self.host != LOCAL:
-            yield from ssh_findings(f"condition {what!r}", self.host, config=self.ssh_config)
+        if self.host == LOCAL:
+            return
+        can_ever = shutil.which("ssh") is not None and (self.ssh_config is None or self.ssh_config.is_file())
+        for finding in ssh_findings(f"condition {what!r}", self.host, config=self.ssh_config):
+            # A computer that is switched off now may be what is waited for.
+            yield replace(finding, severity=Severity.WARNING) if can_ever else finding
 
 
 def process_running(process: str | int, *, host: str = LOCAL, ssh_config: str | Path | None = None) -> Condition:

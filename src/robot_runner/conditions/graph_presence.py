@@ -103,6 +103,8 @@ class _Present(Condition):
         there = self._listed(link)
         if self.name not in there:
             near = nearest(self.name, there)
+            if self.kind == "service" and not there:
+                return Look(holds=False, seen="the graph tells of no services")
             seen = f"{len(there)} {self.kind}s are there{f', among them {near}' if near else ''}"
             return Look(holds=False, seen=seen)
         found = link.topics().get(self.name) if self.message_type else None

@@ -28,6 +28,8 @@ __all__ = ["file_complete", "text_in"]
 _KEPT = 1 << 16
 #: How much is read at once, bytes.
 _CHUNK = 1 << 20
+#: How much of what was read last must still stand there, or the file was begun anew, bytes.
+_COMPARED = 256
 #: How much of the last line is shown, characters.
 _SHOWN = 80
 
@@ -119,6 +121,7 @@ class _GrowingText:
         self._path = path
         self._place = 0
         self._file = (0, 0)
+        self._read_last = b""
         self._decoder = codecs.getincrementaldecoder("utf-8")("replace")
 
     @property
@@ -149,6 +152,7 @@ class _GrowingText:
             self._go_to_place(descriptor, status)
             while data := os.read(descriptor, _CHUNK):
                 self._place += len(data)
+                self._read_last = (self._read_last + data)[-_COMPARED:]
                 self.text = self.text[-_KEPT:] + self._decoder.decode(data)
         finally:
             os.close(descriptor)
@@ -156,8 +160,11 @@ class _GrowingText:
 
     def _go_to_place(self, descriptor: int, status: os.stat_result) -> None:
         file = (status.st_dev, status.st_ino)
-        if file != self._file or status.st_size < self._place:  # another file of this name, or one that was emptied
-            self._place = 0
+        begin = self._place - len(self._read_last)
+        # Another file of this name, or one that was emptied, and may have grown beyond our place since.
+        is_anew = status.st_size < self._place or os.pread(descriptor, len(self._read_last), begin) != self._read_last
+        if file != self._file or is_anew:
+            self._place, self._read_last = 0, b""
             self._decoder.reset()
         self._file = file
         os.lseek(descriptor, self._place, os.SEEK_SET)

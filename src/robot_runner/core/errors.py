@@ -8,7 +8,9 @@ RobotRunnerError
 ├── MeasureError       a value that the run table must not take
 ├── StorageError       a file or folder that cannot be read or written
 ├── LinkError          a robot, host or device that cannot be reached
-├── ConditionError     something that cannot be awaited, or did not come in time
+│   └── CommandError   a command on a host that failed, or did not end in time
+├── ConditionError     something that cannot be awaited
+│   └── ConditionTimeout   ... or that did not come in time
 ├── ExecutionError     an experiment that cannot start or go on
 ├── AnalysisError      results that cannot be read, adopted or analysed
 └── PackageError       a replication package that cannot be made, or must not be used
@@ -28,7 +30,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AnalysisError",
+    "CommandError",
     "ConditionError",
+    "ConditionTimeout",
     "ConfigError",
     "DesignError",
     "ExecutionError",
@@ -143,12 +147,20 @@ class LinkError(RobotRunnerError):
     """A robot, host or device that cannot be reached or does not answer."""
 
 
+class CommandError(LinkError):
+    """A command on a host failed, or did not end in time."""
+
+
 class ExecutionError(RobotRunnerError):
     """An experiment that cannot start or go on."""
 
 
 class ConditionError(RobotRunnerError):
     """Something that cannot be awaited, or that was awaited and did not come in time."""
+
+
+class ConditionTimeout(ConditionError):  # noqa: N818 - it is named like Python's own TimeoutError is caught
+    """Something that was awaited and did not come in time."""
 
 
 class AnalysisError(RobotRunnerError):

@@ -2,35 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.errors import StorageError, did_you_mean
 from robot_runner.core.events.measure import quality_text
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.storage.executed_runs import executed_order, moved_runs
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.core.storage.table_columns import ColumnRole, TableLayout
 from robot_runner.core.storage.table_schema import ColumnDescription, read_schema
-from robot_runner.core.words import shown_commit
+from robot_runner.core.words import shown_commit, shown_duration
 from robot_runner.replication.config_lines import ConfigLine, ConfigLines
 from robot_runner.replication.contents import CONFIG_OWNER
+from robot_runner.replication.run_history import RunHistory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
-    from typing import Self
 
 __all__ = ["Explanation", "RunExplanation", "explain_run"]
 
 _ORCHESTRATED = frozenset({"before_run", "continue"})
-_KINDS = ("attempt_started", "attempt_finished", "event", "finding", "clock", "bound", "mission_stopped", "subject")
-#: What the runs that follow have in common.
-_OF_EXECUTION = "experiment_started"
 _UNMEASURED = {"simulated": "simulated, not measured", "estimated": "estimated by a model, not measured"}
 
 
@@ -81,90 +78,6 @@ def explain_run(root: Path, run_id: str, names: Sequence[str] = ()) -> RunExplan
     return _Explaining(root, run_id).explain(names)
 
 
-@dataclass(slots=True)
-class _RunHistory:
-    """What the journal has of one run.
-
-    Attributes:
-        attempt: the number of the last attempt; 0 where there was none.
-        started_at, finished_at: of the last attempt (UTC).
-        measures: what it published: a mapping with `value`, `owner`, `origin` for each.
-        clocks: when its events were emitted, s on the run's clock.
-        doubts: what the owners of measures found odd about their samples, by owner.
-        hosts: other computers that were measured, with the offsets of their clocks.
-        failures: why earlier attempts failed, by number.
-        bound: plugin, parameter, factor and value of each parameter that was bound to a factor.
-        readers: who read the treatment of each factor.
-        stopped: who stopped the mission, and why; empty where nobody did.
-        commit: of the config's repository.
-        subjects: software under test, with its command and where its output is.
-    """
-
-    attempt: int = 0
-    started_at: str | None = None
-    finished_at: str | None = None
-    measures: dict[str, dict[str, Any]] = field(default_factory=dict)
-    clocks: dict[str, float] = field(default_factory=dict)
-    doubts: dict[str, list[str]] = field(default_factory=dict)
-    hosts: list[str] = field(default_factory=list)
-    failures: dict[int, str] = field(default_factory=dict)
-    bound: list[tuple[str, str, str, Any]] = field(default_factory=list)
-    readers: dict[str, list[str]] | None = None
-    stopped: str = ""
-    commit: str = ""
-    subjects: list[str] = field(default_factory=list)
-
-    @classmethod
-    def read(cls, journal: Path, run_id: str) -> Self:
-        """Read what the journal has of a run; a journal that does not exist has nothing.
-
-        Raises:
-            StorageError: it cannot be read.
-        """
-        history = cls()
-        commit = ""
-        for record in read_journal(journal, kinds={*_KINDS, _OF_EXECUTION}):
-            if record["kind"] == _OF_EXECUTION:
-                commit = shown_commit(record.get("repository"))
-            elif record.get("run") == run_id:
-                history._take(record)
-                history.commit = commit
-        return history
-
-    def _take(self, record: dict[str, Any]) -> None:
-        match record["kind"]:
-            case "attempt_started":
-                self._begin(record)
-            case "attempt_finished":
-                self.finished_at = record["at"]
-                self.measures = record["measures"]
-                self.readers = record.get("readers")
-                if record.get("failure"):
-                    self.failures[self.attempt] = str(record["failure"])
-            case "event" if isinstance(record.get("clock"), int | float):
-                self.clocks[str(record["event"])] = float(record["clock"])
-            case "finding":
-                self.doubts.setdefault(str(record.get("owner")), []).append(str(record["problem"]))
-            case "mission_stopped":
-                self.stopped = f"stopped by {record.get('owner')}: {record.get('reason')}"
-            case "subject" if "command" in record:
-                command = " ".join(map(str, record["command"]))
-                on = f" on {record['host']}" if record.get("host") else ""
-                self.subjects.append(f"{record.get('owner')}{on}: {command} (output in {record.get('output')})")
-            case "bound":
-                each = record["parameters"].items()
-                self.bound += [(record["owner"], name, bound["factor"], bound["value"]) for name, bound in each]
-            case "clock":
-                offset = (record.get("before") or record.get("after") or {}).get("wall_offset")
-                told = f", its clock {offset:+.6f} s to ours" if isinstance(offset, int | float) else ""
-                self.hosts.append(f"{record.get('host')} (measured by {record.get('owner')}{told})")
-
-    def _begin(self, record: dict[str, Any]) -> None:
-        self.attempt, self.started_at, self.finished_at = int(record["attempt"]), record["at"], None
-        self.measures, self.clocks, self.doubts, self.hosts = {}, {}, {}, []
-        self.bound, self.readers, self.stopped, self.subjects = [], None, "", []
-
-
 class _Explaining:
     def __init__(self, root: Path, run_id: str) -> None:
         self._files = ExperimentFolder.found_at(root)
@@ -177,8 +90,9 @@ class _Explaining:
             raise StorageError(f"there is no run {run_id!r}", where=str(root), fix=did_you_mean(run_id, known))
         self._run_id = run_id
         self._number, self._count = place + 1, len(rows)
+        self._run_ids = [rows.run_id(each) for each in range(len(rows))]
         self._row = rows.row(place)
-        self._history = _RunHistory.read(self._files.journal, run_id)
+        self._history = RunHistory.read(self._files.journal, run_id)
         try:
             self._lines = ConfigLines(root)
         except OSError as error:
@@ -216,13 +130,22 @@ class _Explaining:
     def _run_facts(self) -> Iterator[tuple[str, str]]:
         history = self._history
         yield "Status", _plain(self._row[STATUS])
+        excluded = history.excluded.present.get(self._run_id)
+        if excluded is not None:
+            yield "Excluded", f"{excluded.reason} ({excluded.at}): not in the statistics"
+        if len(history.corrections) > (excluded is not None):
+            yield from (("Correction", told) for told in history.corrections)
         yield "Place", f"run {self._number} of {self._count}, {self._order()}"
+        yield "Executed", self._executed()
         if history.attempt:
             yield "Attempt", f"{history.attempt}, {history.started_at} to {history.finished_at or 'no end'}"
         for number, failure in history.failures.items():
             yield f"Attempt {number}", f"failed: {failure}"
         if history.stopped:
             yield "Mission", history.stopped
+        yield from history.waits
+        if history.waited:
+            yield "Waited in all", shown_duration(history.waited)
         yield "Robot", str(self._manifest.get("robot") or "as the config says")
         yield "Host", self._host()
         yield "Commit", history.commit
@@ -243,6 +166,13 @@ class _Explaining:
             f"randomised{blocks} from seed {seed}" if design.get("shuffle") else f"in the order of the config{blocks}"
         )
         return f"changed by hand in run_table.csv; planned: {planned}" if design.get("is_reordered") else planned
+
+    def _executed(self) -> str:
+        """Return where the run came in the order that was executed, where that is another than the table's."""
+        executed = executed_order(self._files.journal)
+        if self._run_id not in moved_runs(self._run_ids, executed):
+            return ""
+        return f"as number {executed.index(self._run_id) + 1} of the {len(executed)} runs so far: not in its place"
 
     def _host(self) -> str:
         host = self._manifest.get("host") or {}

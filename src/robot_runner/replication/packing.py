@@ -177,6 +177,6 @@ def _findings(files: ExperimentFolder, rows: RunTableRows) -> Iterator[Finding]:
         yield Finding.warning(where, "there is no config: nobody can execute it again", "Add it to the folder config.")
     if not files.report.exists():
         yield Finding.warning(where, "there is no report in it", f"Make one first: robot-runner report {where}")
-    undone = len(rows) - rows.count(RunStatus.DONE)
+    undone = sum(rows.status(place) is not RunStatus.DONE for place in range(len(rows)) if rows.excluded(place) is None)
     if undone:
         yield Finding.warning(where, f"{undone} of {len(rows)} runs are not done", "Resume the experiment first.")

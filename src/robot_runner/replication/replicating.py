@@ -6,6 +6,7 @@ import hashlib
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.config.checks import runs_listed_in
 from robot_runner.core.config.dialects import prepare
 from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.recovery import table_differences
@@ -173,7 +174,8 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
     _refuse_missing(root, manifest)
     settings = {**original_settings(manifest), **deviations, _PATH: str(target)}
     _refuse_redacted(settings)
-    preparation = prepare(config, settings)
+    with runs_listed_in(files.run_table):
+        preparation = prepare(config, settings)
     if preparation.experiment is None:
         raise ConfigError.of_findings(preparation.findings)
     facts = _facts(files, manifest, deviations)
@@ -248,7 +250,8 @@ def _settle_table(
     experiment: Experiment, files: ExperimentFolder, manifest: Mapping[str, Any], *, has_deviations: bool
 ) -> list[Finding]:
     """Make sure that the runs are the original ones; return a finding where the config plans others."""
-    rows = read_run_table(files.run_table, experiment.table_layout())
+    layout = replace(experiment.table_layout(), has_exclusions=_has_exclusions(files))
+    rows = read_run_table(files.run_table, layout)
     plan = experiment.model.plan(manifest["seed"])
     by_hand = (manifest.get("design") or {}).get("source") != "config"
     same_ids = [run.run_id for run in plan] == [rows.run_id(place) for place in range(len(rows))]
@@ -268,15 +271,20 @@ def _settle_table(
 
 
 def _put_table(experiment: Experiment, rows: RunTableRows) -> None:
-    """Write the original's runs as if by hand, all of them still to be executed."""
+    """Write the original's runs as if by hand, all of them to be executed, those that were excluded there as well."""
     for place in range(len(rows)):
         rows.clear(rows.run_id(place))
+    rows = rows.without_exclusions()
     folder = experiment.folder.root
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise storage_error(folder, "made", error) from error
     write_run_table(experiment.folder.run_table, rows)
+
+
+def _has_exclusions(files: ExperimentFolder) -> bool:
+    return files.schema.exists() and TableLayout.of_schema(read_schema(files.schema)).has_exclusions
 
 
 @dataclass(frozen=True, slots=True)
@@ -302,7 +310,7 @@ class Sameness:
 
 
 def identical_values(original: Path, replication: Path) -> dict[str, Sameness]:
-    """Compare the run tables of two experiments run by run, by the runs' ids.
+    """Compare the run tables of two experiments run by run, by the runs' ids; excluded runs are passed over.
 
     Returns:
         Each measure that both have.
@@ -316,6 +324,7 @@ def identical_values(original: Path, replication: Path) -> dict[str, Sameness]:
         for place in range(len(ours))
         if (other := theirs.place_of(ours.run_id(place))) is not None
         and ours.status(place) is theirs.status(other) is RunStatus.DONE
+        and ours.excluded(place) is theirs.excluded(other) is None
     ]
     return {
         name: _sameness(ours, theirs, name, pairs) for name in ours.layout.measures if name in theirs.layout.measures

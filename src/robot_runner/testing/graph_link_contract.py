@@ -5,13 +5,19 @@ from __future__ import annotations
 import math
 import threading
 import time
+from contextlib import ExitStack
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from robot_runner.conditions.graph_presence import node_present, service_present, topic_present
+from robot_runner.conditions.topic_messages import battery_above, message_on, topic_below
+from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.unhandled import fails_run
 from robot_runner.core.links.robot import Encoding, Qos, RawMessage
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.watchdog import TWIST, TWIST_STAMPED, velocity_command, velocity_of
+from robot_runner.testing.fake_run import FakeLinks, make_context
 from robot_runner.testing.link_contract import PATIENCE, RobotLinkContract, punctual_refusal, refusal
 from robot_runner.testing.plugin_contract import require
 
@@ -24,6 +30,7 @@ __all__ = ["GraphLinkContract"]
 _COMMAND_TYPES = (TWIST, TWIST_STAMPED, "geometry_msgs/msg/Twist")
 _TRIGGER = "std_srvs/Trigger"
 _STRING = "std_msgs/String"
+_BATTERY = "sensor_msgs/BatteryState"
 _IMAGE = "sensor_msgs/Image"
 _SCAN = "sensor_msgs/LaserScan"
 _MANY = 200
@@ -63,6 +70,34 @@ class GraphLinkContract(RobotLinkContract):
 
         self.until(has_arrived, f"nothing is received on {topic}", timeout=self.discovery)
         return received
+
+    def test_conditions_of_a_graph_hold_once_what_they_ask_for_is_there(self) -> None:
+        """Hold that nodes, topics, services, messages, fields and a battery can be awaited."""
+        with self.opened() as robot, self.opened() as link, ExitStack() as opened:
+            context = make_context(Path("unused"), links=FakeLinks(robot=link), clock=SystemClock())
+            robot.offer("task/ready", _TRIGGER, lambda _: {"success": True})
+            battery = {"percentage": 0.55, "voltage": 11.9}
+            awaited = [
+                topic_present("battery_state", _BATTERY),
+                battery_above(50),
+                topic_below("battery_state", _BATTERY, "voltage", 12.0),
+                message_on("battery_state", _BATTERY, lambda message: message["voltage"] > battery["percentage"]),
+            ]
+            looks = {str(condition): condition.watch(context, opened) for condition in awaited}
+
+            def hold() -> bool:
+                robot.publish("battery_state", _BATTERY, battery, qos=Qos.RELIABLE)
+                return all(look().holds for look in looks.values())
+
+            self.until(hold, f"these do not hold: {list(looks)}", timeout=self.discovery)
+            for condition in (node_present(node) for node in link.nodes()):
+                require(condition.watch(context, opened)().holds, f"it does not hold that {condition}")
+            if link.services():
+                ready = service_present("task/ready").watch(context, opened)
+                self.until(lambda: ready().holds, "the service is not found", timeout=self.discovery)
+            for condition in (node_present("nobody"), topic_present("nothing"), service_present("nowhere")):
+                look = condition.watch(context, opened)()
+                require(not look.holds and look.seen, f"it holds that {condition}, or nothing is said of it")
 
     def test_a_message_arrives_with_every_field(self) -> None:
         """Hold that texts, numbers, arrays, bytes, times and nested fields arrive as they were sent."""

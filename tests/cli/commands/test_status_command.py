@@ -48,6 +48,8 @@ def test_json_holds_everything(robot_runner: Callable, half_done: Path) -> None:
     assert 0 < facts.pop("seconds_left") < 30, "of the two that failed, as the two others took"
     reason = "launch_mission of config: ValueError: the camera is off"
     assert facts.pop("bad_values") == {}
+    assert [each["is_whole"] for each in facts.pop("sessions")] == [True]
+    assert (facts.pop("gate"), facts.pop("gate_seconds")) == (None, 0.0)
     assert facts == {
         "experiment_name": "trial",
         "folder": str(half_done),
@@ -61,7 +63,39 @@ def test_json_holds_everything(robot_runner: Callable, half_done: Path) -> None:
         "current_event": None,
         "left_is_least": False,
         "failures": [f"r_1: {reason}", f"r_3: {reason}"],
+        "excluded": {},
+        "is_paused": False,
+        "pause_is_requested": False,
+        "is_of_older_tool": False,
+        "order": "",
     }
+
+
+def test_all_sessions_are_told_and_not_the_last_alone(robot_runner: Callable, half_done: Path) -> None:
+    first = robot_runner("status", "config.py", "--json").json
+    robot_runner("run", "config.py", "--only", "r_3")
+    facts = robot_runner("status", half_done, "--json").json
+    assert [each["started_at"] for each in facts["sessions"]] == [first["started_at"], facts["started_at"]]
+    assert facts["sessions"][1]["selection"] == {"only": ["r_3"]}
+    told = " ".join(robot_runner("status", half_done).out.split())
+    assert f"Sessions 2; the first began {first['started_at']}; " in told
+    assert "Chosen --only r_3" in told
+
+
+def test_what_an_older_tool_has_half_done_is_no_experiment_that_was_never_executed(
+    robot_runner: Callable, tmp_path: Path
+) -> None:
+    folder = tmp_path / "experiments" / "older"
+    folder.mkdir(parents=True)
+    rows = "__run_id,__done,size\nrun_0,DONE,1\nrun_1,DONE,2\nrun_2,TODO,3\n"
+    (folder / "run_table.csv").write_text(rows, encoding="utf-8")
+    answer = robot_runner("status", folder)
+    assert answer.code == 0
+    assert "2 of 3 runs done, 1 to do" in answer.out
+    assert "another tool began it" in answer.out
+    assert robot_runner("status", folder, "--json").json["bad_values"] == {}
+    refused = robot_runner("exclude", folder, "run_0", "--reason", "x")
+    assert (refused.code, "another tool executed this experiment" in refused.err) == (2, True)
 
 
 def test_parameters_that_were_set_lead_to_the_folder(robot_runner: Callable, write_config: Callable[..., Path]) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from robot_runner import Condition, ConditionError, Look
+from robot_runner import Condition, ConditionError, ConditionTimeout, Look
 from robot_runner.testing import FakeClock, make_context
 
 if TYPE_CHECKING:
@@ -52,3 +52,21 @@ def test_a_condition_that_does_not_hold_in_time_says_what_was_awaited_and_seen(t
         condition.wait(make_context(tmp_path, clock=clock, robot=None), timeout_s=2.0)
 
     assert closed == ["closed"]
+
+
+class _NanosecondClock(FakeClock):
+    """Counts whole nanoseconds, as the clock of the simulation does."""
+
+    def sleep(self, seconds: float) -> None:
+        super().sleep(round(seconds * 1e9) / 1e9)
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("kind", [FakeClock, _NanosecondClock])
+@pytest.mark.parametrize(("start", "timeout_s"), [(2.0, 0.3), (0.3, 2.0), (100.0, 0.1)])
+def test_a_wait_is_over_where_what_is_left_is_less_than_the_clock_can_show(
+    tmp_path: Path, kind: type[FakeClock], start: float, timeout_s: float
+) -> None:
+    context = make_context(tmp_path, clock=kind(start), robot=None)
+    with pytest.raises(ConditionTimeout):
+        _After(1e9, []).wait(context, timeout_s=timeout_s)

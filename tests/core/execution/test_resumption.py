@@ -55,7 +55,7 @@ def test_only_the_chosen_runs_are_executed(write_config: Write) -> None:
 def test_a_run_that_is_not_in_the_table_cannot_be_chosen(write_config: Write) -> None:
     with pytest.raises(ExecutionError) as refused:
         resume(write_config(COUNTING), only=("r_7",), redo=("x",))
-    assert [finding.where for finding in refused.value.findings] == ["--redo x"]
+    assert [finding.where for finding in refused.value.findings] == ["--redo x", "--only r_7"]
 
 
 def test_a_changed_config_is_refused_with_the_lines_that_changed(execute: Execute, write_config: Write) -> None:

@@ -49,6 +49,20 @@ Host robot
 """
 
 
+_REBOOT = """\
+#!/bin/sh
+echo once >>{folder}/reboots
+setsid sh -c '
+sleep 0.2
+old=$(cat {folder}/sshd.pid)
+kill -KILL $(ps -o pid= --ppid $old) $old
+sleep 0.5
+{sshd} -D -e -f {folder}/sshd_config </dev/null >>{folder}/sshd.log 2>&1 &
+echo $! >{folder}/sshd.pid
+' </dev/null >/dev/null 2>&1 &
+"""
+
+
 def needed(name: str) -> str:
     """Return the path of a program of OpenSSH; without it, the tests that need it are skipped."""
     found = shutil.which(name, path=_SEARCHED)
@@ -94,6 +108,17 @@ class SshServer:
         kind, data, *_ = key.split()
         (self.folder / "known_hosts").write_text(f"[127.0.0.1]:{self.port} {kind} {data}\n")
 
+    def reboot_script(self) -> Path:
+        """Return a script that stands for `reboot` on the host: it ends this sshd, and starts it again.
+
+        The process id of the sshd that was started last stands in `sshd.pid`; `stop` ends that one, too.
+        """
+        (self.folder / "sshd.pid").write_text(str(self._process.pid))
+        script = self.folder / "reboot.sh"
+        script.write_text(_REBOOT.format(folder=self.folder, sshd=needed("sshd")))
+        script.chmod(0o755)
+        return script
+
     def cut(self) -> None:
         """End the connections that are open, as a network that fails would; the server goes on."""
         for pid in _descendants(self._process.pid):
@@ -104,6 +129,7 @@ class SshServer:
     def stop(self) -> None:
         """End the server and its connections."""
         self.cut()
+        self._end_restarted()
         self._process.terminate()
         try:
             self._process.wait(_DEADLINE)
@@ -111,6 +137,16 @@ class SshServer:
             self._process.kill()
             self._process.wait(_DEADLINE)
         self._log.close()
+
+    def _end_restarted(self) -> None:
+        recorded = self.folder / "sshd.pid"
+        if not recorded.exists() or int(recorded.read_text()) == self._process.pid:
+            return
+        started = int(recorded.read_text())
+        for pid in (*_descendants(started), started):
+            if "sshd" in _name(pid):
+                with suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
 
     def _provide_separation(self) -> None:
         # Debian's service makes this empty folder when it starts; an sshd of root wants it at each connection, so that

@@ -9,6 +9,7 @@ from robot_runner.analysis.report.charts import points_chart
 from robot_runner.analysis.report.material import correction_in_words
 from robot_runner.analysis.report.tables import build_table, field, interval, number, text
 from robot_runner.analysis.wording import ALPHA, MINUS, listed, sentence, with_unit
+from robot_runner.core.storage.executed_runs import moved_in_words
 from robot_runner.core.words import counted, shown_commit, shown_duration
 
 if TYPE_CHECKING:
@@ -62,7 +63,12 @@ def _facts(material: Material) -> Iterator[tuple[str, str]]:
 
 
 def order_in_words(material: Material) -> str:
-    """Return how the order of the runs came about."""
+    """Return how the order of the runs came about, and how many were executed out of it."""
+    moved = moved_in_words(material.moved, material.executed)
+    return f"{_order_of_table(material)}; {moved}" if moved else _order_of_table(material)
+
+
+def _order_of_table(material: Material) -> str:
     design = material.manifest("design", default={})
     if design.get("source") == "run_table.csv":
         return "as in a run table that was made by hand"

@@ -53,6 +53,7 @@ def json_of_report(material: Material, *, made: str) -> str:
         "versions": {key: material.manifest("software", key) for key in ("robot_runner", "python")},
         "columns": {name: column for name, column in results.columns.items() if name in results.measures},
         "runs": results.runs.to_dict("records"),
+        "excluded": material.excluded.to_dict("records"),
         "quality": material.qualities,
         "doubtful_values": material.doubted.to_dict("records"),
         "statistics": material.statistics,

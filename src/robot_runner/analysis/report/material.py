@@ -14,6 +14,7 @@ from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.events.measure import Quality
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.executed_runs import moved_runs
 from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
@@ -138,8 +139,13 @@ class Material:
 
     @cached_property
     def runs(self) -> pd.DataFrame:
-        """The run table."""
+        """The run table, without the runs that were excluded."""
         return self.results.runs
+
+    @cached_property
+    def excluded(self) -> pd.DataFrame:
+        """The runs that were excluded, with the reason and the time of each."""
+        return self.results.excluded
 
     @cached_property
     def done(self) -> pd.DataFrame:
@@ -154,9 +160,10 @@ class Material:
     def labels_by(self, factors: tuple[str, ...]) -> Mapping[str, str]:
         """Return each run's treatments of these factors, as one text, by the run's id."""
         if not factors:
-            return dict.fromkeys(self.runs[RUN_ID], ALL_RUNS)
-        texts = zip(*(self.runs[name].astype("str") for name in factors), strict=True)
-        return dict(zip(self.runs[RUN_ID], map(JOINT.join, texts), strict=True))
+            return dict.fromkeys(self.results.all_runs[RUN_ID], ALL_RUNS)
+        runs = self.results.all_runs
+        texts = zip(*(runs[name].astype("str") for name in factors), strict=True)
+        return dict(zip(runs[RUN_ID], map(JOINT.join, texts), strict=True))
 
     @cached_property
     def order(self) -> tuple[str, ...]:
@@ -167,7 +174,7 @@ class Material:
         """Return what `labels_by` yields, each text once, in the order in which the config has the treatments."""
         if not factors:
             return (ALL_RUNS,)
-        rows = self.runs[list(factors)].drop_duplicates().sort_values(list(factors))
+        rows = self.results.all_runs[list(factors)].drop_duplicates().sort_values(list(factors))
         texts = zip(*(rows[name].astype("str") for name in factors), strict=True)
         return tuple(map(JOINT.join, texts))
 
@@ -181,6 +188,16 @@ class Material:
     def last_attempts(self) -> pd.DataFrame:
         """The last attempt of each run that was attempted."""
         return self.results.attempts.drop_duplicates("run_id", keep="last")
+
+    @cached_property
+    def executed(self) -> tuple[str, ...]:
+        """The runs that were begun, in the order in which the last attempt at each was."""
+        return tuple(map(str, self.last_attempts["run_id"]))
+
+    @cached_property
+    def moved(self) -> tuple[str, ...]:
+        """The runs that were executed out of the order of the run table."""
+        return moved_runs(list(self.results.all_runs[RUN_ID]), self.executed)
 
     @cached_property
     def qualities(self) -> tuple[RunQuality, ...]:

@@ -21,7 +21,7 @@ from robot_runner.analysis.report.blocks import (
 )
 from robot_runner.analysis.report.tables import Field, build_table, field, number, number_cell, text
 from robot_runner.analysis.wording import MISSING, NUMBER, listed
-from robot_runner.core.design.columns import RUN_ID, STATUS
+from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.words import counted, shown_duration
 
@@ -61,6 +61,7 @@ def _counts(material: Material) -> str:
         f"{counted(counts[RunStatus.DONE], 'run')} of {len(material.runs):,} done",
         f"{counts[RunStatus.FAILED]:,} failed" if counts[RunStatus.FAILED] else "none failed",
         f"{left:,} still to do" if left else "",
+        f"{len(material.excluded):,} excluded" if len(material.excluded) else "",
         f"{counted(again, 'attempt')} more than one a run" if again else "",
     ]
     return f"{', '.join(filter(None, parts))}."
@@ -107,11 +108,12 @@ def _run_table(material: Material) -> Table:
         *(_values(results.label(name), name) for name in results.measures),
         field("Took", duration, is_number=True),
         number("Attempts", lambda row: attempts.get(row[RUN_ID]) if tried_again else None),
+        text("Excluded", lambda row: str(row[EXCLUDED]) if pd.notna(row.get(EXCLUDED)) else ""),
         text("What looked odd", lambda row: odd.get(row[RUN_ID], "")),
     )
     caption = "All runs, in the order of the run table."
-    table = build_table("runs", caption, material.runs.to_dict("records"), fields)
-    return table.without_blank("What looked odd", "Attempts", "Took")
+    table = build_table("runs", caption, results.all_runs.to_dict("records"), fields)
+    return table.without_blank("Excluded", "What looked odd", "Attempts", "Took")
 
 
 def _value_table(material: Material) -> Table:

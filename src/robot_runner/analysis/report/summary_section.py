@@ -88,9 +88,15 @@ def _mean(group: Description | None) -> Cell:
 
 
 def _cards(material: Material, threats: Sequence[Remark]) -> Iterator[Card]:
+    excluded = f", {len(material.excluded):,} excluded" if len(material.excluded) else ""
     total, done, failed = len(material.runs), material.counts[RunStatus.DONE], material.counts[RunStatus.FAILED]
     tone = Tone.BAD if failed else Tone.GOOD if done == total else Tone.WARNING
-    yield Card(f"{done:,} of {total:,}", "runs done", f"{failed:,} failed" if failed else "none failed", tone)
+    yield Card(
+        f"{done:,} of {total:,}",
+        "runs done",
+        f"{failed:,} failed{excluded}" if failed else f"none failed{excluded}",
+        tone,
+    )
     factors, design = material.results.factors, material.statistics.design
     if factors:
         sizes = f" {TIMES} ".join(str(material.runs[name].nunique()) for name in factors)

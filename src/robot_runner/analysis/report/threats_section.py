@@ -5,13 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.report.blocks import Block, Gallery, Paragraph, Remark, Remarks, Section, Tone
+from robot_runner.analysis.report.design_section import shown_stamp
 from robot_runner.analysis.report.machine_threats import machine_threats
 from robot_runner.analysis.report.material import origin_badges
 from robot_runner.analysis.report.measure_figures import drift_figure
 from robot_runner.analysis.report.outcome_section import failures_in_words
-from robot_runner.analysis.wording import NUMBER, listed, shown_number
+from robot_runner.analysis.wording import NUMBER, listed, sentence, shown_number
+from robot_runner.core.design.columns import EXCLUDED, RUN_ID
 from robot_runner.core.events.measure import Quality
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.executed_runs import moved_in_words
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import counted
 
@@ -58,7 +61,7 @@ def threats_of(material: Material) -> tuple[Remark, ...]:
     """Return all threats, those of one kind together."""
     kinds = {
         "Conclusion validity": (_groups, _power, _plan, _doubtful),
-        "Internal validity": (_drifts, _order, _unfinished, _circumstances, machine_threats, _odd, _gaps),
+        "Internal validity": (_drifts, _order, _excluded, _unfinished, _circumstances, machine_threats, _odd, _gaps),
         "Construct validity": (_unread, _origins, _saturation),
         "External validity": (_constant_factors,),
     }
@@ -143,6 +146,28 @@ def _order(material: Material) -> Threats:
     if design.get("is_reordered"):
         text = "The rows of run_table.csv were put into another order by hand, and runs were executed in that order."
         yield "The order was changed by hand", text, Tone.WARNING
+    if material.moved:
+        chosen = listed(_chosen_runs(material), shown=8)
+        text = f"{sentence(moved_in_words(material.moved, material.executed))}{f' Chosen: {chosen}.' if chosen else ''}"
+        yield "Runs were executed out of the order of the run table", text, Tone.WARNING
+
+
+def _chosen_runs(material: Material) -> Iterator[str]:
+    """Yield how runs were chosen on the command line, session by session."""
+    for execution in material.manifest("executions", default=[]):
+        for option, several in (execution.get("selection") or {}).items():
+            yield from (f"--{option} {each}" for each in several)
+
+
+def _excluded(material: Material) -> Threats:
+    """Yield why runs were excluded: those of one reason together."""
+    frame = material.excluded
+    for reason, runs in frame.groupby(EXCLUDED, sort=False):
+        times = sorted(shown_stamp(each.isoformat()) for each in runs["excluded_at"].dropna())
+        when = f" ({times[0]}{f' to {times[-1]}' if times[-1] != times[0] else ''})" if times else ""
+        text = f"{sentence(str(reason))} Not in the statistics: {listed(runs[RUN_ID], shown=20)}{when}."
+        title = f"{counted(len(runs), 'run')} {'was' if len(runs) == 1 else 'were'} excluded"
+        yield title, text, Tone.WARNING
 
 
 def _unfinished(material: Material) -> Threats:

@@ -1,6 +1,6 @@
 """Let an experiment that waits between two runs go on.
 
-An experiment in SEMI mode waits so; the command does the same as ENTER in its own terminal.
+An experiment in SEMI mode waits so, and one that was paused; the command does the same as ENTER in its own terminal.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from robot_runner.cli.parser import add_set, add_target
 from robot_runner.cli.planning import folder_of_target
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status
-from robot_runner.core.storage.lock import Command, send_command
+from robot_runner.core.storage.lock import Command, forget_pause, send_command
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -38,6 +38,10 @@ def execute(arguments: Namespace) -> int:
     """Tell the experiment to go on, and see that it has taken the request."""
     folder = folder_of_target(arguments.target, arguments.set)
     status = read_status(folder.root)
+    if status.is_paused or status.pause_is_requested:
+        forget_pause(folder.pause)
+        print(f"{status.experiment_name} {'goes on' if status.is_paused else 'does not pause'}.")
+        return 0
     _refuse_unless_it_waits(status)
     send_command(folder.control, Command.CONTINUE)
     _wait_until_taken(folder)

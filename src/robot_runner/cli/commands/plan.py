@@ -33,7 +33,7 @@ from robot_runner.cli.findings import show_findings
 from robot_runner.cli.parser import add_config, add_json, add_set
 from robot_runner.cli.planning import Plan, plan_of
 from robot_runner.core.config.loader import parse_assignments
-from robot_runner.core.words import counted
+from robot_runner.core.words import counted, listed
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -75,6 +75,7 @@ def execute(arguments: Namespace) -> int:
             ("Runs", in_words(plan.model) if plan.source is None else counted(len(plan.runs), "run")),
             ("Measures", measures_in_words(plan.columns)),
             ("Order", plan.order),
+            ("Excluded", listed(f"{run}: {reason}" for run, reason in plan.excluded.items())),
             ("To repeat", plan.how_to_repeat),
             ("Duration", str(plan.duration)),
         ],
@@ -118,6 +119,8 @@ def _as_json(plan: Plan) -> dict[str, object]:
         "run_count": len(plan.runs),
         "seed_is_given": plan.model.seed_is_given,
         "is_begun": plan.is_recorded,
+        "executed": list(plan.executed),
+        "excluded": dict(plan.excluded),
         "run_table": str(plan.source) if plan.source else None,
         "measures": columns_as_json(plan.columns),
         "duration": asdict(plan.duration),

@@ -16,7 +16,7 @@ from robot_runner.cli.console import no_byte_code, output
 from robot_runner.cli.executing import execute_on_screen, read_or_not
 from robot_runner.cli.findings import show_findings
 from robot_runner.cli.guard import REFUSED
-from robot_runner.cli.parser import add_config, add_set
+from robot_runner.cli.parser import RUNS_HELP, add_config, add_set
 from robot_runner.cli.screens.ending import print_outcome
 from robot_runner.cli.screens.plain import terminal_input
 from robot_runner.core.config.dialects import prepare
@@ -25,7 +25,6 @@ from robot_runner.core.execution.recovery import Resumption, TableChoice, TableD
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Sequence
 
     from robot_runner.cli.executing import Execution
     from robot_runner.cli.parser import Parser
@@ -34,24 +33,22 @@ if TYPE_CHECKING:
 __all__ = ["add_arguments", "execute"]
 
 
+#: The options that choose runs, and what becomes of those that are chosen.
+_CHOICES = {
+    "--only": "execute these runs alone",
+    "--skip": "leave these runs for another time",
+    "--first": "execute these runs before all others, which is recorded as the order that was executed",
+    "--redo": "execute these runs again though they are done or excluded; what they left is kept",
+}
+
+
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
     add_config(parser)
     add_set(parser)
-    parser.add_argument(
-        "--only",
-        metavar="RUNS",
-        action="append",
-        default=[],
-        help="execute these runs alone, such as r_1,r_2; may be given several times",
-    )
-    parser.add_argument(
-        "--redo",
-        metavar="RUNS",
-        action="append",
-        default=[],
-        help="execute these runs again though they are done; what they left is kept; may be given several times",
-    )
+    for option, meaning in _CHOICES.items():
+        explained = f"{meaning}: {RUNS_HELP}; may be given several times"
+        parser.add_argument(option, metavar="RUNS", action="append", default=[], help=explained)
     parser.add_argument(
         "--accept-changes",
         action="store_true",
@@ -79,8 +76,7 @@ def execute(arguments: Namespace) -> int:
     experiment = preparation.experiment
     resumption = Resumption(
         accept_changes=arguments.accept_changes or _changes_are_accepted(experiment),
-        redo=_listed(arguments.redo),
-        only=_listed(arguments.only),
+        **{option[2:]: tuple(getattr(arguments, option[2:])) for option in _CHOICES},
         probe=not arguments.no_probe,
         table=TableChoice(arguments.table) if arguments.table else None,
     )
@@ -122,7 +118,3 @@ def _chosen_table(disagreement: TableDisagreementError) -> TableChoice | None:
     sys.stderr.flush()
     said = sys.stdin.readline().strip().casefold()
     return next((choice for choice in TableChoice if said and choice.value.startswith(said)), None)
-
-
-def _listed(given: Sequence[str]) -> tuple[str, ...]:
-    return tuple(run.strip() for text in given for run in text.split(",") if run.strip())

@@ -14,8 +14,8 @@ from robot_runner.cli.console import UserConsole, output, print_facts, print_jso
 from robot_runner.cli.findings import as_json, print_odd, quality_in_words
 from robot_runner.cli.parser import add_json, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
-from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status
-from robot_runner.core.words import counted, shown_duration
+from robot_runner.core.execution.experiment_status import ExperimentStatus, Session, read_status
+from robot_runner.core.words import counted, one_line, shown_duration
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -36,7 +36,7 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Print how far the experiment is."""
-    status = read_status(folder_of_target(arguments.target, arguments.set).root)
+    status = read_status(folder_of_target(arguments.target, arguments.set, takes_older=True).root)
     if arguments.json:
         print_json(_as_json(status))
     else:
@@ -53,8 +53,13 @@ def _print(console: UserConsole, status: ExperimentStatus) -> None:
             ("Runs", _counts(status)),
             ("Now", _now(status)),
             ("Left", _left(status)),
+            ("Waited", f"{shown_duration(status.gate_seconds)} at gates" if status.gate_seconds else ""),
             ("Quality", quality_in_words(status.bad_values)),
+            ("Excluded", _excluded(status)),
+            ("Order", status.order),
+            ("Sessions", _sessions(status)),
             ("Started", status.started_at or ""),
+            ("Chosen", _chosen(status)),
             ("Ended", status.finished_at or ""),
             ("Results", shown_path(status.folder)),
         ],
@@ -72,6 +77,11 @@ def _bar(status: ExperimentStatus) -> Text:
 
 
 def _now(status: ExperimentStatus) -> str:
+    if status.gate is not None:
+        gate = status.gate
+        seen = f": {one_line(gate['seen'])}" if gate["seen"] else ""
+        after = f"after {shown_duration(gate['seconds'])}, at {gate['at']}"
+        return f"{gate['run']} waits until {one_line(gate['condition'])}{seen} ({after})"
     if status.current_run is None:
         return ""
     return f"{status.current_run}, {status.current_event or 'about to start'}"
@@ -88,7 +98,28 @@ def _counts(status: ExperimentStatus) -> str:
     return f"{status.done:,} of {counted(status.run_count, 'run')} done{failed}, {status.todo:,} to do"
 
 
+def _excluded(status: ExperimentStatus) -> str:
+    return "; ".join(f"{run}: {reason}" for run, reason in status.excluded.items())
+
+
+def _sessions(status: ExperimentStatus) -> str:
+    """Return how the time was spent where it was in more than one go."""
+    if len(status.sessions) < 2:  # noqa: PLR2004 - one is told by its start and end
+        return ""
+    executed = shown_duration(sum(session.seconds for session in status.sessions))
+    broken = sum(not session.is_whole for session in status.sessions) - (status.holder is not None)
+    killed = f", {broken} of them broken off" if broken else ""
+    return f"{len(status.sessions)}{killed}; the first began {status.sessions[0].started_at}; {executed} in all"
+
+
+def _chosen(status: ExperimentStatus) -> str:
+    chosen = status.sessions[-1].selection if status.sessions else {}
+    return " ".join(f"--{option} {each}" for option, several in chosen.items() for each in several)
+
+
 def _state(status: ExperimentStatus) -> str:
+    if status.is_of_older_tool:
+        return "another tool began it; `robot-runner run` with its config goes on, `robot-runner import` adopts it"
     if status.holder is None:
         if status.todo or status.failed:
             return "nobody executes it; `robot-runner run` with its config goes on"
@@ -96,13 +127,25 @@ def _state(status: ExperimentStatus) -> str:
     who = f"process {status.holder.pid} on {status.holder.host}"
     if status.is_waiting_for_user:
         return f"waits for you ({who}): robot-runner continue {shown_path(status.folder)}"
-    return f"is being executed by {who}"
+    to_go_on = f"robot-runner continue {shown_path(status.folder)}"
+    if status.is_paused:
+        return f"is paused ({who}): {to_go_on}"
+    after = f" and pauses before the next run (to take it back: {to_go_on})" if status.pause_is_requested else ""
+    return f"is being executed by {who}{after}"
 
 
 def _as_json(status: ExperimentStatus) -> dict[str, Any]:
     return {
         **{name: getattr(status, name) for name in status.__dataclass_fields__},
         "folder": str(status.folder),
+        "bad_values": dict(status.bad_values),
+        "excluded": dict(status.excluded),
         "holder": asdict(status.holder) if status.holder else None,
+        "sessions": [_session_as_json(session) for session in status.sessions],
         "findings": as_json(status.findings),
     }
+
+
+def _session_as_json(session: Session) -> dict[str, Any]:
+    told = {"started_at": session.started_at, "ended_at": session.ended_at, "seconds": session.seconds}
+    return {**told, "is_whole": session.is_whole, "selection": dict(session.selection)}

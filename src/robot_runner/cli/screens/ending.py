@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from robot_runner.cli.console import UserConsole, print_facts, shown_path
 from robot_runner.cli.findings import print_odd, quality_in_words
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.words import counted, shown_duration
+from robot_runner.core.words import counted, listed, shown_duration
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -50,6 +50,8 @@ def whereabouts(finished: ExperimentFinished, progress: Progress) -> list[tuple[
         facts.append(("", f"{shown_path(runs)}/<run>/ has what the run printed, and its raw data"))
     if progress.bad_values:
         facts.append(("Quality", f"{quality_in_words(progress.bad_values)} (`robot-runner explain` says why)"))
+    if finished.excluded:
+        facts.append(("Excluded", f"{listed(finished.excluded)} (`robot-runner explain` says why)"))
     return facts + [("Origin", line) for line in _origins(progress.origins)]
 
 
@@ -65,7 +67,13 @@ def _verdict(finished: ExperimentFinished, progress: Progress) -> str:
         return f"{_everything(total)} done before: nothing was executed."
     if finished.done_count == total:
         return f"{_everything(total)} done ({shown_duration(finished.seconds)})."
-    why = "Interrupted: " if finished.interrupted else "Stopped by on_failure: " if finished.stopped_by_policy else ""
+    why = (
+        "Interrupted: "
+        if finished.interrupted
+        else f"Stopped by {finished.stopped_by}: "
+        if finished.stopped_by_policy
+        else ""
+    )
     return (
         f"{why}{finished.done_count:,} of {counted(total, 'run')} done, {finished.failed_count:,} failed, "
         f"{finished.todo_count:,} to do ({shown_duration(finished.seconds)})."
@@ -91,7 +99,8 @@ def _next(finished: ExperimentFinished, progress: Progress, command: str) -> str
         left = f"{finished.failed_count:,} failed, {finished.todo_count:,} to do"
         return f"look at {shown_path(_story_of_failure(finished))}, then execute what is left ({left}): {command}"
     if finished.todo_count:
-        return f"go on with the {counted(finished.todo_count, 'run')} that are left: {command}"
+        left = counted(finished.todo_count, "run")
+        return f"go on with the {left} that {'is' if finished.todo_count == 1 else 'are'} left: {command}"
     if not progress.run_ids:
         return f"to execute it anew beside these results: {command} --set experiment_name=..."
     return "open run_table.csv in R, pandas or a spreadsheet; run_table.schema.json tells what each column means"

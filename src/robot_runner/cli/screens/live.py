@@ -14,13 +14,17 @@ from rich.text import Text
 from robot_runner.cli.findings import print_findings
 from robot_runner.cli.screens.plain import (
     RunRows,
+    announced,
     closing,
     forget_typed,
+    gate_passed,
     opening,
-    probing,
+    pausing,
     request,
     terminal_input,
     treatments_in_words,
+    waited_so_far,
+    waiting_at_gate,
 )
 from robot_runner.cli.screens.progress import Progress
 from robot_runner.core.execution.notices import (
@@ -28,12 +32,16 @@ from robot_runner.core.execution.notices import (
     AttemptStarted,
     ExperimentStarted,
     FindingsNoticed,
+    GatePassed,
+    HostRestarts,
     InterruptionNoticed,
     Notice,
+    Paused,
     PreparationStarted,
     ProbeStarted,
     WaitingForUser,
 )
+from robot_runner.core.storage.lock import pause_is_requested
 from robot_runner.core.words import counted, one_line, shown_duration
 
 if TYPE_CHECKING:
@@ -96,19 +104,16 @@ class LiveScreen:
         """Take a notice; what is permanent is printed above the live part, the rest is shown at the next refresh."""
         self.progress.take(notice)
         match notice:
-            case PreparationStarted(what):
-                self._console.print(Text(f"{what} ...", style="dim"))
-            case ProbeStarted():
-                self._console.print(Text(probing(notice), style="dim"))
+            case PreparationStarted() | ProbeStarted() | HostRestarts():
+                self._print_finished()
+                self._console.print(Text(announced(notice), style="dim"))
             case ExperimentStarted():
                 self._begin(notice)
             case AttemptStarted():
                 self._show_live_part()
                 self.refresh()
             case AttemptFinished():
-                self._finished.append(notice)
-                if self._clock() - self._printed >= (self.refresh_interval or 0):
-                    self._print_finished()
+                self._take_end(notice)
             case FindingsNoticed(findings):
                 self._print_finished()
                 print_findings(self._console, findings)
@@ -116,7 +121,12 @@ class LiveScreen:
                 self._print_finished()
                 self._print_lines([Text(closing(run_id), style="bold yellow")])
             case WaitingForUser():
-                self._ask(notice)
+                self._ask(request(notice, by_key=self.user_input is not None))
+            case Paused():
+                self._ask(pausing(notice, by_key=self.user_input is not None))
+            case GatePassed(problem=problem) if problem:
+                self._print_finished()
+                self._print_lines([Text(f"  {gate_passed(notice)}", style="yellow")])
 
     def refresh(self) -> None:
         """Draw what is new, unless it was drawn a moment ago: records come faster than anybody reads."""
@@ -127,6 +137,11 @@ class LiveScreen:
         self._print_finished()
         if self._live is not None:
             self._live.update(self._now(), refresh=True)
+
+    def _take_end(self, ended: AttemptFinished) -> None:
+        self._finished.append(ended)
+        if self._clock() - self._printed >= (self.refresh_interval or 0):
+            self._print_finished()
 
     def _begin(self, started: ExperimentStarted) -> None:
         self._rows = RunRows(self._experiment, started.columns, started.run_count)
@@ -147,12 +162,11 @@ class LiveScreen:
             self._live.stop()
             self._live = None  # a new one next time: this one would draw over what was printed meanwhile
 
-    def _ask(self, waiting: WaitingForUser) -> None:
+    def _ask(self, asked: str) -> None:
         # The live part is taken away while it waits: the ENTER that the terminal echoes would tear it.
         self._print_finished()
         self._take_live_part_away()
         forget_typed(self.user_input)
-        asked = request(waiting, by_key=self.user_input is not None)
         self._console.print(Text(asked, style="bold cyan"), soft_wrap=True)
 
     def _print_finished(self) -> None:
@@ -200,7 +214,7 @@ class LiveScreen:
     def _current(self) -> tuple[Text, Text]:
         current = self.progress.current
         if current is None:
-            return Text("  between two runs", style="dim"), Text("")
+            return self._between_runs()
         task = current.task
         attempt = f", attempt {task.attempt}" if task.attempt > 1 else ""
         treatments = treatments_in_words(task, self._experiment.model)
@@ -210,6 +224,16 @@ class LiveScreen:
         )
         return run, self._event()
 
+    def _pause(self) -> str:
+        return ", pauses after this run" if pause_is_requested(self._experiment.folder.pause) else ""
+
+    def _between_runs(self) -> tuple[Text, Text]:
+        waiting = self.progress.gate
+        if waiting is None:
+            return Text(f"  between two runs{self._pause()}", style="dim"), Text("")
+        line = Text(f"  ▷ {waiting_at_gate(waiting)}", style="cyan", no_wrap=True, overflow="ellipsis")
+        return line, Text(f"    {waited_so_far(waiting)}", no_wrap=True, overflow="ellipsis")
+
     def _event(self) -> Text:
         current = self.progress.current
         line = Text("    ", no_wrap=True, overflow="ellipsis")
@@ -218,7 +242,7 @@ class LiveScreen:
         line.append(current.event or "starting")
         if current.shared:
             line.append(f": {one_line(current.shared)}", style="cyan")
-        line.append(f"   {shown_duration(self.progress.elapsed_in_run)}", style="dim")
+        line.append(f"   {shown_duration(self.progress.elapsed_in_run)}{self._pause()}", style="dim")
         if current.failure:
             line.append(f"   ✗ {one_line(current.failure)}; closing what is open", style="red")
         return line

@@ -22,8 +22,12 @@ from robot_runner.core.execution.notices import (
     AttemptStarted,
     ExperimentStarted,
     FindingsNoticed,
+    GatePassed,
+    GateWaiting,
+    HostRestarts,
     InterruptionNoticed,
     Notice,
+    Paused,
     PreparationStarted,
     ProbeStarted,
     WaitingForUser,
@@ -44,15 +48,19 @@ if TYPE_CHECKING:
 __all__ = [
     "PlainScreen",
     "RunRows",
+    "announced",
     "closing",
     "forget_typed",
+    "gate_passed",
     "heading_of",
     "opening",
-    "probing",
+    "pausing",
     "request",
     "shown_measure",
     "terminal_input",
     "treatments_in_words",
+    "waited_so_far",
+    "waiting_at_gate",
 ]
 
 
@@ -136,6 +144,10 @@ class RunRows:
 # What a screen says beside its rows: how an experiment begins, and what SEMI asks of the user.
 
 
+#: How often a log is told of a gate that is awaited, s.
+_GATE_EVERY = 60.0
+
+
 def terminal_input() -> int | None:
     """Return the descriptor on which somebody can press ENTER, or None where nobody sits."""
     with suppress(AttributeError, OSError, ValueError):
@@ -151,11 +163,6 @@ def forget_typed(descriptor: int | None) -> None:
             termios.tcflush(descriptor, termios.TCIFLUSH)
 
 
-def probing(started: ProbeStarted) -> str:
-    """Return what is said while the profilers are tried."""
-    return f"Trying {enumerated(started.plugins)} for a moment, before anything moves ..."
-
-
 def opening(started: ExperimentStarted) -> list[str]:
     """Return what is said when an experiment starts."""
     before = f", {started.done_count:,} of them done before" if started.done_count else ""
@@ -167,6 +174,15 @@ def opening(started: ExperimentStarted) -> list[str]:
         parts = ", ".join(f"{name}={value}" for name, value in started.overrides.items())
         lines.append(f"set by hand, and recorded as a deviation from the config: {parts}")
     return lines
+
+
+def announced(notice: PreparationStarted | ProbeStarted | HostRestarts) -> str:
+    """Return what is said of something that takes a while and shows nothing meanwhile."""
+    if isinstance(notice, PreparationStarted):
+        return f"{notice.what} ..."
+    if isinstance(notice, ProbeStarted):
+        return f"Trying {enumerated(notice.plugins)} for a moment, before anything moves ..."
+    return f"Starting {notice.host} anew before {notice.next_run}, and waiting until it is ready ..."
 
 
 def closing(run_id: str) -> str:
@@ -181,6 +197,35 @@ def request(waiting: WaitingForUser, *, by_key: bool) -> str:
     if by_key:
         return f"Press ENTER to start {run}, or in another terminal: {command}"
     return f"Waiting before {run}. To go on: {command}"
+
+
+def pausing(paused: Paused, *, by_key: bool) -> str:
+    """Return what is said while the experiment is paused."""
+    key = "press ENTER, or in another terminal: " if by_key else ""
+    run = f"run {paused.next_run_number} of {paused.run_count}"
+    return f"Paused before {run}. To go on: {key}robot-runner continue {shlex.quote(shown_path(paused.folder))}"
+
+
+def waiting_at_gate(waiting: GateWaiting) -> str:
+    """Return what is said once a run has to wait for a gate."""
+    return (
+        f"run {waiting.run_number} of {waiting.run_count} ({waiting.run_id}) waits until {one_line(waiting.condition)}"
+    )
+
+
+def waited_so_far(waiting: GateWaiting) -> str:
+    """Return what was seen last while a gate is awaited, and for how long it has been."""
+    most = f" of {shown_duration(waiting.timeout_s)}" if waiting.timeout_s is not None else ""
+    seen = f"{one_line(waiting.seen)}   " if waiting.seen else ""
+    return f"{seen}{shown_duration(waiting.seconds)}{most}"
+
+
+def gate_passed(passed: GatePassed) -> str:
+    """Return what is said once the wait for a gate is over."""
+    waited = f"{passed.run_id} waited {shown_duration(passed.seconds)} until {one_line(passed.condition)}"
+    if passed.state == "open":
+        return f"{waited}: {one_line(passed.seen)}" if passed.seen else waited
+    return f"{waited}, which {passed.state}: {one_line(passed.problem)}"
 
 
 class PlainScreen:
@@ -203,6 +248,7 @@ class PlainScreen:
         self._console = console
         self._model = experiment.model
         self._units: Mapping[str, str] = {}
+        self._gate_told: float | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -214,10 +260,8 @@ class PlainScreen:
         """Print what is worth a line."""
         self.progress.take(notice)
         match notice:
-            case PreparationStarted(what):
-                self._print(f"{what} ...")
-            case ProbeStarted():
-                self._print(probing(notice))
+            case PreparationStarted() | ProbeStarted() | HostRestarts():
+                self._print(announced(notice))
             case ExperimentStarted():
                 self._units = notice.columns
                 self._print(*opening(notice))
@@ -234,6 +278,23 @@ class PlainScreen:
             case WaitingForUser():
                 forget_typed(self.user_input)
                 self._print(request(notice, by_key=self.user_input is not None))
+            case Paused():
+                forget_typed(self.user_input)
+                self._print(pausing(notice, by_key=self.user_input is not None))
+            case GateWaiting() | GatePassed():
+                self._tell_of_gate(notice)
+
+    def _tell_of_gate(self, notice: GateWaiting | GatePassed) -> None:
+        if isinstance(notice, GatePassed):
+            if self._gate_told is not None or notice.problem:
+                self._print(gate_passed(notice))
+            self._gate_told = None
+            return
+        if self._gate_told is None:
+            self._print(waiting_at_gate(notice))
+        if self._gate_told is None or notice.seconds - self._gate_told >= _GATE_EVERY:
+            self._gate_told = notice.seconds
+            self._print(f"  {waited_so_far(notice)}")
 
     def refresh(self) -> None:
         """Do nothing: a line that was printed stays as it is."""

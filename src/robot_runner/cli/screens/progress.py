@@ -11,6 +11,9 @@ from robot_runner.core.execution.notices import (
     AttemptStarted,
     ExperimentFinished,
     ExperimentStarted,
+    GatePassed,
+    GateWaiting,
+    Paused,
     RunRecord,
     WaitingForUser,
 )
@@ -58,7 +61,9 @@ class Progress:
         run_ids: the runs that were executed in this session.
         origins: where the values of the run table came from, with the measures of each origin.
         bad_values: the runs of this session whose values are not good, by measure and quality.
-        is_waiting: whether the user is asked to go on.
+        is_waiting: whether the user is asked to go on, or the experiment is paused.
+        gate: what is awaited before the next run, if anything is.
+        gate_seconds: how long gates were awaited in this session, those that are over, s of their clocks.
         has_begun: whether any run was begun in this session.
     """
 
@@ -76,6 +81,8 @@ class Progress:
         self.origins: dict[str, dict[str, None]] = {}
         self.bad_values: dict[str, dict[str, list[str]]] = {}
         self.is_waiting = False
+        self.gate: GateWaiting | None = None
+        self.gate_seconds = 0.0
         self.has_begun = False
 
     @property
@@ -116,8 +123,13 @@ class Progress:
             case AttemptFinished():
                 self._take_end(notice)
                 self._take_left(notice.left)
-            case WaitingForUser():
+            case WaitingForUser() | Paused():
                 self.is_waiting = True
+            case GateWaiting():
+                self.gate = notice
+            case GatePassed():
+                self.gate = None
+                self.gate_seconds += notice.seconds
             case ExperimentFinished():
                 self.done, self.failed = notice.done_count, notice.failed_count
 

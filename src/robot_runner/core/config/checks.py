@@ -5,6 +5,8 @@ from __future__ import annotations
 import difflib
 import os
 import shutil
+from contextlib import contextmanager, nullcontext
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.experiment import experiment_folder
@@ -17,19 +19,24 @@ from robot_runner.core.config.parameters import (
     RunProcess,
 )
 from robot_runner.core.config.plugin_checks import failed_check
-from robot_runner.core.design.run_table_model import RunTable, RunTableModel
+from robot_runner.core.design.run_table_model import RunTable, RunTableModel, listed_elsewhere
 from robot_runner.core.entry_points import entry_points
-from robot_runner.core.errors import ConfigError, Finding
+from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, StorageError
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
+from robot_runner.core.storage.executed_runs import done_runs
+from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.treatments import parameters_guarded
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from robot_runner.core.config.loader import LoadedConfig
     from robot_runner.core.events.measure import MeasureColumns
     from robot_runner.core.plugin import Plugin
+    from robot_runner.core.storage.layout import ExperimentFolder
 
 __all__ = [
     "announced_checks",
@@ -40,6 +47,7 @@ __all__ = [
     "check_threads",
     "create_model",
     "read_parameters",
+    "runs_listed_in",
 ]
 
 
@@ -181,17 +189,27 @@ def check_disk_space(
     loaded: LoadedConfig, parameters: Parameters, plugins: Sequence[Plugin], runs: int
 ) -> list[Finding]:
     """Return a finding where the disk is too small for what the plugins say that they will keep."""
-    needed = runs * (_BYTES_PER_RUN + sum(plugin.bytes_per_run for plugin in plugins))
+    each = _BYTES_PER_RUN + sum(plugin.bytes_per_run for plugin in plugins)
     try:
-        folder = _nearest_existing(experiment_folder(parameters, loaded).root)
+        files = experiment_folder(parameters, loaded)
+        folder = _nearest_existing(files.root)
         free = shutil.disk_usage(folder).free
     except (OSError, RuntimeError):  # found by the check of the path
         return []
-    if free >= needed:
+    if free >= runs * each or free >= (left := _left(files, runs)) * each:  # most have room, and no journal is read
         return []
     where = f"{loaded.where}.results_output_path"
-    problem = f"{runs:,} runs will keep about {needed / 1e6:,.2f} MB, and {free / 1e6:,.2f} MB are free in {folder}"
+    size = f"{left * each / 1e6:,.2f} MB"
+    problem = f"{counted(left, 'run')} will keep about {size}, and {free / 1e6:,.2f} MB are free in {folder}"
     return [Finding.error(where, problem, "Make room, or name a folder on another disk: --set results_output_path=...")]
+
+
+def _left(files: ExperimentFolder, runs: int) -> int:
+    """Return how many runs are still to be executed: what the others take is taken already."""
+    try:
+        return max(0, runs - len(done_runs(files.journal)))
+    except StorageError:  # found when the experiment is resumed
+        return runs
 
 
 def _nearest_existing(folder: Path) -> Path:
@@ -201,21 +219,63 @@ def _nearest_existing(folder: Path) -> Path:
 # The run table's model, as the config makes it.
 
 
+_LISTED_IN: ContextVar[Path | None] = ContextVar("_LISTED_IN", default=None)
+
+
+@contextmanager
+def runs_listed_in(path: Path) -> Iterator[None]:
+    """While this lasts, a run table that lies elsewhere lists the runs of a design that is too large to be planned."""
+    token = _LISTED_IN.set(path)
+    try:
+        yield
+    finally:
+        _LISTED_IN.reset(token)
+
+
+def _listed_in(loaded: LoadedConfig) -> Path | None:
+    """Return the run table on disk that lists the runs of an experiment, if there is one."""
+    parameters, _ = read_parameters(loaded)
+    own = experiment_folder(parameters, loaded).run_table if parameters is not None else None
+    return next((path for path in (own, _LISTED_IN.get()) if path is not None and path.exists()), None)
+
+
+def _take_listed(model: RunTableModel, path: Path | None) -> list[Finding]:
+    """Plan a design that is too large from the run table that lists its runs."""
+    if path is None or not model.is_too_large:
+        return []
+    try:
+        # Columns of measures are a user's own for this reading; nobody but the plan looks at it.
+        rows = read_run_table(path, TableLayout.of_model(model, ()))
+    except RobotRunnerError as error:
+        return list(error.findings)
+    model.take_runs(rows.planned)
+    return []
+
+
 def create_model(loaded: LoadedConfig) -> tuple[RunTableModel | None, list[Finding]]:
-    """Have the config create its run table; returns the model, or None and the findings that refuse it."""
+    """Have the config create its run table; returns the model, or None and the findings that refuse it.
+
+    A design that is too large to be planned is planned from the run table on disk, where there is one.
+    """
     create = getattr(loaded.config, "create_run_table", None)
     where = f"{loaded.where}.create_run_table"
     if not callable(create):
         fix = "Define create_run_table(self) and return a RunTableModel."
         return None, [Finding.error(where, "the config does not define it", fix)]
+    table = _listed_in(loaded)
     try:
-        with raised_in(loaded.source.path, "in create_run_table"), parameters_guarded():
+        with (
+            raised_in(loaded.source.path, "in create_run_table"),
+            parameters_guarded(),
+            listed_elsewhere() if table is not None else nullcontext(),
+        ):
             created = create()
     except ConfigError as error:
         return None, list(error.findings)
     model = created.model if isinstance(created, RunTable) else created
     if isinstance(model, RunTableModel):
-        return model, list(model.warnings)
+        refused = _take_listed(model, table)
+        return (None, refused) if refused else (model, list(model.warnings))
     problem = f"create_run_table returned {_shown(created)}"
     return None, [Finding.error(where, problem, "Return the RunTableModel (`return run_table`).")]
 

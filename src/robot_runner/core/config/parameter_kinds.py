@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from robot_runner.core.config.authors import Author, authors_from_text, is_licence
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.events.window import is_phase_name
+from robot_runner.core.links.declared_host import are_hosts, named_hosts
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = [
     "AUTHORS",
     "FLAG",
+    "HOSTS",
     "LICENCE",
     "LINK",
     "NAME",
@@ -150,6 +152,12 @@ AUTHORS = Kind(
     _are_authors,
     authors_from_text,
     lambda value: tuple(each if isinstance(each, Author) else Author(each.strip()) for each in value),
+)
+HOSTS = Kind(
+    'names with addresses, such as {"robot": "pi@robot", "base": "local"}, or with Host(...)',
+    are_hosts,
+    _not_from_text,
+    named_hosts,
 )
 LICENCE = Kind('an SPDX identifier such as "CC-BY-4.0", a URL', is_licence)
 TEXT = Kind("a text", _is_text)

@@ -11,9 +11,11 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
+from robot_runner.core.config.gate_parameters import Gate, Guard
 from robot_runner.core.config.parameter_kinds import (
     AUTHORS,
     FLAG,
+    HOSTS,
     LICENCE,
     LINK,
     NAME,
@@ -26,16 +28,18 @@ from robot_runner.core.config.parameter_kinds import (
     TEXT,
     Kind,
     choice,
+    instances,
     whole,
 )
 from robot_runner.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from robot_runner.core.config.authors import Author
     from robot_runner.core.design.analysis_plan import AnalysisPlan
     from robot_runner.core.design.run_table_model import RunTable, RunTableModel
+    from robot_runner.core.links.declared_host import Host
     from robot_runner.core.plugin import Plugin
 
 __all__ = [
@@ -152,6 +156,12 @@ class StaticParameters:
         LINK.or_none(),
         None,
     )
+    hosts: Mapping[str, Host | str] = _declare(
+        "The computers that take part, by name: an address as for ssh, `local` for this machine, or "
+        "`Host(address=..., fetch=[...], reboot=...)`; `context.host(name)` executes commands there.",
+        HOSTS,
+        {},
+    )
     required_ros_version: Any = _declare(
         "The ROS generation that the experiment needs: 1, 2, `any`, or None for none at all.",
         replace(ROS_GENERATION, type_name="int | None"),
@@ -206,6 +216,16 @@ class StaticParameters:
         choice(RunProcess),
         RunProcess.FORK,
     )
+    gates: Sequence[Gate] = _declare(
+        "What must hold before each attempt at a run: conditions that are awaited, one after another.",
+        instances(Gate, "a list of Gate(...), such as [Gate(temperature_below(50), timeout_s=600)]"),
+        (),
+    )
+    guards: Sequence[Guard] = _declare(
+        "What must not come true while a run is measured: conditions that are watched.",
+        instances(Guard, "a list of Guard(...), such as [Guard(battery_below(15), GuardAction.STOP)]"),
+        (),
+    )
     watch_machines: bool = _declare(
         "Whether the computers that profilers measure are watched for what else goes on there: load by others, swap, "
         "throttling.",
@@ -241,10 +261,13 @@ class Parameters(StaticParameters):
     """
 
     results_output_path: Path
+    hosts: Mapping[str, Host]
     required_ros_version: int | str | None
     required_ros_distro: str | None
     authors: tuple[Author, ...]
     phases: tuple[str, ...]
+    gates: tuple[Gate, ...]
+    guards: tuple[Guard, ...]
 
     def __init__(self, **values: Any) -> None:
         vars(self).update(values)

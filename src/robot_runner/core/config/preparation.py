@@ -18,6 +18,7 @@ from robot_runner.core.config.checks import (
     create_model,
     read_parameters,
 )
+from robot_runner.core.config.dead_names import check_dead_names
 from robot_runner.core.config.experiment import Experiment, event_manager_for, experiment_folder
 from robot_runner.core.config.loader import LoadedConfig, load_config
 from robot_runner.core.config.plugin_checks import check_plugins, companions, gather_plugins
@@ -98,7 +99,7 @@ def prepare(
         loaded = load(path, overrides)
     except ConfigError as error:
         return Preparation(None, error.findings)
-    findings = [*loaded.findings, *check_names(loaded), *(choose_robot(loaded) if is_for_here else ())]
+    findings = [*loaded.findings, *_name_findings(loaded), *(choose_robot(loaded) if is_for_here else ())]
     parameters, parameter_findings = read_parameters(loaded)
     model, model_findings = create_model(loaded)
     plugins, plugin_findings = gather_plugins(loaded, model)
@@ -116,6 +117,13 @@ def prepare(
     if any(finding.is_error for finding in ordered) or parameters is None or model is None:
         return Preparation(None, ordered)
     return Preparation(_experiment(loaded, parameters, plugins, events, model, columns), ordered)
+
+
+def _name_findings(loaded: LoadedConfig) -> list[Finding]:
+    """Return what is wrong with the names of a config: those that are nearly ours, and those that nothing uses."""
+    refused = check_names(loaded)
+    places = {finding.where for finding in refused}
+    return [*refused, *(finding for finding in check_dead_names(loaded) if finding.where not in places)]
 
 
 def _check_machine(

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 __all__ = [
+    "EXCLUDED",
     "REPETITION",
     "RUN_ID",
     "STAMP_COLUMNS",
@@ -33,6 +34,8 @@ NamedColumn = str | _Named
 
 RUN_ID = "run_id"
 STATUS = "status"
+#: Why a run is left out of the analysis; there once a run was ever excluded.
+EXCLUDED = "excluded"
 REPETITION = "Repetition"
 
 #: When each event of a run was emitted, in the order of the events (paper, Fig. 2 and 3).
@@ -50,7 +53,7 @@ STAMP_COLUMNS = (
 #: Control characters, line and paragraph separators, and lone surrogates (which UTF-8 cannot hold).
 _UNFIT_CATEGORIES = frozenset({"Cc", "Zl", "Zp", "Cs"})
 
-_TAKEN = (RUN_ID, STATUS, "attempt", *STAMP_COLUMNS)
+_TAKEN = (RUN_ID, STATUS, EXCLUDED, "attempt", *STAMP_COLUMNS)
 
 
 def column_name(column: object) -> object:

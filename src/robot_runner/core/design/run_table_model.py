@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import replace
 from functools import cached_property
 from math import prod
@@ -21,7 +23,24 @@ if TYPE_CHECKING:
     from robot_runner.core.design.exclusions import Exclusion, Exclusions
     from robot_runner.core.design.factor import Combination
 
-__all__ = ["MAX_RUNS", "RunTable", "RunTableModel", "design_findings", "order_findings"]
+__all__ = ["MAX_RUNS", "RunTable", "RunTableModel", "design_findings", "listed_elsewhere", "order_findings"]
+
+
+#: Whether the runs of a design that is too large are listed in a table.
+_ARE_LISTED: ContextVar[bool] = ContextVar("_ARE_LISTED", default=False)
+
+
+@contextmanager
+def listed_elsewhere() -> Iterator[None]:
+    """While this lasts, designs of too many runs are taken: a table lists those that are to be executed.
+
+    See `RunTableModel.take_runs`. A config makes its model itself, so that nothing can be handed to it.
+    """
+    token = _ARE_LISTED.set(True)
+    try:
+        yield
+    finally:
+        _ARE_LISTED.reset(token)
 
 
 # What keeps factors, repetitions, columns and order from making a design: each check lists all that it finds.
@@ -55,7 +74,8 @@ def design_findings(
         problem = f"{shuffle!r} is of type {type(shuffle).__name__}"
         yield Finding.error("shuffle", problem, "Give True or False.")
     yield from order_findings(seed, blocks, known, repeated)
-    yield from _size_findings(known, repeated)
+    if not _ARE_LISTED.get():
+        yield from _size_findings(known, repeated)
 
 
 def _factor_findings(factors: object) -> Iterator[Finding]:
@@ -225,7 +245,8 @@ class RunTableModel:
         findings = list(design_findings(listed, repetitions, data_columns, shuffle, seed, blocks))
         if any(finding.where.startswith("factors") for finding in findings):
             raise DesignError.of_findings(findings)  # without factors there is nothing to exclude from
-        exclusions = _applied(listed, exclude_combinations)
+        too_large = next(_size_findings(listed, repetitions if isinstance(repetitions, int) else 1), None)
+        exclusions = None if too_large else _applied(listed, exclude_combinations)
         findings += exclusions.errors if exclusions else ()
         if findings:
             raise DesignError.of_findings(findings) from (exclusions.cause if exclusions else None)
@@ -236,6 +257,8 @@ class RunTableModel:
         self._kept = exclusions.kept if exclusions else None
         self._order = _ordered(RunOrder(shuffle=shuffle), seed, blocks)
         self._planned: RunTable | None = None
+        self._too_large = too_large
+        self._listed_runs: tuple[PlannedRun, ...] | None = None
 
     @property
     def shuffle(self) -> bool:
@@ -273,6 +296,16 @@ class RunTableModel:
         self._order = _ordered(replace(self._order, shuffle=True), seed, blocks)
         return self.plan()
 
+    @property
+    def is_too_large(self) -> bool:
+        """Whether the design has so many runs that none but those of a table can be planned."""
+        return self._too_large is not None
+
+    def take_runs(self, runs: Iterable[PlannedRun]) -> None:
+        """Take the runs of a table as the plan, in place of the full factorial, of which there may be too much."""
+        self._listed_runs = tuple(runs)
+        self._planned = None
+
     def take_seed(self, seed: int) -> None:
         """Take the seed of an experiment that is executed again, in place of the one that is given or was drawn."""
         self._order = replace(self._order, seed=seed)
@@ -284,13 +317,21 @@ class RunTableModel:
         Args:
             seed: takes the place of a seed that was drawn, so that an experiment goes on in its recorded order. A
                 seed that the user gave stays.
+
+        Raises:
+            DesignError: the design is too large, and no table lists its runs.
         """
+        if self._too_large is not None and self._listed_runs is None:
+            raise DesignError.of_findings([self._too_large])
         order = self._order if seed is None or self.seed_is_given else replace(self._order, seed=seed)
         if self._planned is None or self._planned.order != order:
             with garbage_collection_paused():
-                runs = planned_runs(self._combinations, self.repetitions, self._block_of(order.blocks), order)
+                runs = self._listed_runs or self._arranged(order)
                 self._planned = RunTable(self, runs, order)
         return self._planned
+
+    def _arranged(self, order: RunOrder) -> Sequence[PlannedRun]:
+        return planned_runs(self._combinations, self.repetitions, self._block_of(order.blocks), order)
 
     @cached_property
     def _combinations(self) -> list[Combination]:

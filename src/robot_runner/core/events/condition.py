@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import ConditionError
+from robot_runner.core.errors import ConditionError, ConditionTimeout
 from robot_runner.core.events.context import SystemClock
 
 if TYPE_CHECKING:
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Condition", "Look", "LookAgain"]
 
+#: What is left of a wait is not slept, s: on a clock whose steps are longer than that it would never be over.
+_RESOLUTION = 1e-6
 #: How often a screen is told of what was seen, s of real time.
 _TOLD_EVERY = 0.5
 
@@ -129,7 +131,7 @@ class Condition(ABC):
             the look that found it to hold.
 
         Raises:
-            ConditionError: it did not hold in time; what was seen last is told.
+            ConditionTimeout: it did not hold in time; what was seen last is told.
         """
         clock = self.clock(context)
         started, told = clock.now(), 0.0
@@ -138,7 +140,7 @@ class Condition(ABC):
             while True:
                 look = look_again()
                 waited = clock.now() - started
-                if look.holds or waited >= timeout_s:
+                if look.holds or timeout_s - waited < _RESOLUTION:
                     break
                 if time.monotonic() - told >= _TOLD_EVERY:
                     told = time.monotonic()
@@ -148,7 +150,7 @@ class Condition(ABC):
         if look.holds:
             return look
         seen = f": {look.seen}" if look.seen else ""
-        raise ConditionError(
+        raise ConditionTimeout(
             f"after {timeout_s:g} s it still did not hold that {self}{seen}",
             where=context.owner,
             fix="Look at what is awaited, or allow it more time (timeout_s).",

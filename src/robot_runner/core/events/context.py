@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast, runtime_checkabl
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.early_end import EndingInPlace
+from robot_runner.core.events.host_access import NoHosts
 from robot_runner.core.events.measure import MeasureValue, Origin, PublishedMeasure
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.outliving import program_name, spare
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.errors import Finding
     from robot_runner.core.events.early_end import Ending
+    from robot_runner.core.events.host_access import HostAccess, HostDoor
     from robot_runner.core.events.window import MissionTimes, Phase, Window
 
 __all__ = [
@@ -138,6 +140,10 @@ class RunBroker(Protocol):
         """Record a warning finding that makes values of this run doubtful."""
         ...
 
+    def doubt_run(self, owner: str, problem: str, fix: str) -> None:
+        """Record a warning finding that makes all values of this run doubtful."""
+        ...
+
     def note(self, owner: str, kind: str, facts: Mapping[str, object]) -> None:
         """Report something else that happened in this run, as a record of this kind."""
         ...
@@ -184,6 +190,7 @@ class RobotRunnerContext(ExperimentContext):
         run_number: its place in the order of execution, from 1.
         run_count: how many runs the experiment has.
         attempt: how often this run has been tried, this time included, from 1.
+        attempts_left: how often it is tried again where this attempt fails.
         combination: the treatment of each factor, by the factor's name.
         repetition: which repetition of the combination this is, from 1.
         run_seed: a seed for this run alone, the same each time that it is executed.
@@ -192,6 +199,7 @@ class RobotRunnerContext(ExperimentContext):
         owner: who this context was made for: a plugin's name, or `config`.
         times: when the mission and its phases began and ended.
         ending: what ends the run or its mission; ask for it through `fail` and `stop_mission`.
+        hosts: what opens the hosts of the config; ask for one through `host`.
         run_path: where the run's folder is once something is kept in it; ask for `run_folder` to keep something.
     """
 
@@ -208,7 +216,9 @@ class RobotRunnerContext(ExperimentContext):
     owner: str
     times: MissionTimes = field(repr=False)
     broker: RunBroker = field(repr=False)
+    attempts_left: int = 0
     ending: Ending = field(default_factory=EndingInPlace, repr=False)
+    hosts: HostDoor = field(default_factory=NoHosts, repr=False)
 
     @property
     def run_folder(self) -> Path:
@@ -279,6 +289,16 @@ class RobotRunnerContext(ExperimentContext):
             MeasureError: the name was not declared, the type is wrong, or the number is not finite.
         """
         self.broker.publish(self.owner, name, value, origin)
+
+    def host(self, name: str) -> HostAccess:
+        """Return a host of the config's `hosts`, to execute commands there, copy to it and fetch from it.
+
+        Its one connection is kept until the run ends; in `before_run`, until that has been heard by all.
+
+        Raises:
+            LinkError: the config names no such host; the nearest is named.
+        """
+        return self.hosts.open(name, self)
 
     def share(self, **values: object) -> None:
         """Pass key-value pairs on to the subscribers of the following events (`plugin_data`), and to the screen.

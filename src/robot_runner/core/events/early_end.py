@@ -25,6 +25,11 @@ class MissionStopped(RunInterrupted):
 class Ending(Protocol):
     """What ends a run, or its mission, from any of its threads."""
 
+    @property
+    def has_failed(self) -> bool:
+        """Whether the run has failed: what is left is the closing, which is not to take long."""
+        ...
+
     def fail(self, owner: str, reason: str) -> None:
         """Fail the run and end what it is doing."""
         ...
@@ -42,6 +47,8 @@ class EndingInPlace:
         Traceback (most recent call last):
         robot_runner.core.events.early_end.RunFailed: too warm
     """
+
+    has_failed = False
 
     def fail(self, owner: str, reason: str) -> None:
         """Raise the reason.

@@ -95,6 +95,10 @@ class MeasureBroker:
         doubted = columns or [column.name for column in self._columns.declared if column.owner == owner]
         self._record_finding(owner, problem, fix, {"measures": doubted})
 
+    def doubt_run(self, owner: str, problem: str, fix: str) -> None:
+        """Record a warning finding that makes all values of this run doubtful, whoever publishes them."""
+        self._record_finding(owner, problem, fix, {"measures": [column.name for column in self._columns.declared]})
+
     def _record_finding(self, owner: str, problem: str, fix: str, more: dict[str, Any]) -> None:
         with self._lock:
             self._findings.append(Finding.warning(f"{self._run_id}, {owner}", problem, fix))

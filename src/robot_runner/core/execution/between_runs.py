@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.config.parameters import OperationType
 from robot_runner.core.execution.notices import WaitingForUser
+from robot_runner.core.execution.pausing import pause_where_requested
+from robot_runner.core.execution.reboots import Reboots
 from robot_runner.core.storage.lock import Command, forget_command, take_command
 
 if TYPE_CHECKING:
@@ -83,10 +85,17 @@ class BetweenRuns:
     def prepare(self, run: PendingRun, finished: PendingRun | None) -> None:
         """Do what comes before a run, after the one that has finished, if any did.
 
-        The user steps in where the config says SEMI, then the robot rests.
+        The user steps in where the config says SEMI, then the robot rests, and hosts are started anew that are to be.
         """
+        self._pause_where_requested(run)
         if finished is not None:
             self._pause(finished, run)
+            self._pause_where_requested(run)  # it may have been asked for meanwhile
+        Reboots(self.experiment, self.progress, self.notify, self.patience).before(run, finished)
+
+    def _pause_where_requested(self, run: PendingRun) -> None:
+        folder, user_input = self.experiment.folder, self.observer.user_input
+        pause_where_requested(folder, run, self.progress, self.notify, self.patience, user_input)
 
     def _pause(self, finished: PendingRun, following: PendingRun) -> None:
         parameters = self.experiment.parameters

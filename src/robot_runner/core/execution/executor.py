@@ -38,6 +38,8 @@ class Watch:
     Attributes:
         report: takes each record as it arrives.
         refresh: called every `refresh_interval` seconds; never where that is None.
+        tend: called after each record, and when the time is over that it returned last, in seconds; None where nothing
+            is due.
         noticed_interruption: called once the run has been asked to stop because the user interrupted.
     """
 
@@ -46,6 +48,7 @@ class Watch:
     refresh: Callable[[], None]
     refresh_interval: float | None
     noticed_interruption: Callable[[], None]
+    tend: Callable[[], float | None] = lambda: None
 
 
 class Executor(Protocol):
@@ -95,6 +98,7 @@ class _InProcessExecutor:
             watch.report(kind, fields)
             if watch.refresh_interval is not None:
                 watch.refresh()
+            watch.tend()
 
         with LazyLog(self._experiment.folder) as log, redirect_stdout(log), redirect_stderr(log):
             gate = InterruptGate()
@@ -130,6 +134,7 @@ class _Supervision:
         self._started = self._event_started = time.monotonic()
         self._give_up_at: float | None = None
         self._leave_by: tuple[float, str] | None = None
+        self._tend_in: float | None = watch.tend()
         self._is_interrupted = False
         self._is_killed = False
         self._because = ""
@@ -148,6 +153,7 @@ class _Supervision:
             self._enforce()
             if self._watch.refresh_interval is not None:
                 self._watch.refresh()
+            self._tend_in = self._watch.tend()
         if self._keeper.was_killed:
             self._keeper.end_abandoned_run(self._limits.grace, meanwhile=self._take_records)
         self._take_records()  # the last ones before it ended
@@ -175,6 +181,8 @@ class _Supervision:
         waits = [deadline - now for deadline in deadlines if deadline is not None]
         if self._watch.refresh_interval is not None:
             waits.append(self._watch.refresh_interval)
+        if self._tend_in is not None:
+            waits.append(self._tend_in)
         return max(0.0, min(waits)) * 1000 + 1 if waits else None
 
     def _deadlines(self) -> tuple[float | None, float | None]:

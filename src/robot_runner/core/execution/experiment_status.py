@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
-from datetime import datetime
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -12,9 +12,11 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import Quality, quality_of_value
 from robot_runner.core.execution.durations import Durations, TimeLeft
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.excluded_runs import ExcludedRuns
+from robot_runner.core.storage.executed_runs import moved_in_words, moved_runs
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.lock import Holder, holder_of
+from robot_runner.core.storage.lock import Holder, holder_of, pause_is_requested
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
@@ -24,7 +26,33 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
-__all__ = ["ExperimentStatus", "read_status"]
+__all__ = ["ExperimentStatus", "Session", "read_status"]
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """One execution of the experiment, from its start to its end.
+
+    Attributes:
+        started_at: UTC.
+        ended_at: when it ended, or, where it was killed or goes on, when something was last recorded of it (UTC).
+        is_whole: whether it came to its end.
+        selection: the runs that were chosen for it, by option.
+    """
+
+    started_at: str
+    ended_at: str
+    is_whole: bool = False
+    selection: Mapping[str, Sequence[str]] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def seconds(self) -> float:
+        """How long it took, in seconds."""
+        return max(0.0, (_moment(self.ended_at) - _moment(self.started_at)).total_seconds())
+
+
+def _moment(stamp: str) -> datetime:
+    return datetime.fromisoformat(stamp).astimezone(UTC)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,11 +65,22 @@ class ExperimentStatus:
         current_run, current_event: what is being executed, or None.
         failures: why each failed run failed, one line each.
         findings: what looked odd.
+        todo: how many runs are left to be executed; those that are excluded do not count, neither here nor in `failed`.
+        started_at: when its last session began (UTC).
         finished_at: when it ended last (UTC), or None while it is executed or if it was killed.
         seconds_left: how long the runs take that are still to be executed, as it was estimated last; None where that is
             not known, or nothing is left.
         left_is_least: whether something comes on top of that of which nobody knew how long it takes.
+        gate: the gate that is awaited at this moment, or None: its run, condition, what was `seen` of it at the time
+            `at` (at most a minute ago), and for how many `seconds` it had been awaited then.
+        gate_seconds: how long gates were awaited in all, s of their clocks.
         bad_values: the runs that are done whose values are not good, by measure and quality.
+        sessions: all its executions, the first one first.
+        excluded: why runs are left out, by id.
+        is_paused: whether somebody paused it; `robot-runner continue` goes on.
+        pause_is_requested: whether it is to pause before the next run.
+        is_of_older_tool: whether another tool executed what is there.
+        order: how many runs were executed out of the order of the run table; empty where none was.
     """
 
     experiment_name: str
@@ -61,6 +100,14 @@ class ExperimentStatus:
     seconds_left: float | None = None
     left_is_least: bool = False
     bad_values: Mapping[str, Mapping[str, Sequence[str]]] = field(default_factory=lambda: MappingProxyType({}))
+    sessions: tuple[Session, ...] = ()
+    excluded: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    is_paused: bool = False
+    pause_is_requested: bool = False
+    is_of_older_tool: bool = False
+    order: str = ""
+    gate: Mapping[str, Any] | None = None
+    gate_seconds: float = 0.0
 
 
 def read_status(folder: Path) -> ExperimentStatus:
@@ -70,10 +117,13 @@ def read_status(folder: Path) -> ExperimentStatus:
         StorageError: there is no experiment in this folder, or it cannot be read.
     """
     files = ExperimentFolder.found_at(folder)
+    if not files.manifest.exists() and files.run_table.exists():
+        return _older_status(files)
     manifest = read_manifest(files.manifest)
     history = _History()
     history.read(files)
-    statuses = history.statuses
+    statuses, out = history.statuses, history.excluded
+    counting = {run: status for run, status in statuses.items() if run not in out}
     holder = holder_of(files.lock)
     left = _time_left(files, history, is_executed=holder is not None)
     return ExperimentStatus(
@@ -83,12 +133,12 @@ def read_status(folder: Path) -> ExperimentStatus:
         is_waiting_for_user=holder is not None and history.is_waiting,
         run_count=len(statuses),
         done=_count(statuses, RunStatus.DONE),
-        failed=_count(statuses, RunStatus.FAILED),
-        todo=_count(statuses, RunStatus.TODO, RunStatus.RUNNING),
+        failed=_count(counting, RunStatus.FAILED),
+        todo=_count(counting, RunStatus.TODO, RunStatus.RUNNING),
         current_run=history.current_run if holder else None,
         current_event=history.current_event if holder else None,
         failures=tuple(
-            f"{run}: {reason}" for run, reason in history.failures.items() if statuses.get(run) is RunStatus.FAILED
+            f"{run}: {reason}" for run, reason in history.failures.items() if counting.get(run) is RunStatus.FAILED
         ),
         findings=tuple(history.findings),
         started_at=history.started_at,
@@ -96,6 +146,39 @@ def read_status(folder: Path) -> ExperimentStatus:
         seconds_left=left.after(history.since_left if holder else 0.0) if left is not None else None,
         left_is_least=left is not None and left.is_least,
         bad_values=history.bad_values,
+        sessions=tuple(history.sessions),
+        excluded=out,
+        is_paused=holder is not None and history.is_paused,
+        pause_is_requested=holder is not None and pause_is_requested(files.pause),
+        order=moved_in_words(moved_runs(list(statuses), history.executed), history.executed),
+        gate=history.gate if holder else None,
+        gate_seconds=history.gate_seconds,
+    )
+
+
+def _older_status(files: ExperimentFolder) -> ExperimentStatus:
+    """Return how far another tool came: its run table says so, and nothing else does.
+
+    Raises:
+        StorageError: the run table cannot be read.
+    """
+    rows = read_run_table(files.run_table, TableLayout((), stamps=()))
+    return ExperimentStatus(
+        experiment_name=files.root.name,
+        folder=files.root,
+        holder=None,
+        is_waiting_for_user=False,
+        run_count=len(rows),
+        done=rows.count(RunStatus.DONE),
+        failed=rows.count(RunStatus.FAILED),
+        todo=rows.count(RunStatus.TODO) + rows.count(RunStatus.RUNNING),
+        current_run=None,
+        current_event=None,
+        failures=(),
+        findings=(),
+        started_at=None,
+        finished_at=None,
+        is_of_older_tool=True,
     )
 
 
@@ -107,7 +190,8 @@ def _time_left(files: ExperimentFolder, history: _History, *, is_executed: bool)
     """Return what is left: as the orchestrator estimated it last, or of all runs that are not done."""
     if is_executed:
         return history.left
-    unfinished = [run for run, status in history.statuses.items() if status is not RunStatus.DONE]
+    out = history.excluded
+    unfinished = [run for run, status in history.statuses.items() if not (status is RunStatus.DONE or run in out)]
     if not unfinished:
         return None
     durations = Durations()
@@ -123,7 +207,12 @@ class _History:
         self.statuses: dict[str, RunStatus] = {}
         self.failures: dict[str, str] = {}
         self.findings: list[Finding] = []
-        self.is_waiting = False
+        self.is_waiting = self.is_paused = False
+        self.sessions: list[Session] = []
+        self._begun: dict[str, None] = {}
+        self._excluded = ExcludedRuns()
+        self.gate: dict[str, Any] | None = None
+        self.gate_seconds = 0.0
         self.current_run: str | None = None
         self.current_event: str | None = None
         self.started_at: str | None = None
@@ -139,6 +228,9 @@ class _History:
     def read(self, files: ExperimentFolder) -> None:
         # The journal comes first: a table written meanwhile is newer than what the journal adds to it, never older.
         for record in read_journal(files.journal):
+            if self.sessions:
+                self.sessions[-1] = replace(self.sessions[-1], ended_at=record["at"])
+            self._excluded.take(record)
             take = getattr(self, f"_take_{record['kind']}", None)
             if take is not None:
                 take(record)
@@ -160,6 +252,14 @@ class _History:
         return max(0.0, time.time() - datetime.fromisoformat(self._left_at).timestamp())
 
     @property
+    def executed(self) -> list[str]:
+        return list(self._begun)
+
+    @property
+    def excluded(self) -> dict[str, str]:
+        return {run: each.reason for run, each in self._excluded.present.items() if run in self.statuses}
+
+    @property
     def bad_values(self) -> dict[str, dict[str, list[str]]]:
         bad: dict[str, dict[str, list[str]]] = {}
         for run, qualities in self._qualities.items():
@@ -171,14 +271,19 @@ class _History:
     def _take_experiment_started(self, record: Mapping[str, Any]) -> None:
         self.started_at = record["at"]
         self.finished_at = None
-        self.is_waiting = False
+        self.gate = None
+        self.is_waiting = self.is_paused = False
+        self.sessions.append(Session(record["at"], record["at"], selection=record.get("selection", {})))
 
     def _take_experiment_finished(self, record: Mapping[str, Any]) -> None:
         self.finished_at = record["at"]
+        self.sessions[-1] = replace(self.sessions[-1], is_whole=True)
 
     def _take_attempt_started(self, record: Mapping[str, Any]) -> None:
         self.current_run, self.current_event = record["run"], None
         self._take_left(record)
+        self._begun.pop(record["run"], None)
+        self._begun[record["run"]] = None
 
     def _take_event(self, record: Mapping[str, Any]) -> None:
         self.current_event = record["event"]
@@ -211,10 +316,21 @@ class _History:
         where = f"{record['run']}, {record['owner']}"
         self.findings.append(Finding.warning(where, record["problem"], record["fix"]))
 
+    def _take_gate(self, record: Mapping[str, Any]) -> None:
+        self.gate = None
+        if record["state"] == "waiting":
+            self.gate = {name: record[name] for name in ("run", "condition", "seen", "seconds", "at")}
+        else:
+            self.gate_seconds += record["seconds"]
+
     def _take_waiting(self, record: Mapping[str, Any]) -> None:
         del record
         self.is_waiting = True
 
     def _take_continued(self, record: Mapping[str, Any]) -> None:
         del record
-        self.is_waiting = False
+        self.is_waiting = self.is_paused = False
+
+    def _take_paused(self, record: Mapping[str, Any]) -> None:
+        del record
+        self.is_paused = True

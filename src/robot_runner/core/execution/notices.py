@@ -19,9 +19,13 @@ __all__ = [
     "ExperimentFinished",
     "ExperimentStarted",
     "FindingsNoticed",
+    "GatePassed",
+    "GateWaiting",
+    "HostRestarts",
     "InterruptionNoticed",
     "Notice",
     "Observer",
+    "Paused",
     "PreparationStarted",
     "ProbeStarted",
     "RunRecord",
@@ -109,6 +113,61 @@ class WaitingForUser:
 
 
 @dataclass(frozen=True, slots=True)
+class HostRestarts:
+    """A host is started anew before the next run, and awaited."""
+
+    host: str
+    next_run: str
+
+
+@dataclass(frozen=True, slots=True)
+class Paused:
+    """Somebody asked for a pause: the next run starts once it is ended."""
+
+    folder: Path
+    next_run_number: int
+    run_count: int
+
+
+@dataclass(frozen=True, slots=True)
+class GateWaiting:
+    """The condition of a gate does not hold yet; told about twice a second.
+
+    Attributes:
+        run_id, run_number: the run that waits.
+        condition: what is awaited, so that it completes the sentence "waiting until ...".
+        seen: what was seen last, in words.
+        seconds: how long it has been awaited, s.
+        timeout_s: how long it is to be awaited, s; None for as long as it takes.
+    """
+
+    run_id: str
+    run_number: int
+    run_count: int
+    condition: str
+    seen: str
+    seconds: float
+    timeout_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class GatePassed:
+    """The wait for a gate is over.
+
+    Attributes:
+        state: `open` where its condition holds, else `timed out`, `failed` or `interrupted`.
+        problem: why it was not passed; empty where it was.
+    """
+
+    run_id: str
+    condition: str
+    seen: str
+    seconds: float
+    state: str
+    problem: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class InterruptionNoticed:
     """The user asked for the end: the run is being closed; asked once more, it is killed."""
 
@@ -120,12 +179,15 @@ class ExperimentFinished:
     """The experiment has ended.
 
     Attributes:
-        done_count, failed_count, todo_count: the state of the run table.
+        done_count, failed_count, todo_count: the state of the run table; runs that are excluded are neither failed nor
+            to do.
         failed: the ids of the runs that failed.
         interrupted: whether the user asked for the end.
-        stopped_by_policy: whether a failed run ended it (`on_failure` STOP).
+        stopped_by_policy: whether the config ended it before its last run.
+        stopped_by: by what: `on_failure`, `a gate` or `a guard`.
         findings: what looked odd.
         seconds: real time.
+        excluded: the ids of the runs that are left out.
     """
 
     folder: Path
@@ -139,6 +201,8 @@ class ExperimentFinished:
     failures: Sequence[str] = ()
     findings: Sequence[Finding] = field(default_factory=tuple)
     seconds: float = 0.0
+    excluded: Sequence[str] = ()
+    stopped_by: str = "on_failure"
 
 
 Notice = (
@@ -150,6 +214,10 @@ Notice = (
     | AttemptFinished
     | FindingsNoticed
     | WaitingForUser
+    | HostRestarts
+    | Paused
+    | GateWaiting
+    | GatePassed
     | InterruptionNoticed
     | ExperimentFinished
 )

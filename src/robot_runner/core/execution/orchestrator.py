@@ -6,13 +6,16 @@ import gc
 import logging
 import time
 from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from robot_runner.core.config.gate_parameters import GuardAction
 from robot_runner.core.config.parameters import FailurePolicy
-from robot_runner.core.errors import StorageError
+from robot_runner.core.errors import Finding, StorageError
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.execution.between_runs import BetweenRuns, Patience
 from robot_runner.core.execution.executor import Watch, executor_for
+from robot_runner.core.execution.gates import Gates, Passage
 from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.notices import (
     AttemptFinished,
@@ -42,11 +45,13 @@ if TYPE_CHECKING:
     from typing import Any
 
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.errors import Finding
     from robot_runner.core.execution.task import Report
 
 __all__ = ["execute_experiment"]
 
+
+#: How often the run table is looked after between two runs, in seconds.
+_LOOK_AT_TABLE = 1.0
 
 _log = logging.getLogger(__name__)
 
@@ -117,10 +122,11 @@ class _Orchestrator:
         self._observer = observer
         self._executor = executor_for(experiment)
         self._events = OrchestratorEvents(experiment, progress, interruption)
-        patience = Patience(interruption, self._refresh, observer.refresh_interval)
+        patience = Patience(interruption, self._while_waiting, observer.refresh_interval or _LOOK_AT_TABLE)
         self._between_runs = BetweenRuns(experiment, progress, self._events, observer, self._notice, patience)
+        self._gates = Gates(experiment, progress, self._notice, patience)
         self._started = time.monotonic()
-        self._stopped_by_policy = False
+        self._stopped_by = ""
 
     def execute(self, findings: Sequence[Finding]) -> ExperimentFinished:
         """Execute the runs between `before_experiment` and `after_experiment`; the latter comes whatever happens."""
@@ -153,22 +159,32 @@ class _Orchestrator:
     def _execute_run(self, run: PendingRun) -> bool:
         """Try to execute a run as often as the config allows; return whether the experiment goes on."""
         for attempts_left in reversed(range(self._parameters.attempts)):
-            task = self._progress.begin(run)
+            passage = self._gates.pass_before(run)
+            if self._interruption.is_requested or self._is_stopped_by(passage.stop, run):
+                return False
+            task = replace(self._progress.begin(run), attempts_left=attempts_left)
             self._notice(AttemptStarted(task, self._progress.time_left))
-            outcome = self._attempt(task, has_attempts_left=attempts_left > 0)
-            is_last = attempts_left == 0 or outcome.status is not AttemptStatus.FAILED
+            outcome = self._attempt(task, passage, has_attempts_left=attempts_left > 0)
+            is_last = attempts_left == 0 or outcome.status is not AttemptStatus.FAILED or bool(self._stopped_by)
             noticed = self._progress.record_outcome(task, outcome, is_last=is_last)
             self._notice(AttemptFinished(task, outcome, is_last, self._progress.time_left))
             if noticed:
                 self._notice(FindingsNoticed(noticed))
             if is_last:
                 break
-        self._stopped_by_policy = (
-            outcome.status is AttemptStatus.FAILED and self._parameters.on_failure is FailurePolicy.STOP
-        )
-        return outcome.status is not AttemptStatus.INTERRUPTED and not self._stopped_by_policy
+        if outcome.status is AttemptStatus.FAILED and self._parameters.on_failure is FailurePolicy.STOP:
+            self._stopped_by = self._stopped_by or "on_failure"
+        return outcome.status is not AttemptStatus.INTERRUPTED and not self._stopped_by
 
-    def _attempt(self, task: RunTask, *, has_attempts_left: bool) -> RunOutcome:
+    def _is_stopped_by(self, reason: str, run: PendingRun) -> bool:
+        """Stop the experiment where there is a reason to; the run that it was about to execute is still to do."""
+        if reason:
+            self._stopped_by = "a gate"
+            fix = "See to it, and start the experiment again: it resumes."
+            self._progress.find(Finding.warning(f"before {run.run_id}", f"stopped, as {reason}", fix))
+        return bool(reason)
+
+    def _attempt(self, task: RunTask, passage: Passage, *, has_attempts_left: bool) -> RunOutcome:
         builder = OutcomeBuilder(
             task.run_id,
             self._experiment.columns,
@@ -179,11 +195,14 @@ class _Orchestrator:
         def report(kind: str, fields: dict[str, Any]) -> None:
             self._progress.record(task, kind, fields)
             self._notice(RunRecord(task.run_id, kind, fields))
+            if kind == "guard" and fields["action"] == GuardAction.STOP.value:
+                self._stopped_by = "a guard"
 
         def report_own(kind: str, fields: dict[str, Any]) -> None:
             builder.take(kind, fields)
             report(kind, fields)
 
+        passage.report_to(report_own, [column.name for column in self._experiment.columns.declared])
         self._bind_plugins(task, report_own)
         if not builder.has_failed:
             self._events.emit_to_run(RobotRunnerEvents.BEFORE_RUN, task, report_own)
@@ -195,6 +214,7 @@ class _Orchestrator:
             refresh=self._refresh,
             refresh_interval=self._observer.refresh_interval,
             noticed_interruption=lambda: self._notice(InterruptionNoticed(task.run_id)),
+            tend=self._progress.tend_table,
         )
         return self._executor.execute(task, builder, watch)
 
@@ -233,17 +253,24 @@ class _Orchestrator:
             run_table=self._experiment.folder.run_table,
             done_count=progress.done_count,
             failed_count=len(progress.failed),
-            todo_count=progress.run_count - progress.done_count - len(progress.failed),
+            todo_count=progress.todo_count,
             failed=progress.failed,
             failures=progress.failures,
             interrupted=self._interruption.is_requested,
-            stopped_by_policy=self._stopped_by_policy,
+            stopped_by_policy=bool(self._stopped_by),
+            stopped_by=self._stopped_by,
             findings=(*findings, *progress.findings),
             seconds=time.monotonic() - self._started,
+            excluded=progress.excluded,
         )
 
     def _notice(self, notice: Notice) -> None:
         _tell(self._observer, notice)
+
+    def _while_waiting(self) -> None:
+        if self._observer.refresh_interval is not None:
+            self._refresh()
+        self._progress.tend_table()
 
     def _refresh(self) -> None:
         try:

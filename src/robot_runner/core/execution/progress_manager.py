@@ -25,14 +25,14 @@ from robot_runner.core.execution.durations import durations_of
 from robot_runner.core.execution.left_over import await_left_over
 from robot_runner.core.execution.mission_knowledge import combination_key
 from robot_runner.core.execution.recovery import config_changes, selected_places
+from robot_runner.core.execution.table_on_disk import TableOnDisk
 from robot_runner.core.execution.table_recovery import recover_table, texts_of
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome, RunTask, seed_of_run
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import Journal, utc_now
-from robot_runner.core.storage.layout import keep_log, keep_refused, put_earlier_attempt_away
-from robot_runner.core.storage.lock import ExperimentLock
+from robot_runner.core.storage.layout import drop_empty_log, keep_log, keep_refused, put_earlier_attempt_away
+from robot_runner.core.storage.lock import ExperimentLock, forget_pause
 from robot_runner.core.storage.manifest import read_manifest, write_manifest
-from robot_runner.core.storage.run_table_rows import write_run_table
 from robot_runner.core.storage.safe_write import fsync_folder, storage_error
 
 if TYPE_CHECKING:
@@ -45,10 +45,6 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.recovery import Resumption
 
 __all__ = ["PendingRun", "ProgressManager"]
-
-#: The run table is brought up to date at most so often that this share of the time goes into writing it, so that
-#: the cost of recording a run does not grow with the number of runs. The journal has every run at once.
-_SHARE_FOR_TABLE = 1 / 50
 
 #: What a run reports that is kept in the journal; measures are kept with the end of the attempt.
 _KEPT = frozenset(
@@ -63,6 +59,7 @@ _KEPT = frozenset(
         "clock",
         "bound",
         "waited",
+        "guard",
         "subject",
         "mission_stopped",
         "outlives",
@@ -113,17 +110,18 @@ class ProgressManager:
         self._findings: list[Finding] = []
         self._unread: dict[str, Finding] | None = None
         self._resources = ExitStack()
-        self._table_written = 0.0
-        self._table_cost = 0.0
-        self._table_is_stale = False
 
     def __enter__(self) -> Self:
         with ExitStack() as opened:
             self._make_folder()
             opened.enter_context(ExperimentLock(self._folder.lock))
+            opened.callback(forget_pause, self._folder.pause)  # of no use to the next session
+            forget_pause(self._folder.pause)  # of one that was killed
             left_over = await_left_over(self._folder, self._experiment.parameters.grace_in_s)
             self._findings += [left_over] if left_over is not None else []
             self._manifest = self._load_manifest()
+            if self._resumption.selection:
+                self._manifest["executions"][-1]["selection"] = self._resumption.selection
             started = time.monotonic()
             recovered = recover_table(self._experiment, self._manifest, self._resumption)
             self._selected = selected_places(recovered.rows, self._resumption)
@@ -142,12 +140,12 @@ class ProgressManager:
                 self._journal.append(PREPARED, flush=True, treatments=prepared)
             keep_config(self._experiment, self._manifest)
             write_manifest(self._folder.manifest, self._manifest)
-            if recovered.is_on_disk:  # reading it took longer than writing it will
-                self._table_written = time.monotonic()
-                self._table_cost = self._table_written - started
-            else:
+            # Reading the table took longer than writing it will.
+            reading = time.monotonic() - started
+            self._file = TableOnDisk(self._folder.run_table, self._rows, self._journal, reading)
+            if not recovered.is_on_disk:
                 recovered.write_schema(self._folder.schema)
-                self._write_table()
+                self._file.write()
             self._resources = opened.pop_all()
         manifest = self._manifest
         self.note(
@@ -157,6 +155,7 @@ class ProgressManager:
             seed=self.seed,
             runs=self.run_count,
             design=manifest["design"]["source"],
+            **({"selection": chosen} if (chosen := self._resumption.selection) else {}),
             repository=manifest["executions"][-1].get("repository"),
         )
         if probed is not None and probed.profilers:
@@ -166,8 +165,8 @@ class ProgressManager:
 
     def __exit__(self, *raised: object) -> None:
         with self._resources:
-            if self._table_is_stale:
-                self._write_table()
+            drop_empty_log(self._folder)
+            self._file.bring_up_to_date()
 
     @property
     def seed(self) -> int:
@@ -183,6 +182,21 @@ class ProgressManager:
     def done_count(self) -> int:
         """How many runs are done."""
         return self._rows.count(RunStatus.DONE)
+
+    @property
+    def todo_count(self) -> int:
+        """How many runs are left to be executed: neither done nor failed, nor excluded."""
+        left = self.run_count - self.done_count - len(self._failed)
+        rows = self._rows
+        return left - sum(rows.status(rows.index_of(run)) is not RunStatus.DONE for run in self.excluded)
+
+    @property
+    def excluded(self) -> tuple[str, ...]:
+        """The ids of the runs that are left out."""
+        if not self._rows.layout.has_exclusions:
+            return ()
+        rows = self._rows
+        return tuple(rows.run_id(place) for place in range(len(rows)) if rows.excluded(place) is not None)
 
     @property
     def failed(self) -> tuple[str, ...]:
@@ -230,6 +244,9 @@ class ProgressManager:
             put_earlier_attempt_away(self._folder, run.run_id, earlier)
         if self._rows.status(run.place) is not RunStatus.TODO:
             self._rows.clear(run.run_id)
+        if self._rows.excluded(run.place) is not None:  # why it was left out is about what is put away here
+            self._rows.exclude(run.run_id, None)
+            self.note("included", run=run.run_id, reason="the run is executed again")
         self._left_behind.add(run.run_id)
         self._rows.record(run.run_id, status=RunStatus.RUNNING)
         self._failed.pop(run.run_id, None)
@@ -243,7 +260,7 @@ class ProgressManager:
             repetition=task.repetition,
             **self._left(),
         )
-        self._refresh_table()
+        self._file.refresh()
         return task
 
     def record(self, task: RunTask, kind: str, fields: dict[str, Any]) -> None:
@@ -256,7 +273,7 @@ class ProgressManager:
             keep_refused(self._folder, task.run_id, fields)
         if kind == "event" and fields["event"] == "continue" and "continue_at" in self._rows.layout.stamps:
             self._rows.record(task.run_id, stamps={"continue_at": fields["at"]})
-            self._refresh_table()
+            self._file.refresh()
 
     def record_outcome(self, task: RunTask, outcome: RunOutcome, *, is_last: bool) -> tuple[Finding, ...]:
         """Keep how an attempt went; it is on the disk when this returns.
@@ -281,17 +298,24 @@ class ProgressManager:
         if self._table.take_outcome(task.run_id, outcome):
             # From here on the schema tells the types: without it a text such as "1" would come back as a number.
             self._table.write_schema(self._folder.schema)
-        self._refresh_table()
+        self._file.refresh()
         return self._look_for_readers(task, outcome) if outcome.status is AttemptStatus.DONE else ()
 
     def note(self, kind: str, *, flush: bool = False, **fields: Any) -> None:
         """Keep something that is not about a run."""
         self._journal.append(kind, flush=flush, **fields)
 
+    def tend_table(self) -> float | None:
+        """Write the run table where its time has come, while a run or a wait lasts; see `TableOnDisk.tend`."""
+        return self._file.tend()
+
+    def find(self, finding: Finding) -> None:
+        """Take down what is to be told at the end."""
+        self._findings.append(finding)
+
     def bring_table_up_to_date(self) -> None:
         """Write the run table as it stands: a callback of `after_experiment` may read it."""
-        if self._table_is_stale:
-            self._write_table()
+        self._file.bring_up_to_date()
 
     def finish(self, *, interrupted: bool) -> None:
         """Bring everything that people read up to date: the experiment has ended."""
@@ -350,7 +374,8 @@ class ProgressManager:
         self._table = recovered
         self._rows = recovered.rows
         self._attempts = Counter(recovered.attempts)
-        self._failed.update(recovered.failed)
+        out = set(self.excluded)
+        self._failed.update((run, reason) for run, reason in recovered.failed.items() if run not in out)
         self._findings += recovered.findings
 
     def _probed(self) -> Probe | None:
@@ -394,20 +419,6 @@ class ProgressManager:
             for column in self._experiment.columns.in_table
             if outcome.measures.get(column.name) is None or outcome.measures[column.name].value is None
         ]
-
-    def _refresh_table(self) -> None:
-        self._table_is_stale = True
-        if time.monotonic() - self._table_written > self._table_cost / _SHARE_FOR_TABLE:
-            self._write_table()
-
-    def _write_table(self) -> None:
-        started = time.monotonic()
-        digest = write_run_table(self._folder.run_table, self._rows)
-        # After the rename: a run that is in the table and not yet known to be is taken from the journal once more.
-        self._journal.append("table_written", sha256=digest)
-        self._table_written = time.monotonic()
-        self._table_cost = self._table_written - started
-        self._table_is_stale = False
 
 
 def _plain(outcome: RunOutcome) -> dict[str, Any]:

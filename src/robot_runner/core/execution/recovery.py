@@ -9,8 +9,9 @@ from enum import Enum
 from operator import is_
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
-from robot_runner.core.errors import ExecutionError, Finding, did_you_mean
+from robot_runner.core.design.columns import REPETITION
+from robot_runner.core.design.selection import Chosen, RunChooser
+from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.manifest import is_damaged, read_manifest
 
@@ -62,15 +63,21 @@ class Resumption:
         accept_changes: go on though the config, what was set, or the run table differs from before.
         table: what counts where the run table and the journal disagree; None refuses to go on, unless changes are
             accepted: then the file counts.
-        redo: runs to execute again though they are done; what they left is kept.
+        redo: runs to execute again though they are done or excluded; what they left is kept.
         only: the only runs to execute; nothing means all.
+        skip: runs that are not executed this time.
+        first: runs that are executed before all others this time, in this order.
         probe: whether profilers are probed before the first run, where the config does not forbid it.
+
+    Runs are chosen by ids or by treatments, see `RunChooser`.
     """
 
     accept_changes: bool = False
     table: TableChoice | None = None
     redo: tuple[str, ...] = ()
     only: tuple[str, ...] = ()
+    skip: tuple[str, ...] = ()
+    first: tuple[str, ...] = ()
     probe: bool = True
 
     @property
@@ -78,33 +85,54 @@ class Resumption:
         """What counts where the run table and the journal disagree, or None where nobody has said."""
         return self.table or (TableChoice.FILE if self.accept_changes else None)
 
+    @property
+    def selection(self) -> dict[str, list[str]]:
+        """What was chosen of the runs and of their order, for the journal and the manifest."""
+        asked = {"only": self.only, "skip": self.skip, "first": self.first, "redo": self.redo}
+        return {name: list(given) for name, given in asked.items() if given}
+
 
 def selected_places(rows: RunTableRows, resumption: Resumption) -> list[int]:
-    """Return the places of the runs that are to be executed, in order.
+    """Return the places of the runs that are to be executed, in the order in which they are.
 
     Raises:
-        ExecutionError: a run that was named is not in the table; all of them are listed.
+        ExecutionError: what was named is not in the table, or cannot be executed; everything is listed.
     """
-    _refuse_unknown(rows, "--redo", resumption.redo)
-    _refuse_unknown(rows, "--only", resumption.only)
-    redo, only = set(resumption.redo), set(resumption.only)
-    return [
+    if not resumption.selection:
+        return [place for place in range(len(rows)) if _is_left(rows, place)]
+    chooser = RunChooser(rows.planned, has_repetition=rows.layout.has_repetition)
+    redo, only, skip, first = (
+        chooser.choose(f"--{option}", getattr(resumption, option)) for option in ("redo", "only", "skip", "first")
+    )
+    again, skipped = set(redo.places), set(skip.places)
+    chooser.findings += _contradictions(rows, again, skipped, {"--only": only, "--first": first, "--redo": redo})
+    chooser.refuse()
+    alone = {*only.places, *again} if resumption.only else set(range(len(rows)))
+    wanted = [
         place
-        for place, (run_id, status) in enumerate(zip(rows.values(RUN_ID), rows.values(STATUS), strict=True))
-        if (status is not RunStatus.DONE or run_id in redo) and (not only or run_id in only or run_id in redo)
+        for place in range(len(rows))
+        if (_is_left(rows, place) or place in again) and place in alone and place not in skipped
     ]
+    ahead = [place for place in first.places if place in set(wanted)]
+    return [*ahead, *(place for place in wanted if place not in set(ahead))]
 
 
-def _refuse_unknown(rows: RunTableRows, option: str, run_ids: Iterable[str]) -> None:
-    unknown = [run_id for run_id in run_ids if rows.place_of(run_id) is None]
-    if unknown:
-        known = [rows.run_id(place) for place in range(min(len(rows), 1000))]
-        raise ExecutionError.of_findings(
-            [
-                Finding.error(f"{option} {run_id}", "the run table has no such run", did_you_mean(run_id, known))
-                for run_id in unknown
-            ]
-        )
+def _is_left(rows: RunTableRows, place: int) -> bool:
+    return rows.status(place) is not RunStatus.DONE and rows.excluded(place) is None
+
+
+def _contradictions(
+    rows: RunTableRows, again: set[int], skipped: set[int], chosen: Mapping[str, Chosen]
+) -> Iterator[Finding]:
+    """Yield each run that was named by its id though it cannot be executed as was asked for."""
+    for option, runs in chosen.items():
+        for place in sorted(runs.named):
+            where, reason = f"{option} {rows.run_id(place)}", rows.excluded(place)
+            if place in skipped:
+                yield Finding.error(where, "the run is also chosen by --skip", "Leave it out of one of them.")
+            elif reason is not None and place not in again:
+                fix = "Take it in again with `robot-runner include`, or execute it again with --redo."
+                yield Finding.error(where, f"the run is excluded: {reason}", fix)
 
 
 # What differs between an experiment as it was executed before and as it is to go on.

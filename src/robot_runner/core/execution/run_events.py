@@ -17,6 +17,7 @@ from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.run_ending import RunEnding
 from robot_runner.core.links.connect import is_simulated, open_clock
+from robot_runner.core.links.host_commands import DeclaredHosts
 from robot_runner.core.storage.journal import utc_now
 
 if TYPE_CHECKING:
@@ -59,6 +60,7 @@ def run_contexts(
     broker = MeasureBroker(task.run_id, experiment.columns, report)
     times = MissionTimes(clock, report, experiment.parameters.phases)
     run_path = experiment.folder.run(task.run_id)
+    hosts = DeclaredHosts(experiment.parameters.hosts)
     made: dict[str, RobotRunnerContext] = {}
 
     def context_for(owner: str) -> RobotRunnerContext:
@@ -72,6 +74,7 @@ def run_contexts(
                 run_number=task.run_number,
                 run_count=task.run_count,
                 attempt=task.attempt,
+                attempts_left=task.attempts_left,
                 combination=WatchedCombination(
                     task.combination, lambda factor: report("read", {"owner": owner, "factor": factor})
                 ),
@@ -84,6 +87,7 @@ def run_contexts(
                 times=times,
                 broker=broker,
                 ending=ending or EndingInPlace(),
+                hosts=hosts,
             )
         return made[owner]
 

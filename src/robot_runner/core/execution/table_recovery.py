@@ -8,11 +8,11 @@ ended since are added. Any other file is compared with the journal, run by run.
 from __future__ import annotations
 
 import hashlib
-import re
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.columns import EXCLUDED, RUN_ID
 from robot_runner.core.errors import Finding, StorageError
 from robot_runner.core.execution.recovered_table import ENDS, Deviation, RecoveredTable
 from robot_runner.core.execution.recovery import (
@@ -21,6 +21,7 @@ from robot_runner.core.execution.recovery import (
     refuse_differences,
     table_differences,
 )
+from robot_runner.core.execution.table_history import FINISHED, TableHistory, run_of
 from robot_runner.core.storage.cells import RunStatus, measure_text
 from robot_runner.core.storage.journal import journal_lines, parsed_record
 from robot_runner.core.storage.run_table_reading import read_run_table
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.design.run_table_model import RunTable
     from robot_runner.core.execution.recovery import Resumption
+    from robot_runner.core.storage.excluded_runs import ExcludedRuns
     from robot_runner.core.storage.table_columns import TableLayout
     from robot_runner.core.storage.table_schema import ColumnDescription
 
@@ -63,56 +65,6 @@ def recover_table(experiment: Experiment, manifest: Mapping[str, Any], resumptio
     return _Recovery(experiment, manifest, resumption).recovered()
 
 
-# As `Journal.append` writes them: run and status are read from the line, as parsing takes twenty times as long.
-_RUN = re.compile(rb'\{"kind":"[^"]*","at":"[^"\\]*","run":"([^"\\]*)"')
-_STARTED = b'{"kind":"attempt_started"'
-_FINISHED = b'{"kind":"attempt_finished"'
-_TABLE_WRITTEN = b'{"kind":"table_written"'
-_IS_DONE = b'"status":"done"'  # quotes inside a text are escaped: these stand nowhere else
-
-
-@dataclass(slots=True)
-class _History:
-    """What the journal tells, in its order.
-
-    Attributes:
-        attempted: the run of each attempt.
-        is_open: whether the last attempt did not come to a recorded end.
-        newer: the ends of attempts since the table was written last.
-        failed: the ends of attempts that did not end well.
-        written: the digest of the table as it was written last; empty where that is not known.
-        has_ends: whether any attempt has ended.
-    """
-
-    attempted: list[str] = field(default_factory=list)
-    is_open: bool = False
-    newer: list[bytes] = field(default_factory=list)
-    failed: list[bytes] = field(default_factory=list)
-    written: str = ""
-    has_ends: bool = False
-
-    @classmethod
-    def of(cls, journal: Path) -> _History:
-        history = cls()
-        for line in journal_lines(journal, kinds={"attempt_started", "attempt_finished", "table_written"}):
-            history.take(journal, line)
-        return history
-
-    def take(self, journal: Path, line: bytes) -> None:
-        if line.startswith(_STARTED):
-            self.attempted.append(_run_of(journal, line))
-            self.is_open = True
-        elif line.startswith(_TABLE_WRITTEN):
-            # Parsed, as what comes before is left out from here on: a damaged line must not do that.
-            self.written = str(parsed_record(journal, line).get("sha256", ""))
-            self.newer.clear()
-        else:
-            self.is_open, self.has_ends = False, True
-            self.newer.append(line)
-            if _IS_DONE not in line:
-                self.failed.append(line)
-
-
 class _Recovery:
     def __init__(self, experiment: Experiment, manifest: Mapping[str, Any], resumption: Resumption) -> None:
         folder = experiment.folder
@@ -124,8 +76,9 @@ class _Recovery:
         self._journal = folder.journal
         self._plan: RunTable = experiment.model.plan(manifest["seed"])
         self._schema, self._schema_findings = _schema_of(folder.schema)
-        self._layout: TableLayout = experiment.table_layout({each.name: each.type for each in self._schema} or None)
-        self._history = _History.of(folder.journal)
+        self._history = TableHistory.of(folder.journal)
+        layout: TableLayout = experiment.table_layout({each.name: each.type for each in self._schema} or None)
+        self._layout = replace(layout, has_exclusions=self._history.excluded.were_any)
         self._is_known_to_be_reordered = bool(manifest["design"].get("is_reordered"))
 
     def recovered(self) -> RecoveredTable:
@@ -134,6 +87,7 @@ class _Recovery:
             table = self._rebuilt(f"the run table is {'empty' if self._path.exists() else 'missing'}")
         elif is_empty:
             table = RecoveredTable(self._experiment, RunTableRows.of_plan(self._plan, self._layout))
+            self._leave_out(table)
         else:
             table = self._read()
         for column in self._schema:
@@ -164,6 +118,8 @@ class _Recovery:
         )
         if self._history.has_ends and _digest(self._path) != self._history.written:
             self._reconcile(table)
+        else:
+            self._leave_out(table)
         return self._with_order(table)
 
     def _reconcile(self, table: RecoveredTable) -> None:
@@ -173,7 +129,7 @@ class _Recovery:
             ExecutionError: they differ, and nothing was chosen.
         """
         ends, earlier = self._last_ends()
-        newer = {_run_of(self._journal, line) for line in self._history.newer}
+        newer = {run_of(self._journal, line) for line in self._history.newer}
         found: list[Deviation] = []
         for run_id, line in ends.items():
             place = table.rows.place_of(run_id)
@@ -181,6 +137,7 @@ class _Recovery:
             if run_id in newer and not has_come:
                 continue  # it ended after the file was written: the journal alone has it
             found += _deviations(table.rows, parsed_record(self._journal, line), earlier)
+        found += _changed_exclusions(table.rows, self._history.excluded)
         table.is_on_disk = False  # from here on it is as we write it, so that it need not be compared again
         if not found:
             return
@@ -194,8 +151,9 @@ class _Recovery:
             table.rows, table.findings = rebuilt.rows, rebuilt.findings
         else:
             self._put_aside()
-            for run_id in {each.run: None for each in found}:
+            for run_id in {each.run: None for each in found if each.column != EXCLUDED}:
                 table.take_record(parsed_record(self._journal, ends[run_id]))
+            self._leave_out(table)
             problem = f"{len(found)} cells of the run table were put back to what the journal has"
             table.findings = (*table.findings, Finding.warning(str(self._path), problem, self._kept_fix()))
 
@@ -213,10 +171,17 @@ class _Recovery:
         refuse_differences(self._unplanned(rows))
         for line in ends.values():
             table.take_record(parsed_record(self._journal, line))
+        self._leave_out(table)
         done = rows.count(RunStatus.DONE)
         problem = f"{reason}: made anew from the plan and the journal, with {done} runs that are done"
         table.findings = (Finding.warning(str(self._path), problem, self._kept_fix()),)
         return table
+
+    def _leave_out(self, table: RecoveredTable) -> None:
+        """Leave out the runs that the journal has left out, and no others."""
+        for each in tuple(_changed_exclusions(table.rows, self._history.excluded)):
+            table.rows.exclude(each.run, each.was or None)
+            table.is_on_disk = False
 
     def _unplanned(self, rows: RunTableRows) -> Iterator[Finding]:
         """Yield each run that was executed with other treatments than the plan has for it."""
@@ -239,8 +204,8 @@ class _Recovery:
         ends: dict[str, bytes] = {}
         changed: dict[tuple[str, str], str] = {}
         for line in journal_lines(self._journal, kinds={"attempt_finished", "deviation"}):
-            if line.startswith(_FINISHED):
-                run_id = _run_of(self._journal, line)
+            if line.startswith(FINISHED):
+                run_id = run_of(self._journal, line)
                 ends[run_id] = line
                 for key in [key for key in changed if key[0] == run_id] if changed else ():
                     del changed[key]
@@ -256,7 +221,7 @@ class _Recovery:
         table.is_on_disk = False
 
     def _add_newer(self, table: RecoveredTable) -> None:
-        last_ends = {_run_of(self._journal, line): line for line in self._history.newer}
+        last_ends = {run_of(self._journal, line): line for line in self._history.newer}
         for run_id, line in last_ends.items():
             place = table.rows.place_of(run_id)
             has_come = place is not None and table.rows.status(place) in {RunStatus.DONE, RunStatus.FAILED}
@@ -270,7 +235,7 @@ class _Recovery:
         table.attempts = Counter(history.attempted)
         table.unfinished = history.attempted[-1] if history.is_open else None
         reasons = {
-            _run_of(self._journal, line): parsed_record(self._journal, line)["failure"] or "" for line in history.failed
+            run_of(self._journal, line): parsed_record(self._journal, line)["failure"] or "" for line in history.failed
         }
         for place in range(len(rows)) if rows.count(RunStatus.RUNNING) or rows.count(RunStatus.FAILED) else ():
             run_id = rows.run_id(place)
@@ -357,13 +322,16 @@ def _deviations(
             yield Deviation(run_id, name, was, is_now)
 
 
+def _changed_exclusions(rows: RunTableRows, excluded: ExcludedRuns) -> Iterator[Deviation]:
+    """Yield each run that a table leaves out otherwise than the journal does."""
+    for run_id, found in zip(rows.values(RUN_ID), rows.values(EXCLUDED), strict=True) if excluded.were_any else ():
+        reason = excluded.reason(run_id)
+        if reason != found:
+            yield Deviation(run_id, EXCLUDED, reason or "", found or "")
+
+
 def _text(cell: Any) -> str:
     return str(cell.value) if isinstance(cell, RunStatus) else measure_text(cell)
-
-
-def _run_of(journal: Path, line: bytes) -> str:
-    found = _RUN.match(line)
-    return found[1].decode() if found else str(parsed_record(journal, line)["run"])
 
 
 def _has_content(path: Path) -> bool:

@@ -57,6 +57,7 @@ class RunTask:
         combination: the treatment of each factor, by name.
         experiment_seed: the seed from which the run's own is derived.
         run_seed: a seed for this run alone, the same each time that it is executed.
+        attempts_left: how often it is tried again where this attempt fails.
     """
 
     run_id: str
@@ -67,6 +68,7 @@ class RunTask:
     repetition: int
     experiment_seed: int
     run_seed: int
+    attempts_left: int = 0
 
 
 def seed_of_run(experiment_seed: int, run_id: str) -> int:

@@ -18,7 +18,15 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-__all__ = ["ExperimentFolder", "LazyLog", "keep_log", "keep_refused", "open_log", "put_earlier_attempt_away"]
+__all__ = [
+    "ExperimentFolder",
+    "LazyLog",
+    "drop_empty_log",
+    "keep_log",
+    "keep_refused",
+    "open_log",
+    "put_earlier_attempt_away",
+]
 
 
 # The names of an experiment's files and folders: the only place that knows them.
@@ -139,6 +147,11 @@ class ExperimentFolder:
         """What a second terminal tells the orchestrator."""
         return self.root / ".control"
 
+    @property
+    def pause(self) -> Path:
+        """There while the experiment is to pause between two runs."""
+        return self.root / ".pause"
+
     def run(self, run_id: str) -> Path:
         """Return the folder of a run: its log, and a folder for each plugin's raw data."""
         return self.runs / run_id
@@ -221,6 +234,12 @@ def keep_log(folder: ExperimentFolder, run_id: str) -> None:
             folder.current_log.replace(folder.log(run_id))
     except OSError as error:
         raise storage_error(folder.log(run_id), "written", error) from error
+
+
+def drop_empty_log(folder: ExperimentFolder) -> None:
+    """Remove the log of the run that is being executed, once none is; one that holds something stays."""
+    if _size(folder.current_log) == 0:
+        folder.current_log.unlink(missing_ok=True)
 
 
 def keep_refused(folder: ExperimentFolder, run_id: str, refused: Mapping[str, Any]) -> None:

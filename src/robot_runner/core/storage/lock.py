@@ -19,7 +19,18 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-__all__ = ["Command", "ExperimentLock", "Holder", "forget_command", "holder_of", "send_command", "take_command"]
+__all__ = [
+    "Command",
+    "ExperimentLock",
+    "Holder",
+    "forget_command",
+    "forget_pause",
+    "holder_of",
+    "pause_is_requested",
+    "request_pause",
+    "send_command",
+    "take_command",
+]
 
 
 # Who executes an experiment: one process at a time, known to the others.
@@ -135,3 +146,25 @@ def take_command(control: Path) -> Command | None:
 def forget_command(control: Path) -> None:
     """Remove a command that was left before anybody waited for it."""
     control.unlink(missing_ok=True)
+
+
+# The request to pause: a file of its own, so that it lasts until it is taken back and no other command is lost.
+
+
+def request_pause(path: Path) -> None:
+    """Ask the orchestrator to pause before the next run.
+
+    Raises:
+        StorageError: the experiment's folder cannot be written.
+    """
+    write_beside_and_rename(path, lambda file: file.write(f"{utc_now()}\n"))
+
+
+def pause_is_requested(path: Path) -> bool:
+    """Return whether a pause is asked for, or lasts."""
+    return path.exists()
+
+
+def forget_pause(path: Path) -> None:
+    """Take the request back: an experiment that is paused goes on."""
+    path.unlink(missing_ok=True)

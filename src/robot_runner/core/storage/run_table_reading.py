@@ -9,7 +9,7 @@ from itertools import chain, islice, repeat
 from operator import is_
 from typing import TYPE_CHECKING, Any, Protocol
 
-from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS, numbered_run_id
+from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STATUS, numbered_run_id
 from robot_runner.core.design.factor import Combination, factor_places
 from robot_runner.core.design.planned_runs import PlannedRun, garbage_collection_paused
 from robot_runner.core.errors import StorageError, nearest
@@ -177,13 +177,20 @@ class _Reading:
         self._run_ids = RunIdDecoder(findings)
         self._repetitions = RepetitionDecoder(findings)
         self._factors = [
-            FactorDecoder(each, layout.types.get(each.name), findings, decimal_comma=decimal_comma)
+            FactorDecoder(
+                each,
+                layout.types.get(each.name),
+                findings,
+                decimal_comma=decimal_comma,
+                empty_is_none=bool(planned) or layout.spelling.blank_is_missing,
+            )
             for each in layout.factors
         ]
         blank_is_missing = layout.spelling.blank_is_missing
         self._decoders: dict[str, CellDecoder] = {
             RUN_ID: self._run_ids,
             STATUS: StatusDecoder(findings),
+            **{name: TextDecoder(name, findings, is_stamp=False) for name in layout.exclusion},
             **({REPETITION: self._repetitions} if layout.has_repetition else {}),
             **{name: TextDecoder(name, findings, is_stamp=True) for name in layout.stamps},
             **dict(zip(layout.factor_names, self._factors, strict=True)),
@@ -248,6 +255,7 @@ class _Reading:
             _sharing_empty(combined(self._layout.stamps)),
             _sharing_empty(combined(self._layout.measures)),
             self._kept(headings, cells, count),
+            found.get(EXCLUDED) or repeat(None),
         )
 
     def _repetitions_of(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import Counter
+from dataclasses import replace
 from itertools import repeat
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, TextIO
@@ -41,9 +42,10 @@ class RunRow:
         measures: its measures, in the order of the layout's `measures`; None where a value is missing.
         kept: text that the file is to hold as it was read, by heading: a user's own columns, and cells of factors that
             would be written in another way; None where there is none.
+        excluded: why the run is left out; None where it is not.
     """
 
-    __slots__ = ("kept", "measures", "run", "stamps", "status")
+    __slots__ = ("excluded", "kept", "measures", "run", "stamps", "status")
 
     def __init__(
         self,
@@ -52,12 +54,14 @@ class RunRow:
         stamps: tuple[str | None, ...],
         measures: tuple[CellValue, ...],
         kept: Mapping[str, str] | None = None,
+        excluded: str | None = None,
     ) -> None:
         self.run = run
         self.status = status
         self.stamps = stamps
         self.measures = measures
         self.kept = kept
+        self.excluded = excluded
 
 
 class RunTableRows:
@@ -172,6 +176,24 @@ class RunTableRows:
         """Return how many runs have this status, at no cost that grows with the table."""
         return self._counts[status]
 
+    def excluded(self, place: int) -> str | None:
+        """Return why the run at `place` is left out; None where it is not."""
+        return self._rows[place].excluded
+
+    def exclude(self, run_id: str, reason: str | None) -> None:
+        """Leave a run out, or with None take it in again; the layout has the column for it.
+
+        Raises:
+            StorageError: there is no such run.
+        """
+        self._rows[self.index_of(run_id)].excluded = reason
+
+    def without_exclusions(self) -> RunTableRows:
+        """Return the same rows, none of them left out, without the column for it."""
+        for row in self._rows:
+            row.excluded = None
+        return RunTableRows(replace(self.layout, has_exclusions=False), self._rows, self.warnings)
+
     def combination(self, place: int) -> Combination:
         """Return the treatment of each factor in the run at `place`."""
         return self._rows[place].run.combination
@@ -284,6 +306,7 @@ def _sources(layout: TableLayout) -> dict[str, tuple[str, int | str | None]]:
     return {
         RUN_ID: ("run.run_id", None),
         STATUS: ("status", None),
+        **dict.fromkeys(layout.exclusion, ("excluded", None)),
         **{name: ("stamps", place) for place, name in enumerate(layout.stamps)},
         **{name: ("run.combination.treatments", place) for place, name in enumerate(layout.factor_names)},
         **dict.fromkeys(layout.repetition, ("run.repetition", None)),

@@ -8,7 +8,7 @@ from enum import Enum
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from robot_runner.core.design.columns import REPETITION, RUN_ID, STAMP_COLUMNS, STATUS
+from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STAMP_COLUMNS, STATUS
 from robot_runner.core.errors import DesignError, Finding
 from robot_runner.core.storage.cells import RunStatus
 
@@ -166,6 +166,7 @@ class TableLayout:
         factors: the factors' columns.
         measures: the measures' columns.
         has_repetition: whether there is a column `Repetition` after the factors.
+        has_exclusions: whether there is a column `excluded` after the status: some run was left out at some time.
         stamps: the events' time-stamp columns.
         extras: columns that a user added; kept as text.
         types: the type of columns in the run table's schema, by name, for reading cells that could be several things.
@@ -186,6 +187,7 @@ class TableLayout:
     extras: tuple[str, ...] = ()
     types: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     spelling: TableSpelling = OWN_SPELLING
+    has_exclusions: bool = False
 
     def __post_init__(self) -> None:
         counts = Counter(self.columns)
@@ -235,6 +237,7 @@ class TableLayout:
             extras=named[ColumnRole.EXTRA],
             types={column.name: column.type for column in schema},
             spelling=spelling_of_headings({column.name: column.heading for column in schema if column.heading}),
+            has_exclusions=EXCLUDED in named[ColumnRole.PROGRESS],
         )
 
     @property
@@ -253,6 +256,12 @@ class TableLayout:
         return (REPETITION,) if self.has_repetition else ()
 
     @property
+    def exclusion(self) -> tuple[str, ...]:
+        """The heading of why runs are left out, where the table has it."""
+        return (EXCLUDED,) if self.has_exclusions else ()
+
+    @property
     def columns(self) -> tuple[str, ...]:
         """All headings, in order."""
-        return (RUN_ID, STATUS, *self.stamps, *self.factor_names, *self.repetition, *self.measures, *self.extras)
+        own = (RUN_ID, STATUS, *self.exclusion, *self.stamps)
+        return (*own, *self.factor_names, *self.repetition, *self.measures, *self.extras)

@@ -226,12 +226,23 @@ class FactorDecoder:
         kept: texts that the file is to hold on, as their values would be written in another way.
     """
 
-    def __init__(self, column: FactorColumn, kind: str | None, findings: TableFindings, *, decimal_comma: bool) -> None:
+    def __init__(
+        self,
+        column: FactorColumn,
+        kind: str | None,
+        findings: TableFindings,
+        *,
+        decimal_comma: bool,
+        empty_is_none: bool = False,
+    ) -> None:
         self.name = column.name
         self.kept: set[str] = set()
         self._factor = column.factor
         self._findings = findings
         self._decimal_comma = decimal_comma
+        known = column.factor.treatments if column.factor is not None else ()
+        #: Spreadsheets, pandas and the earlier tools write a treatment None so.
+        self._empty_is_none = empty_is_none and any(treatment is None for treatment in known)
         self._kind = kind
         self._known: dict[str, Any] = {}
 
@@ -252,6 +263,10 @@ class FactorDecoder:
             place = treatment_position(self._factor, text, decimal_comma=self._decimal_comma)
             if place is not None:
                 self._known[text] = self._factor.treatments[place]
+                return True
+            if not text and self._empty_is_none:
+                self.kept.add(text)
+                self._known[text] = None
                 return True
         self._known[text] = value = typed_value(text, self._kind, decimal_comma=self._decimal_comma)
         if value is None or str(value) != text:

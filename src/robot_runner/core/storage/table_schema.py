@@ -12,7 +12,7 @@ from dataclasses import replace
 from numbers import Integral
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.columns import RUN_ID, STATUS
+from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.cells import RunStatus, are_stamps
 from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from robot_runner.core.storage.table_columns import FactorColumn
 
 __all__ = [
+    "EXCLUSION",
     "ColumnDescription",
     "data_package",
     "describe_columns",
@@ -132,6 +133,16 @@ def _no_schema(path: Path, reason: str) -> StorageError:
 # What the run table's columns hold: from the table itself, and from what is known of its measures.
 
 
+#: The column that says which runs are left out.
+EXCLUSION = ColumnDescription(
+    name=EXCLUDED,
+    role=ColumnRole.PROGRESS,
+    type="string",
+    title="Excluded",
+    description="Why the run is left out of the statistics; empty where it is not.",
+)
+
+
 def describe_columns(
     rows: RunTableRows, known: Mapping[str, ColumnDescription] | None = None
 ) -> tuple[ColumnDescription, ...]:
@@ -158,6 +169,7 @@ def describe_columns(
             title="Status",
             description=f"How far the run has come: {', '.join(dict.fromkeys(words.values()))}.",
         ),
+        *(EXCLUSION for _ in rows.layout.exclusion),
         *(_stamp(name, recorded[name]) for name in rows.layout.stamps),
         *(_factor(column, rows) for column in rows.layout.factors),
         *(_repetition(name) for name in rows.layout.repetition),

@@ -1,0 +1,36 @@
+"""Take runs in again that were excluded.
+
+The journal keeps that they were excluded, why and how long.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from robot_runner.cli.parser import add_runs, add_set, add_target
+from robot_runner.cli.planning import folder_of_target
+from robot_runner.core.execution.excluding import include_runs
+from robot_runner.core.words import counted, listed
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    from robot_runner.cli.parser import Parser
+
+__all__ = ["add_arguments", "execute"]
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add what the command takes."""
+    add_target(parser)
+    add_runs(parser)
+    parser.add_argument("--reason", metavar="TEXT", default="", help="why they count after all: kept with the time")
+    add_set(parser)
+
+
+def execute(arguments: Namespace) -> int:
+    """Include the runs, and say which they are."""
+    folder = folder_of_target(arguments.target, arguments.set)
+    included = include_runs(folder, arguments.runs, arguments.reason)
+    print(f"{counted(len(included), 'run')} {'counts' if len(included) == 1 else 'count'} again: {listed(included)}.")
+    return 0

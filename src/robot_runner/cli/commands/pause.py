@@ -1,0 +1,50 @@
+"""Let an experiment pause once the run that is being executed has ended.
+
+Nothing is ended: `robot-runner continue` goes on. An experiment that ends or is killed meanwhile is not paused when it
+is resumed.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from robot_runner.cli.console import shown_path
+from robot_runner.cli.parser import add_set, add_target
+from robot_runner.cli.planning import folder_of_target
+from robot_runner.core.errors import ExecutionError
+from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status
+from robot_runner.core.storage.lock import request_pause
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    from robot_runner.cli.parser import Parser
+
+__all__ = ["add_arguments", "execute"]
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add what the command takes."""
+    add_target(parser)
+    add_set(parser)
+
+
+def execute(arguments: Namespace) -> int:
+    """Leave the request, and say when it takes effect."""
+    folder = folder_of_target(arguments.target, arguments.set)
+    status = read_status(folder.root)
+    where = shown_path(folder.root)
+    if status.holder is None:
+        fix = "There is nothing to pause; `robot-runner run` with its config goes on."
+        raise ExecutionError("nobody executes this experiment", where=where, fix=fix)
+    command = f"robot-runner continue {where}"
+    if status.is_paused:
+        print(f"{status.experiment_name} is paused already. To go on: {command}")
+        return 0
+    request_pause(folder.pause)
+    print(f"{status.experiment_name} pauses {_moment(status)}. To go on, or to take this back: {command}")
+    return 0
+
+
+def _moment(status: ExperimentStatus) -> str:
+    return f"after {status.current_run}" if status.current_run else "before the next run"

@@ -1,0 +1,129 @@
+"""The guards of an experiment: conditions that are watched while a run is measured, and what follows if one is true."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from itertools import count
+from typing import TYPE_CHECKING
+
+from robot_runner.core.config.gate_parameters import Guard, GuardAction
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.plugin import Profiler
+from robot_runner.core.sampling.periodic import PeriodicSampler
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from robot_runner.core.config.parameters import Parameters
+    from robot_runner.core.events.condition import LookAgain
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.plugin import Plugin
+
+__all__ = ["GuardWatch", "watch_guards"]
+
+_FIX = "Repeat the run once the cause is gone, or leave its values out."
+
+
+class GuardWatch(Profiler):
+    """Watches conditions from the beginning of the measurement to its end; it is there where a config has `guards`.
+
+    On a real robot it looks in a thread of its own. On a clock that moves only while it is slept on, it looks on the
+    way; a condition of what is outside of the simulation is looked at in real time there, too.
+
+    Args:
+        guards: what is watched, and what follows.
+        name: tells several instances apart.
+
+    Example:
+        >>> from robot_runner import Guard, battery_below
+        >>> GuardWatch([Guard(battery_below(15))]).name
+        'guards'
+    """
+
+    probe_s: float | None = None
+    bytes_per_run: int = 0
+
+    def __init__(self, guards: Sequence[Guard], *, name: str = "guards") -> None:
+        super().__init__(name=name)
+        self.guards = tuple(guards)
+        self._watched: list[_WatchedGuard] = []
+
+    def start_measurement(self, context: RobotRunnerContext) -> None:
+        """Begin to watch, before other profilers begin."""
+        self._watched = []
+        for guard in self.guards:
+            watched = _WatchedGuard(guard, context)
+            self._watched.append(watched)
+            watched.begin()
+
+    def stop_measurement(self, context: RobotRunnerContext) -> None:
+        """Look once more, after other profilers have ended, and watch no longer."""
+        del context
+        with ExitStack() as ending:  # each of them, whatever another one raises
+            for watched in self._watched:
+                ending.callback(watched.end)
+        self._watched = []
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Close what is still open where the measurement never began."""
+        self.stop_measurement(context)
+
+
+class _WatchedGuard:
+    """One guard during one run."""
+
+    def __init__(self, guard: Guard, context: RobotRunnerContext) -> None:
+        self._guard = guard
+        self._context = context
+        self._opened = ExitStack()
+        self._look_again: LookAgain | None = None
+        self._has_come_true = False
+        # A condition of the world outside has its real time, also while a simulated mission takes a second or two.
+        self._clock = SystemClock() if guard.condition.is_outside else context.clock
+        self._began = context.clock.now()
+        self._sampler = PeriodicSampler(self._look, rate=1 / guard.condition.every_s, clock=self._clock)
+
+    def begin(self) -> None:
+        self._look_again = self._guard.condition.watch(self._context, self._opened)
+        self._sampler.start()
+
+    def end(self) -> None:
+        with self._opened:
+            if self._look_again is None:
+                return
+            sampling = self._sampler.stop()
+            if sampling.failures:
+                problem = f"the guard {str(self._guard.condition)!r} could not be watched {sampling.failures} times"
+                fix = "Look at what it asks for; nothing is known of it for these times."
+                self._context.warn(f"{problem}: {sampling.first_failure}", fix=fix)
+
+    def _look(self) -> None:
+        if self._has_come_true or self._look_again is None:
+            return
+        look = self._look_again()
+        if look.holds:
+            self._has_come_true = True
+            self._act(look.seen)
+
+    def _act(self, seen: str) -> None:
+        context, condition = self._context, str(self._guard.condition)
+        action = self._guard.action
+        if action is GuardAction.REPEAT and not context.attempts_left:
+            action = GuardAction.MARK  # the last attempt's values are kept, with the reason
+        after = context.clock.now() - self._began
+        reason = f"{after:.1f} s after the measurement began, {condition}" + (f" ({seen})" if seen else "")
+        facts = {"condition": condition, "action": action.value, "seen": seen, "after": round(after, 3)}
+        context.broker.note(context.owner, "guard", {**facts, "problem": reason})
+        if action is GuardAction.MARK:
+            context.broker.doubt_run(context.owner, reason, _FIX)
+        else:
+            context.fail(reason)
+
+
+def watch_guards(parameters: Parameters, plugins: Iterable[Plugin]) -> list[Plugin]:
+    """Return the watch over the guards of a config; none where it has none."""
+    if not parameters.guards:
+        return []
+    names = {plugin.name.casefold() for plugin in plugins}
+    free = next(name for number in count(1) if (name := "guards" if number == 1 else f"guards-{number}") not in names)
+    return [GuardWatch(parameters.guards, name=free)]

@@ -1,0 +1,194 @@
+"""Methods and attributes of a config that look like ours, or like an earlier tool's, and that nothing uses."""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import inspect
+import re
+from typing import TYPE_CHECKING
+
+from robot_runner.core.config.parameters import PARAMETERS, ExperimentConfig
+from robot_runner.core.errors import Finding
+from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+    from types import CodeType
+
+    from robot_runner.core.config.loader import LoadedConfig
+
+__all__ = ["check_dead_names"]
+
+#: What to use for a method: names that earlier tools have for it, or that people guess.
+_METHODS = {
+    "Call it launch_mission.": (
+        "interact interaction interact_with_robot mission start_mission run_mission execute_mission perform_mission "
+        "execute_run run_experiment run"
+    ),
+    "Call it stop_run, or populate_run_data where it returns measures.": (
+        "after_run after_each_run post_run end_run finish_run on_run_end run_finished"
+    ),
+    "A mission ends when launch_mission returns; what it leaves running is ended in stop_measurement.": (
+        "stop_mission end_mission finish_mission stop_interaction after_mission"
+    ),
+    "Call it before_run.": "pre_run before_each_run on_run_start prepare_run setup_run set_up_run",
+    "Call it before_experiment.": "setup set_up setup_experiment set_up_experiment start_experiment on_start",
+    "Call it after_experiment.": (
+        "teardown tear_down cleanup clean_up end_experiment stop_experiment finish_experiment on_end"
+    ),
+    "Call it start_measurement.": "before_measurement begin_measurement start_profiler start_profilers start_profiling",
+    "Call it stop_measurement.": "after_measurement end_measurement stop_profiler stop_profilers stop_profiling",
+    "Call it continue_experiment.": "between_runs continue_ continue_run next_run before_next_run",
+    "Call it populate_run_data, and return the measures.": (
+        "populate_data get_run_data collect_data collect_run_data run_data get_results collect_results save_results"
+    ),
+    "Call it create_run_table.": "create_run_table_model get_run_table run_table make_run_table",
+}
+
+#: The same for attributes.
+_ATTRIBUTES = {
+    "Use attempts: how often a run is tried, 1 for no retry.": (
+        "retries max_retries num_retries n_retries retry_count retry repeat_failed max_attempts num_attempts"
+    ),
+    "Give it to RunTableModel: repetitions=...": (
+        "repetitions num_repetitions number_of_repetitions repeats num_runs number_of_runs runs replications iterations"
+    ),
+    "Give it to RunTableModel: shuffle=True, seed=...": (
+        "shuffle randomize randomise randomize_order random_order randomize_runs seed random_seed"
+    ),
+    "Return a RunTableModel from create_run_table.": "run_table run_table_model factors treatments data_columns",
+    "Call it experiment_name.": "name title experiment",
+    "Call it results_output_path.": (
+        "results_path result_path output_path output_folder results_folder output_dir results_dir experiment_path"
+    ),
+    "Call it time_between_runs_in_ms.": (
+        "time_between_runs time_between_runs_in_s cooldown cooldown_time cool_down rest_time pause_between_runs delay"
+    ),
+    "Use run_deadline_in_s, or event_deadline_in_s.": "timeout run_timeout max_duration max_run_time deadline",
+    "Call it operation_type: OperationType.AUTO or OperationType.SEMI.": "operation mode run_mode",
+    "Call it required_ros_version.": "ros_version",
+    "Call it required_ros_distro.": "ros_distro ros_distribution",
+    'Set robot = "simulated".': "simulated simulate is_simulated use_simulator use_simulation simulation",
+    "List them in plugins.": "profilers systems sensors profiler",
+    "Use on_failure: FailurePolicy.CONTINUE or FailurePolicy.STOP.": "stop_on_failure continue_on_failure fail_fast",
+}
+_FIX_OF_METHOD = {name: fix for fix, names in _METHODS.items() for name in names.split()}
+_FIX_OF_ATTRIBUTE = {name: fix for fix, names in _ATTRIBUTES.items() for name in names.split()}
+
+#: A name that is made of these words alone is meant for an event.
+_MOMENTS = frozenset(["before", "after", "start", "stop", "begin", "end", "launch", "finish", "execute", "populate"])
+_SUBJECTS = frozenset(
+    ["run", "runs", "experiment", "measurement", "measurements", "measuring", "mission", "interaction", "data"]
+)
+_FILLING = frozenset(["on", "each", "every", "all", "the", "handle", "do"])
+#: How alike two names are before one is taken for the other (1.0: equal); nothing uses them, so less will do than
+#: where a name is refused.
+_ALIKE = 0.75
+_HUMP = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
+
+
+def check_dead_names(loaded: LoadedConfig) -> list[Finding]:
+    """Return a warning for each public name of the config that looks like ours, and that nothing calls or reads.
+
+    A config of another dialect keeps its own names: it is checked where that is known.
+    """
+    config_class = type(loaded.config)
+    if config_class.__name__ != loaded.source.class_name:
+        return []
+    used = _used_names(loaded)
+    if used is None:
+        return []
+    found = []
+    for name in sorted(_own_names(config_class) | set(vars(loaded.config))):
+        if name.startswith("_") or name in used or name in _LIVE:
+            continue
+        is_method = inspect.isroutine(inspect.getattr_static(loaded.config, name, None))
+        fix = _fix_of_method(name) if is_method else _fix_of_attribute(name)
+        if fix:
+            problem = "nothing calls this method" if is_method else "nothing reads this attribute"
+            found.append(Finding.warning(f"{loaded.where}.{name}", problem, fix))
+    return found
+
+
+_LIVE = frozenset({*PARAMETERS, *EVENTS_BY_CALLBACK, "plugins", "create_run_table"})
+
+
+def _own_names(config_class: type) -> set[str]:
+    classes = [each for each in config_class.__mro__ if each not in ExperimentConfig.__mro__]
+    return {name for each in classes for name in (*vars(each), *vars(each).get("__annotations__", {}))}
+
+
+def _used_names(loaded: LoadedConfig) -> set[str] | None:
+    """Return the names that the code of a config reads or calls; None where it looks them up by computed names."""
+    used: set[str] = set()
+    for path in (loaded.source.path, *loaded.local_modules):
+        for node in ast.walk(_tree(path)):
+            if _looks_up(node):
+                return None
+            used |= set(_read_by(node))
+    for each in type(loaded.config).__mro__:  # a base class from an installed package may call what is defined here
+        if each not in ExperimentConfig.__mro__:
+            used |= {name for attribute in vars(each).values() for name in _names_in(attribute)}
+    return used
+
+
+def _tree(path: Path) -> ast.Module:
+    try:
+        return ast.parse(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, SyntaxError):  # a module that is no text was imported all the same
+        return ast.Module([], [])
+
+
+def _looks_up(node: ast.AST) -> bool:
+    match node:
+        case ast.Call(func=ast.Name(id="getattr"), args=[_, name, *_]):
+            return not isinstance(name, ast.Constant)
+        case ast.Call(func=ast.Name(id="vars" | "dir")):
+            return True
+        case _:
+            return False
+
+
+def _read_by(node: ast.AST) -> Iterator[str]:
+    match node:
+        case ast.Attribute(attr=name, ctx=ast.Load()) | ast.Name(id=name, ctx=ast.Load()):
+            yield name
+        case ast.Constant(value=str(name)):  # of getattr, or of a test
+            yield name
+        case ast.FunctionDef(name=name, decorator_list=decorators) if any(map(_registers, decorators)):
+            yield name
+        case _:
+            pass
+
+
+def _registers(decorator: ast.expr) -> bool:
+    """Return whether a decorator may hand its method to somebody who calls it."""
+    return not (isinstance(decorator, ast.Name) and decorator.id in {"staticmethod", "classmethod", "property"})
+
+
+def _names_in(attribute: object) -> Iterator[str]:
+    code: CodeType | None = getattr(inspect.unwrap(attribute) if callable(attribute) else None, "__code__", None)
+    if code is not None:
+        yield from code.co_names
+
+
+def _fix_of_method(name: str) -> str:
+    plain = _HUMP.sub("_", name).casefold()
+    if plain in _FIX_OF_METHOD:
+        return _FIX_OF_METHOD[plain]
+    words = [word for word in plain.split("_") if word not in _FILLING]
+    is_event = {*words} <= _MOMENTS | _SUBJECTS and bool({*words} & _MOMENTS) and bool({*words} & _SUBJECTS)
+    near = difflib.get_close_matches("_".join(words), EVENTS_BY_CALLBACK, n=1, cutoff=0.0 if is_event else _ALIKE)
+    if not near:
+        return ""
+    return f"No event is called so: did you mean {near[0]!r}? There are {', '.join(EVENTS_BY_CALLBACK)}."
+
+
+def _fix_of_attribute(name: str) -> str:
+    plain = _HUMP.sub("_", name).casefold()
+    if plain in _FIX_OF_ATTRIBUTE:
+        return _FIX_OF_ATTRIBUTE[plain]
+    near = difflib.get_close_matches(plain, PARAMETERS, n=1, cutoff=_ALIKE)
+    return f"No static parameter is called so: did you mean {near[0]!r}?" if near else ""

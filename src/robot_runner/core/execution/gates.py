@@ -1,0 +1,254 @@
+"""Gates: what must hold before a run begins, awaited in a process of its own.
+
+A condition may open links, sockets and threads, and the process that forks runs must have none of them.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.config.gate_parameters import GatePolicy
+from robot_runner.core.config.parameters import Parameters, RunProcess
+from robot_runner.core.errors import ConditionTimeout, Finding, RobotRunnerError
+from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents
+from robot_runner.core.events.measure import CONFIG_OWNER
+from robot_runner.core.execution.executor import Watch, executor_for
+from robot_runner.core.execution.notices import FindingsNoticed, GatePassed, GateWaiting
+from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.words import shown_duration
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.config.gate_parameters import Gate
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.execution.between_runs import Patience
+    from robot_runner.core.execution.notices import Notice
+    from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
+    from robot_runner.core.execution.task import Report, RunOutcome, RunTask
+
+__all__ = ["Gates", "Passage"]
+
+#: How long the process may take beyond the gate's own time, s: to connect, or to begin a simulation.
+_MARGIN = 60.0
+#: How often the journal takes down what is seen while a gate is awaited, s: for `status`, from another terminal.
+_KEPT_EVERY = 60.0
+_OWNER = "gate"
+
+
+@dataclass(frozen=True, slots=True)
+class Passage:
+    """How the gates before an attempt went.
+
+    Attributes:
+        doubts: why the values of the attempt are doubtful.
+        failure: why the attempt fails without being executed; empty where it does not.
+        stop: why the experiment stops; empty where it goes on.
+    """
+
+    doubts: tuple[Finding, ...] = ()
+    failure: str = ""
+    stop: str = ""
+
+    def report_to(self, report: Report, columns: Sequence[str]) -> None:
+        """Report to an attempt what the gates say of it; `columns` are those of all measures."""
+        for finding in self.doubts:
+            told = {"problem": finding.problem, "fix": finding.fix}
+            report("finding", {"owner": _OWNER, **told, "measures": list(columns)})
+        if self.failure:
+            report("failure", {"event": "", "owner": _OWNER, "problem": self.failure, "traceback": ""})
+
+
+class Gates:
+    """Awaits the gates of an experiment.
+
+    Args:
+        experiment: whose gates they are.
+        progress: takes down how long was waited, and what was seen.
+        notify: tells the screen.
+        patience: whose interruption ends a wait.
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        progress: ProgressManager,
+        notify: Callable[[Notice], None],
+        patience: Patience,
+    ) -> None:
+        self._experiment = experiment
+        self._gates: tuple[Gate, ...] = tuple(experiment.parameters.gates)
+        self._progress = progress
+        self._notify = notify
+        self._patience = patience
+
+    def pass_before(self, run: PendingRun) -> Passage:
+        """Await all gates, one after another, before the next attempt at a run; an interruption ends the wait."""
+        if not self._gates:
+            return Passage()
+        begun = self._progress.task_of(run)
+        task = replace(begun, attempt=begun.attempt + 1)
+        wait = _Wait(self._gates, task, self._progress, self._notify)
+        outcome = self._awaited(task, wait.take)
+        if outcome.status is AttemptStatus.INTERRUPTED:
+            wait.end("the experiment was interrupted", state="interrupted")
+            return Passage()
+        if outcome.failure is not None and not wait.is_over:
+            wait.end(str(outcome.failure.problem), state="failed")
+        return wait.passage()
+
+    def _awaited(self, task: RunTask, take: Report) -> RunOutcome:
+        with TemporaryDirectory(prefix="robot-runner-gate-", ignore_cleanup_errors=True) as folder:
+            trial = _trial_of(self._experiment, self._gates, Path(folder))
+            watch = Watch(
+                interruption=self._patience.interruption,
+                report=take,
+                refresh=self._patience.refresh,
+                refresh_interval=self._patience.refresh_interval,
+                noticed_interruption=lambda: None,
+            )
+            return executor_for(trial).execute(task, OutcomeBuilder(task.run_id, trial.columns), watch)
+
+
+class _Wait:
+    """One wait at the gates, as its process tells of it."""
+
+    def __init__(
+        self, gates: Sequence[Gate], task: RunTask, progress: ProgressManager, notify: Callable[[Notice], None]
+    ) -> None:
+        self._gates = gates
+        self._task = task
+        self._progress = progress
+        self._notify = notify
+        self._number = 0
+        self._seen, self._seconds = "", 0.0
+        self._kept = -math.inf
+        self._is_overdue_told = False
+        self._problems: list[tuple[Gate, str]] = []
+
+    @property
+    def is_over(self) -> bool:
+        """Whether all gates were passed, or one of them ended the wait."""
+        stopped = any(gate.on_timeout is not GatePolicy.DOUBT for gate, _ in self._problems)
+        return stopped or self._number >= len(self._gates)
+
+    @property
+    def _gate(self) -> Gate:
+        return self._gates[min(self._number, len(self._gates) - 1)]
+
+    def take(self, kind: str, fields: Mapping[str, Any]) -> None:
+        """Take what the process reports; the rest of its records is that of any run."""
+        if kind in {"waiting", "waited"} and fields.get("owner") == CONFIG_OWNER:
+            self._seen, self._seconds = str(fields["seen"]), float(fields["seconds"])
+        if kind == "waiting":
+            self._go_on()
+        elif kind == "waited" and fields["holds"]:
+            self._finish("open", "")
+        elif kind == "gate":
+            self.end(str(fields["problem"]), state="failed" if fields["is_in_vain"] else "timed out")
+
+    def end(self, problem: str, *, state: str) -> None:
+        """Take down that the present gate was not passed."""
+        if state != "interrupted":
+            self._problems.append((self._gate, problem))
+        self._finish(state, problem)
+
+    def passage(self) -> Passage:
+        """Return what follows from the gates that were not passed."""
+        doubts, failure, stop = [], "", ""
+        for gate, problem in self._problems:
+            told = f"the gate was not passed: {problem}"
+            match gate.on_timeout:
+                case GatePolicy.DOUBT:
+                    fix = "Repeat the run once the condition can hold, or allow the gate more time."
+                    doubts.append(Finding.warning(_OWNER, told, fix))
+                case GatePolicy.FAIL:
+                    failure = told
+                case GatePolicy.STOP | GatePolicy.WAIT:  # nothing more is awaited where waiting is in vain
+                    stop = told
+        return Passage(tuple(doubts), failure, stop)
+
+    def _go_on(self) -> None:
+        gate = self._gate
+        now = time.monotonic()
+        if now - self._kept >= _KEPT_EVERY:
+            self._kept = now
+            self._progress.bring_table_up_to_date()  # there is time for it now, and people look at the table meanwhile
+            self._keep("waiting")
+        task, condition = self._task, str(gate.condition)
+        self._notify(
+            GateWaiting(
+                task.run_id, task.run_number, task.run_count, condition, self._seen, self._seconds, gate.timeout_s
+            )
+        )
+        is_overdue = gate.timeout_s is not None and self._seconds > gate.timeout_s
+        if is_overdue and not self._is_overdue_told:
+            self._is_overdue_told = True
+            problem = f"waiting until {condition} takes longer than {shown_duration(gate.timeout_s or 0)}: {self._seen}"
+            fix = "Look at what is awaited; Ctrl-C ends the wait, and the same command goes on later."
+            self._notify(FindingsNoticed([Finding.warning(f"gate before {task.run_id}", problem, fix)]))
+
+    def _finish(self, state: str, problem: str) -> None:
+        self._keep(state, problem)
+        condition = str(self._gate.condition)
+        self._notify(GatePassed(self._task.run_id, condition, self._seen, self._seconds, state, problem))
+        self._number += 1
+        self._seen, self._seconds, self._kept, self._is_overdue_told = "", 0.0, -math.inf, False
+
+    def _keep(self, state: str, problem: str = "") -> None:
+        self._progress.note(
+            "gate",
+            flush=True,
+            run=self._task.run_id,
+            attempt=self._task.attempt,
+            condition=str(self._gate.condition),
+            state=state,
+            seconds=round(self._seconds, 3),
+            seen=self._seen,
+            **({"problem": problem} if problem else {}),
+        )
+
+
+def _trial_of(experiment: Experiment, gates: Sequence[Gate], folder: Path) -> Experiment:
+    """Return an experiment of no plugins, whose mission is to await the gates."""
+    patience = sum(gate.patience_s for gate in gates) + _MARGIN
+    changed = {
+        "phases": (),
+        "run_deadline_in_s": None,
+        "event_deadline_in_s": patience if math.isfinite(patience) else None,
+        "run_process": RunProcess.FORK,  # always: what a condition leaves open must not stay in this process
+    }
+    events = EventManager()
+    events.subscribe(
+        RobotRunnerEvents.LAUNCH_MISSION,
+        lambda context: _await_gates(gates, context),
+        owner=CONFIG_OWNER,
+        kind=OwnerKind.CONFIG,
+    )
+    return replace(
+        experiment,
+        parameters=Parameters(**{**vars(experiment.parameters), **changed}),
+        plugins=(),
+        events=events,
+        folder=ExperimentFolder(folder),
+    )
+
+
+def _await_gates(gates: Sequence[Gate], context: RobotRunnerContext) -> None:
+    """Await one gate after another; what keeps one from being passed is reported, and ends the wait unless it may."""
+    for gate in gates:
+        try:
+            gate.condition.wait(context, timeout_s=gate.patience_s)
+        except Exception as error:  # noqa: BLE001 - a user's predicate may raise anything, and a gate must be told of
+            problem = error.problem if isinstance(error, RobotRunnerError) else f"{type(error).__name__}: {error}"
+            is_in_vain = not isinstance(error, ConditionTimeout)
+            context.broker.note(context.owner, "gate", {"problem": problem, "is_in_vain": is_in_vain})
+            if gate.on_timeout is not GatePolicy.DOUBT:
+                return

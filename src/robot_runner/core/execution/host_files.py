@@ -1,0 +1,78 @@
+"""A config's hosts in each run: connected before the robot moves, and what they have fetched when it stops."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, ClassVar
+
+from robot_runner.core.errors import Finding, LinkError
+from robot_runner.core.links.declared_host import host_findings
+from robot_runner.core.plugin import System
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from robot_runner.core.config.parameters import Parameters
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.links.declared_host import Host
+    from robot_runner.core.plugin import Circumstances, Plugin
+
+__all__ = ["HostFiles", "bring_host_files"]
+
+_NAME = "host_files"
+#: The share of the grace that fetching may take after a failure: the rest is for the robot and the other plugins.
+_SHARE_OF_GRACE = 0.6
+
+
+def bring_host_files(parameters: Parameters, plugins: Sequence[Plugin]) -> Sequence[Plugin]:
+    """Return the plugin that looks after the hosts of a config, where it names any."""
+    del plugins
+    return [HostFiles(parameters.hosts, parameters.grace_in_s)] if parameters.hosts else []
+
+
+class HostFiles(System):
+    """Connects to the hosts of a config when a run starts, and fetches what they have when it stops.
+
+    It begins before all other plugins and ends after them, so that what they write there is fetched, too. A host that
+    cannot be reached fails the run before anything moves; files that do not come are warnings of the run.
+
+    Args:
+        hosts: by name.
+        grace: how long a run that failed may take to close, s.
+    """
+
+    needs: ClassVar[str] = "The computers that the config's `hosts` names."
+
+    def __init__(self, hosts: Mapping[str, Host], grace: float) -> None:
+        super().__init__(name=_NAME)
+        self._hosts = hosts
+        self._grace = grace
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return which hosts cannot be reached, or have the name of a plugin, whose folder they would share."""
+        names = {plugin.name for plugin in circumstances.plugins}
+        for name, host in self._hosts.items():
+            yield from host_findings("config", name, host, circumstances.robot)
+            if name in names:
+                problem = f"the host is named {name!r}, and so is a plugin: both would keep files in one folder"
+                yield Finding.error(f"hosts[{name!r}]", problem, "Give one of them another name.")
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Connect to each host."""
+        for name, host in self._hosts.items():
+            if not host.is_local:
+                context.host(name).run("true", timeout_s=host.fetch_within_s)
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Fetch what is declared of each host; after a failure as much as the grace allows."""
+        end = time.monotonic() + self._grace * _SHARE_OF_GRACE
+        for name, host in self._hosts.items():
+            if not host.fetch:
+                continue
+            seconds = host.fetch_within_s
+            if context.ending.has_failed:
+                seconds = min(seconds, max(0.0, end - time.monotonic()))
+            try:
+                context.host(name).fetch(*host.fetch, timeout_s=seconds)
+            except LinkError as error:
+                context.warn(f"nothing was fetched from {name}: {error.problem}", fix=error.fix)

@@ -1,0 +1,86 @@
+"""When the run table on disk is written: so that people see it fresh, and recording a run costs what it costs."""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.run_table_rows import write_run_table
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from robot_runner.core.storage.journal import Journal
+    from robot_runner.core.storage.run_table_rows import RunTableRows
+
+__all__ = ["TableOnDisk"]
+
+#: The run table is brought up to date at most so often that this share of the time goes into writing it, so that
+#: the cost of recording a run does not grow with the number of runs. The journal has every run at once.
+_SHARE = 1 / 50
+#: A table that takes longer to write than this, in seconds, is not written while a run is executed: that would disturb
+#: what is measured on this machine. A hundred thousand rows take so long.
+_MOST_COST_IN_RUN = 0.25
+
+
+class TableOnDisk:
+    """The file of the run table, and how far it is behind the rows in memory.
+
+    Args:
+        path: the file.
+        rows: what it is to hold.
+        journal: takes down each writing.
+        cost: how long writing takes at most, as far as that is known, in seconds.
+    """
+
+    def __init__(self, path: Path, rows: RunTableRows, journal: Journal, cost: float = 0.0) -> None:
+        self._path = path
+        self._rows = rows
+        self._journal = journal
+        self._cost = cost
+        self._written = time.monotonic()
+        self._is_stale = False
+
+    def refresh(self) -> None:
+        """Write it unless that was done a moment ago: the rows have changed."""
+        self._is_stale = True
+        if self._due() <= 0:
+            self.write()
+
+    def tend(self) -> float | None:
+        """Write it where it is stale and the time has come, while a run or a wait lasts.
+
+        Returns:
+            in how many seconds the time comes; None where there is nothing to write.
+        """
+        if not self._is_stale or self._cost > _MOST_COST_IN_RUN:
+            return None
+        if (due := self._due()) > 0:
+            return due
+        with suppress(StorageError):  # said when the run has ended: it is not to fail for this
+            self.write()
+        return None
+
+    def bring_up_to_date(self) -> None:
+        """Write it if it is stale."""
+        if self._is_stale:
+            self.write()
+
+    def write(self) -> None:
+        """Write it.
+
+        Raises:
+            StorageError: it cannot be written.
+        """
+        started = time.monotonic()
+        digest = write_run_table(self._path, self._rows)
+        # After the rename: a run that is in the table and not yet known to be is taken from the journal once more.
+        self._journal.append("table_written", sha256=digest)
+        self._written = time.monotonic()
+        self._cost = self._written - started
+        self._is_stale = False
+
+    def _due(self) -> float:
+        return self._written + self._cost / _SHARE - time.monotonic()

@@ -1,0 +1,145 @@
+"""The hosts of a config: how each is reached, what is fetched from it, when it is started anew."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import ConfigError, Finding, LinkError
+from robot_runner.core.links.host import LOCAL
+from robot_runner.core.links.ssh_host import checked_destination, ssh_findings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from robot_runner.core.events.condition import Condition
+
+__all__ = ["Host", "Reboot", "are_hosts", "host_findings", "named_hosts"]
+
+#: A host's name names a folder in each run's folder.
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+_LOCAL = frozenset({LOCAL, "local"})
+_MEGABYTE = 1_000_000
+
+
+class Reboot(Enum):
+    """When a host is started anew: never, before the first run, where a block begins, or before each run."""
+
+    NEVER = "never"
+    ONCE = "once"
+    PER_BLOCK = "per_block"
+    PER_RUN = "per_run"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Host:
+    """A computer that takes part in an experiment: `context.host(name)` executes commands there.
+
+    Attributes:
+        address: `"local"` for this machine; any other as for ssh: `"robot"`, `"pi@robot"`, `"ssh://pi@robot:2222"`.
+        ssh_config: a file to take the place of your ssh config; relative to where the program is started.
+        fetch: files that are results: fetched when a run stops, whether it went well or not.
+        fetch_within_s: how long that may take, s; after a failure no longer than the config's `grace_in_s` leaves.
+        largest_fetch_mb: how much may come of one run, in millions of bytes.
+        reboot: when it is started anew.
+        reboot_command: what starts it anew there.
+        back_within_s: how long it may take until it answers again, s.
+        ready: what must hold, beyond that it answers, before the next run begins.
+
+    Raises:
+        ConfigError: a value is not well formed; all of them are told.
+
+    Example:
+        >>> Host(address="pi@robot", fetch=["~/.ros/log/latest/*.log"]).is_local
+        False
+    """
+
+    address: str
+    ssh_config: Path | None = None
+    fetch: tuple[str, ...] = ()
+    fetch_within_s: float = 60.0
+    largest_fetch_mb: float = 1000.0
+    reboot: Reboot = Reboot.NEVER
+    reboot_command: str = "sudo -n reboot"
+    back_within_s: float = 300.0
+    ready: Condition | None = field(default=None)
+
+    def __post_init__(self) -> None:
+        set_to = object.__setattr__
+        set_to(self, "fetch", (self.fetch,) if isinstance(self.fetch, str) else tuple(self.fetch))
+        set_to(self, "ssh_config", None if self.ssh_config is None else Path(self.ssh_config).expanduser())
+        findings = list(self._findings())
+        if findings:
+            raise ConfigError.of_findings(findings)
+
+    @property
+    def is_local(self) -> bool:
+        """Whether it is this machine."""
+        return self.address in _LOCAL
+
+    @property
+    def most_bytes(self) -> int:
+        """How many bytes may be fetched of one run."""
+        return int(self.largest_fetch_mb * _MEGABYTE)
+
+    def _findings(self) -> Iterator[Finding]:
+        where = f"Host({self.address!r})"
+        try:
+            checked_destination(self.address)
+        except LinkError as error:
+            yield Finding.error(where, error.problem, error.fix)
+        for name in ("fetch_within_s", "largest_fetch_mb", "back_within_s"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < float("inf"):
+                yield Finding.error(where, f"{name} is {value!r}", f"Give {name} a number above 0.")
+        for pattern in self.fetch:
+            if not isinstance(pattern, str) or not pattern.startswith(("/", "~/")) or "\0" in pattern:
+                yield Finding.error(
+                    where, f"fetch names {pattern!r}", "Begin the path with '/' or, for the home folder there, '~/'."
+                )
+        if not isinstance(self.reboot, Reboot):
+            kinds = ", ".join(f"Reboot.{each.name}" for each in Reboot)
+            yield Finding.error(where, f"reboot is {self.reboot!r}", f"Give one of {kinds}.")
+        elif self.reboot is not Reboot.NEVER and self.is_local:
+            fix = "Leave reboot out: this machine executes the experiment."
+            yield Finding.error(where, f"reboot is Reboot.{self.reboot.name} for this machine", fix)
+
+
+def are_hosts(value: Any) -> bool:
+    """Whether a value can be the config's `hosts`: names with addresses or `Host(...)`."""
+    return isinstance(value, Mapping) and all(
+        isinstance(name, str) and _NAME.fullmatch(name) is not None and (isinstance(each, Host) or _is_address(each))
+        for name, each in value.items()
+    )
+
+
+def _is_address(value: Any) -> bool:
+    try:
+        return isinstance(value, str) and checked_destination(value) == value
+    except LinkError:
+        return False
+
+
+def named_hosts(value: Mapping[str, str | Host]) -> dict[str, Host]:
+    """Return well-formed hosts by name, each as a `Host`."""
+    return {name: each if isinstance(each, Host) else Host(address=each) for name, each in value.items()}
+
+
+def host_findings(where: str, name: str, host: Host, robot: str | None) -> list[Finding]:
+    """Return what stands in the way of a host: it is tried, and changes nothing there.
+
+    Args:
+        where: of the config.
+        name: the host's.
+        host: what is declared of it.
+        robot: how the robot is to be reached, for the condition that it is to be ready.
+    """
+    place = f"{where}.hosts[{name!r}]"
+    found = [] if host.is_local else ssh_findings(place, host.address, config=host.ssh_config)
+    if host.ready is not None:
+        found += host.ready.check(robot)
+    return found

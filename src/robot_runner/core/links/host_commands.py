@@ -1,0 +1,243 @@
+"""Commands, copies and fetching on a host, here or over ssh: one way for both, but for what starts the shell."""
+
+from __future__ import annotations
+
+import shlex
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import TYPE_CHECKING, Protocol
+
+from robot_runner.core.errors import CommandError, LinkError, did_you_mean
+from robot_runner.core.events.host_access import CommandResult
+from robot_runner.core.links.archived_files import TAR_MARGIN, Unpacked, pack, unpack
+from robot_runner.core.links.host_program import Program, last_lines, shell_path, shortened
+from robot_runner.core.links.kept_connection import KeptConnection
+from robot_runner.core.words import shown_duration
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.links.declared_host import Host
+    from robot_runner.core.links.host_program import Ended
+
+__all__ = ["DeclaredHosts", "HostCommands", "Shell", "open_shell"]
+
+_LAST_LINES = 5
+#: What ssh itself ends with where the connection fails; a command may do so, too.
+_SSH_FAILED = 255
+#: What a fetching shell ends with where nothing matches.
+_NOTHING = 66
+
+# The command gets a session of its own, where the host can do that, so that it is ended with all that it started once
+# our end of the input is closed: at the deadline, and when this process, or the connection, is gone.
+_SUPERVISE = """\
+s=; command -v setsid >/dev/null 2>&1 && s=setsid
+cd "$HOME" 2>/dev/null
+exec 3<&0
+$s sh -c "$1" </dev/null 3<&- & job=$!
+{ while read -r _; do :; done; trap '' TERM
+kill -TERM "-$job" || kill -TERM "$job"; sleep 1
+kill -KILL "-$job" || kill -KILL "$job"; } <&3 >/dev/null 2>&1 &
+watch=$!
+exec 3<&- 2>/dev/null
+wait "$job"; status=$?
+kill "$watch" 2>/dev/null
+exit "$status"
+"""
+# Names are made relative to the root folder, so that tar has nothing to strip, and no name looks like an option.
+_ARCHIVE = """\
+set -- {pattern}
+[ -e "$1" ] || [ -L "$1" ] || exit {nothing}
+for f do shift; set -- "$@" ".$f"; done
+cd / && exec tar -cf - "$@"
+"""
+
+
+class Shell(Protocol):
+    """What starts a shell on a host."""
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the host answers, as far as is known here."""
+        ...
+
+    def command(self, remote: str, *, within_s: float) -> list[str]:
+        """Return the command line that has the host's login shell execute `remote`, connected within so many s."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the host; closing twice does nothing."""
+        ...
+
+
+class _LocalShell:
+    is_alive = True
+
+    def command(self, remote: str, *, within_s: float) -> list[str]:
+        del within_s
+        return ["/bin/sh", "-c", remote]
+
+    def close(self) -> None:
+        pass
+
+
+def open_shell(host: Host) -> Shell:
+    """Return what starts a shell on a host; nothing is connected before it is needed."""
+    return _LocalShell() if host.is_local else KeptConnection(host.address, host.ssh_config)
+
+
+@dataclass(frozen=True, slots=True)
+class DeclaredHosts:
+    """The hosts of a config, as a run's context opens them."""
+
+    hosts: Mapping[str, Host]
+
+    def open(self, name: str, context: RobotRunnerContext) -> HostCommands:
+        """Return the host of this name; all who ask in a run share its connection.
+
+        Raises:
+            LinkError: the config names no such host; the nearest is named.
+        """
+        host = self.hosts.get(name)
+        if host is None:
+            fix = did_you_mean(name, self.hosts) or f"Name it in the config: hosts = {{{name!r}: 'pi@robot'}}."
+            raise LinkError(f"there is no host {name!r}", where="hosts", fix=fix)
+        shell = context.resources.open(f"shell on {name}", lambda: open_shell(host))
+        return HostCommands(name, host, shell, context)
+
+
+class HostCommands:
+    """A host in a run; see `HostAccess`.
+
+    Args:
+        name: as the config has it.
+        host: what is declared of it.
+        shell: shared by all who ask for it in the run.
+        context: of whoever asks.
+    """
+
+    def __init__(self, name: str, host: Host, shell: Shell, context: RobotRunnerContext) -> None:
+        self.shell = shell
+        self._name = name
+        self._host = host
+        self._context = context
+
+    def run(self, command: str | Sequence[str], *, timeout_s: float = 60.0, check: bool = True) -> CommandResult:
+        """Execute a command to its end; see `HostAccess.run`."""
+        text = command if isinstance(command, str) else shlex.join(command)
+        program = Program(self._line(timeout_s, _SUPERVISE, text), has_lifeline=True)
+        ended = program.follow(timeout_s)
+        result = CommandResult(text, ended.exit_status, ended.output, ended.errors, ended.seconds)
+        self._keep(result, is_in_time=ended.is_in_time)
+        if not ended.is_in_time:
+            raise self._failed(result, f"did not end within {timeout_s:g} s")
+        self._refuse_lost(ended, f"while {shortened(text)!r} was executed")
+        if check and not result.is_success:
+            raise self._failed(result, f"ended with exit status {result.exit_status}")
+        return result
+
+    def copy_to(self, source: Path | str, destination: str, *, timeout_s: float = 60.0) -> None:
+        """Copy a file or a folder to the host; see `HostAccess.copy_to`."""
+        local = Path(source)
+        if not local.exists():
+            raise LinkError(
+                f"there is no {local} to copy", where=self._name, fix="Name a file or folder that is there."
+            )
+        above, _, name = destination.rstrip("/").rpartition("/")
+        if not destination.startswith(("/", "~/")) or name in {"", "~", ".", ".."}:
+            fix = "Give the whole path that it is to have there: '/...', or '~/...' in the home folder."
+            raise LinkError(f"{destination!r} names no file", where=self._name, fix=fix)
+        folder = shell_path(f"{above}/")
+        script = f"mkdir -p {folder} && cd {folder} && rm -rf {shlex.quote(f'./{name}')} && exec tar -xf -"
+        with TemporaryFile() as archive:
+            pack(local, name, archive)
+            ended = Program(self._line(timeout_s, script), source=archive).follow(timeout_s)
+        self._refuse_lost(ended, f"while {local} was copied")
+        if ended.exit_status or not ended.is_in_time:
+            why = last_lines(ended.errors, 1) if ended.is_in_time else f"it took longer than {timeout_s:g} s"
+            raise LinkError(
+                f"{local} was not copied to {destination}: {why}",
+                where=self._name,
+                fix="Look at the path, the permissions and the room there.",
+            )
+
+    def fetch(self, *patterns: str, timeout_s: float = 60.0) -> list[Path]:
+        """Fetch files into the run's folder; see `HostAccess.fetch`."""
+        deadline, left = time.monotonic() + timeout_s, self._host.most_bytes
+        came: list[Path] = []
+        for pattern in patterns:
+            seconds = deadline - time.monotonic()
+            if seconds <= 0:
+                self._warn(f"{pattern} was not fetched: {timeout_s:g} s were over", "Allow it more time.")
+                continue
+            found = self._fetched(pattern, seconds, left)
+            left -= found.size
+            came += found.files
+        return came
+
+    def _fetched(self, pattern: str, seconds: float, most: int) -> Unpacked:
+        folder = self._folder
+        script = _ARCHIVE.format(pattern=shell_path(pattern, is_pattern=True), nothing=_NOTHING)
+        with TemporaryFile(dir=folder.parent) as archive:
+            ended = Program(self._line(seconds, script), target=archive, most=most + TAR_MARGIN).follow(seconds)
+            self._refuse_lost(ended, f"while {pattern} was fetched")
+            if ended.exit_status == _NOTHING:
+                self._warn(f"there is no {pattern} to fetch", "Look at the path, and at what was to write it.")
+                return Unpacked()
+            archive.seek(0)
+            unpacked = unpack(archive, folder, most)
+        for problem in unpacked.problems:
+            self._warn(f"of {pattern}, {problem}", "Fetch it by hand if it is needed.")
+        if ended.is_too_much or unpacked.is_too_much:
+            limit = f"{self._host.largest_fetch_mb:g} MB"
+            self._warn(f"{pattern} was not fetched whole: it is more than {limit}", "Raise largest_fetch_mb.")
+        elif not ended.is_in_time:
+            self._warn(f"{pattern} was not fetched whole within {seconds:.3g} s", "Allow it more time.")
+        elif ended.exit_status:
+            self._warn(f"{pattern} was not fetched whole: {last_lines(ended.errors, 1)}", "Look at its permissions.")
+        return unpacked
+
+    @property
+    def _folder(self) -> Path:
+        folder = self._context.run_folder / self._name
+        folder.mkdir(exist_ok=True)
+        return folder
+
+    def _line(self, seconds: float, program: str, *arguments: str) -> list[str]:
+        # To the login shell, whichever that is, this is `sh` with quoted words.
+        remote = shlex.join(["sh", "-c", program, "robot-runner", *arguments])
+        return self.shell.command(remote, within_s=seconds)
+
+    def _warn(self, problem: str, fix: str) -> None:
+        self._context.warn(f"host {self._name}: {problem}", fix=fix)
+
+    def _keep(self, result: CommandResult, *, is_in_time: bool) -> None:
+        """Append a command and what it wrote to the host's log of the run."""
+        how = f"exit status {result.exit_status}" if is_in_time else "it did not end in time, and was ended"
+        text = f"$ {result.command}\n{_whole_lines(result.output)}{_whole_lines(result.errors)}"
+        with (self._folder / "commands.log").open("a", encoding="utf-8", errors="backslashreplace") as file:
+            file.write(f"{text}[{how}, {shown_duration(result.seconds)}]\n")
+
+    def _refuse_lost(self, ended: Ended, meanwhile: str) -> None:
+        if ended.exit_status == _SSH_FAILED and not self.shell.is_alive:
+            said = last_lines(ended.errors, 1)
+            raise LinkError(
+                f"the connection was lost {meanwhile}{f': {said}' if said else ''}",
+                where=self._name,
+                fix="Look whether it is switched on, and at the network.",
+            )
+
+    def _failed(self, result: CommandResult, how: str) -> CommandError:
+        said = last_lines(result.errors or result.output, _LAST_LINES)
+        return CommandError(
+            f"{shortened(result.command)!r} {how}{f': {said}' if said else ''}",
+            where=self._name,
+            fix="Look at commands.log in the host's folder of the run, or allow it more time (timeout_s).",
+        )
+
+
+def _whole_lines(text: str) -> str:
+    return text if not text or text.endswith("\n") else f"{text}\n"

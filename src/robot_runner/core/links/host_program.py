@@ -1,0 +1,186 @@
+"""A program that is followed to its end: its output, its deadline, and how much of it there may be."""
+
+from __future__ import annotations
+
+import os
+import selectors
+import signal
+import subprocess
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import IO, TYPE_CHECKING
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.words import one_line
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["Ended", "Program", "last_lines", "shell_path", "shortened"]
+
+#: As much is kept in memory of what a program writes, each to its output and its errors.
+_KEPT = 16_000_000
+_CHUNK = 65536
+#: How often the size of what goes to a file is looked at, and whether the program has ended, s.
+_LOOK = 0.1
+#: How long a program may take to end once it is told to, s, before it is killed.
+_GRACE = 3.0
+_SHOWN = 60
+#: What a shell expands in a pattern; everything else is quoted.
+_PATTERN = frozenset("*?[]")
+
+
+def shell_path(path: str, *, is_pattern: bool = False) -> str:
+    r"""Return a path as one word of the shell, with the home folder for `~/`.
+
+    Example:
+        >>> shell_path("~/my logs/*.log", is_pattern=True)
+        '"$HOME"/my\\\\ logs/*.log'
+    """
+    home, rest = ('"$HOME"/', path[2:]) if path.startswith("~/") else ("", path)
+    kept = _PATTERN if is_pattern else frozenset()
+    return home + "".join(
+        each if each.isalnum() or each in "/._-" or each in kept else f"\\{each}" if each != "\n" else "'\n'"
+        for each in rest
+    )
+
+
+def last_lines(text: str, count: int) -> str:
+    """Return the last lines that a program wrote, on one line."""
+    return one_line(" / ".join(line.strip() for line in text.strip().splitlines()[-count:]))
+
+
+def shortened(command: str) -> str:
+    """Return a command on one line, as much of it as an error tells."""
+    line = one_line(command.strip())
+    return line if len(line) <= _SHOWN else f"{line[: _SHOWN - 1]}…"
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How a program ended.
+
+    Attributes:
+        is_in_time: whether it ended by itself before its deadline.
+        is_too_much: whether it was ended as it wrote more than it may.
+    """
+
+    exit_status: int
+    output: str
+    errors: str
+    seconds: float
+    is_in_time: bool = True
+    is_too_much: bool = False
+
+
+class Program:
+    """A program in a session of its own; whatever ends `follow` ends the program.
+
+    Args:
+        line: program and arguments.
+        source: what it reads.
+        target: takes its output, instead of memory.
+        most: how many bytes of output there may be.
+        has_lifeline: whether it reads an input that is closed when it is to end.
+
+    Raises:
+        LinkError: it cannot be started.
+    """
+
+    def __init__(
+        self,
+        line: Sequence[str],
+        *,
+        source: IO[bytes] | None = None,
+        target: IO[bytes] | None = None,
+        most: int = _KEPT,
+        has_lifeline: bool = False,
+    ) -> None:
+        self._target = target
+        self._most = most
+        self._kept: dict[int, bytearray] = {}
+        self._started = time.monotonic()
+        try:
+            self._process = subprocess.Popen(  # noqa: S603 - an argument list
+                list(line),
+                stdin=subprocess.PIPE if has_lifeline else source or subprocess.DEVNULL,
+                stdout=target or subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise LinkError(
+                f"{line[0]} cannot be started: {error}", where="host", fix="Install it, or mend the PATH."
+            ) from error
+
+    def follow(self, timeout_s: float) -> Ended:
+        """Take what it writes until it ends, and end it where it takes too long or writes too much."""
+        process = self._process
+        streams = [each for each in (process.stdout, process.stderr) if each is not None]
+        self._kept = {each.fileno(): bytearray() for each in streams}
+        both = (process.stdout, process.stderr)
+        output, errors = (self._kept[each.fileno()] if each is not None else bytearray() for each in both)
+        with selectors.DefaultSelector() as selector:
+            for each in streams:
+                selector.register(each, selectors.EVENT_READ)
+            try:
+                is_in_time = self._take_until(self._started + timeout_s, selector)
+                is_too_much = self._is_too_much()
+                if not is_in_time or is_too_much:
+                    self._close_lifeline()
+                    self._take_until(time.monotonic() + _GRACE if process.stdin else 0.0, selector, most=None)
+            finally:
+                self._end()
+        return Ended(
+            process.returncode,
+            output.decode(errors="backslashreplace"),
+            errors.decode(errors="backslashreplace"),
+            time.monotonic() - self._started,
+            is_in_time,
+            is_too_much,
+        )
+
+    def _take_until(self, deadline: float, selector: selectors.BaseSelector, most: int | None = 0) -> bool:
+        """Return whether it ended before the deadline; it is left alone where it writes too much."""
+        while True:
+            left = deadline - time.monotonic()
+            has_ended = self._process.poll() is not None
+            ready = selector.select(0 if has_ended else max(0.0, min(left, _LOOK))) if selector.get_map() else []
+            for key, _ in ready:
+                self._take(key.fd, key.fileobj, selector)
+            if has_ended and not ready:  # what it left behind may hold its output open: nobody waits for that
+                return True
+            if not selector.get_map() and not has_ended:
+                with suppress(subprocess.TimeoutExpired):
+                    self._process.wait(max(0.0, min(left, _LOOK)))
+            if most is not None and self._is_too_much():
+                return True
+            if left <= 0 and not has_ended:
+                return False
+
+    def _take(self, descriptor: int, stream: object, selector: selectors.BaseSelector) -> None:
+        data = os.read(descriptor, _CHUNK)
+        if not data:
+            selector.unregister(stream)  # type: ignore[arg-type] # what was registered
+            return
+        kept = self._kept[descriptor]
+        kept += data[: max(0, _KEPT - len(kept))]
+
+    def _is_too_much(self) -> bool:
+        return self._target is not None and os.fstat(self._target.fileno()).st_size > self._most
+
+    def _close_lifeline(self) -> None:
+        if self._process.stdin is not None:
+            with suppress(OSError):
+                self._process.stdin.close()
+
+    def _end(self) -> None:
+        self._close_lifeline()
+        if self._process.poll() is None:
+            with suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+        for each in (self._process.stdout, self._process.stderr):
+            if each is not None:
+                each.close()

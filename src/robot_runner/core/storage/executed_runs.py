@@ -1,0 +1,80 @@
+"""Which runs were executed, and in which order, as the journal tells it."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from typing import TYPE_CHECKING
+
+from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.words import counted, listed
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+__all__ = ["done_runs", "executed_order", "moved_in_words", "moved_runs"]
+
+
+def done_runs(journal: Path) -> set[str]:
+    """Return the ids of the runs whose last attempt was done.
+
+    Raises:
+        StorageError: the journal cannot be read.
+    """
+    last = {record["run"]: record["status"] for record in read_journal(journal, kinds={"attempt_finished"})}
+    return {run_id for run_id, status in last.items() if status == "done"}
+
+
+def executed_order(journal: Path) -> list[str]:
+    """Return the ids of the runs that were begun, in the order in which the last attempt at each was.
+
+    Raises:
+        StorageError: the journal cannot be read.
+    """
+    last: dict[str, None] = {}
+    for record in read_journal(journal, kinds={"attempt_started"}):
+        last.pop(record["run"], None)
+        last[record["run"]] = None
+    return list(last)
+
+
+def moved_runs(table: Sequence[str], executed: Sequence[str]) -> tuple[str, ...]:
+    """Return the fewest runs that had to change places for the table's order to become the one that was executed.
+
+    Args:
+        table: the ids of all runs, in the order of the run table.
+        executed: the ids of those that were executed, in that order; ids that the table lacks are passed over.
+
+    Example:
+        >>> moved_runs(["r_1", "r_2", "r_3", "r_4"], ["r_3", "r_1", "r_2"])
+        ('r_3',)
+    """
+    place_of = {run_id: place for place, run_id in enumerate(table)}
+    places = [place_of[run_id] for run_id in executed if run_id in place_of]
+    # The longest part that ascends stayed where it was (patience sorting: Aldous and Diaconis 1999, section 2).
+    tops: list[int] = []
+    depth: list[int] = []
+    for place in places:
+        pile = bisect_left(tops, place)
+        tops[pile : pile + 1] = [place]
+        depth.append(pile)
+    stayed: set[int] = set()
+    wanted = len(tops) - 1
+    for place, pile in zip(reversed(places), reversed(depth), strict=True):
+        if pile == wanted:
+            stayed.add(place)
+            wanted -= 1
+    return tuple(table[place] for place in places if place not in stayed)
+
+
+def moved_in_words(moved: Sequence[str], executed: Sequence[str]) -> str:
+    """Say how many runs were executed out of the table's order; nothing where none was.
+
+    Example:
+        >>> moved_in_words(["r_3"], ["r_3", "r_1", "r_2"])
+        '1 of the 3 runs that were executed came out of this order: r_3'
+    """
+    if not moved:
+        return ""
+    runs = counted(len(executed), "run")
+    return f"{len(moved):,} of the {runs} that were executed came out of this order: {listed(moved)}"

@@ -1,0 +1,163 @@
+"""What the journal has of one run: its attempts, what it waited for, and what people changed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.storage.excluded_runs import EXCLUSION_KINDS, ExcludedRuns
+from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.words import shown_commit, shown_duration
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+    from typing import Self
+
+__all__ = ["RunHistory"]
+
+#: What the runs that follow have in common.
+_OF_EXECUTION = "experiment_started"
+
+
+@dataclass(slots=True)
+class RunHistory:
+    """What the journal has of one run.
+
+    Attributes:
+        attempt: the number of the last attempt; 0 where there was none.
+        started_at, finished_at: of the last attempt (UTC).
+        measures: what it published: a mapping with `value`, `owner`, `origin` for each.
+        clocks: when its events were emitted, s on the run's clock.
+        doubts: what the owners of measures found odd about their samples, by owner.
+        hosts: other computers that were measured, with the offsets of their clocks.
+        failures: why earlier attempts failed, by number.
+        bound: plugin, parameter, factor and value of each parameter that was bound to a factor.
+        readers: who read the treatment of each factor.
+        stopped: who stopped the mission, and why; empty where nobody did.
+        excluded: whether, when and why the run was left out.
+        corrections: each time that it was excluded or included.
+        waits: what was awaited before and in the last attempt, and which guards came true in it.
+        waited: how long that took in all, s.
+        gate_of: the attempt before which a gate was awaited last.
+        commit: of the config's repository.
+        subjects: software under test, with its command and where its output is.
+    """
+
+    attempt: int = 0
+    started_at: str | None = None
+    finished_at: str | None = None
+    measures: dict[str, dict[str, Any]] = field(default_factory=dict)
+    clocks: dict[str, float] = field(default_factory=dict)
+    doubts: dict[str, list[str]] = field(default_factory=dict)
+    hosts: list[str] = field(default_factory=list)
+    failures: dict[int, str] = field(default_factory=dict)
+    bound: list[tuple[str, str, str, Any]] = field(default_factory=list)
+    readers: dict[str, list[str]] | None = None
+    stopped: str = ""
+    excluded: ExcludedRuns = field(default_factory=ExcludedRuns)
+    corrections: list[str] = field(default_factory=list)
+    waits: list[tuple[str, str]] = field(default_factory=list)
+    waited: float = 0.0
+    gate_of: int = 0
+    commit: str = ""
+    subjects: list[str] = field(default_factory=list)
+
+    @classmethod
+    def read(cls, journal: Path, run_id: str) -> Self:
+        """Read what the journal has of a run; a journal that does not exist has nothing.
+
+        Raises:
+            StorageError: it cannot be read.
+        """
+        history = cls()
+        commit = ""
+        for record in read_journal(journal, kinds={*_TAKEN_BY, _OF_EXECUTION}):
+            if record["kind"] == _OF_EXECUTION:
+                commit = shown_commit(record.get("repository"))
+            elif record.get("run") == run_id:
+                history.take(record)
+                history.commit = commit
+        return history
+
+    def take(self, record: dict[str, Any]) -> None:
+        """Take one record of the run into account."""
+        _TAKEN_BY[record["kind"]](self, record)
+
+    def _begin(self, record: dict[str, Any]) -> None:
+        if self.gate_of != record["attempt"]:  # else the gates before it belong to it
+            self.waits, self.waited = [], 0.0
+        self.attempt, self.started_at, self.finished_at = int(record["attempt"]), record["at"], None
+        self.measures, self.clocks, self.doubts, self.hosts = {}, {}, {}, []
+        self.bound, self.readers, self.stopped, self.subjects = [], None, "", []
+
+    def _end(self, record: dict[str, Any]) -> None:
+        self.finished_at = record["at"]
+        self.measures = record["measures"]
+        self.readers = record.get("readers")
+        if record.get("failure"):
+            self.failures[self.attempt] = str(record["failure"])
+
+    def _take_event(self, record: dict[str, Any]) -> None:
+        if isinstance(record.get("clock"), int | float):
+            self.clocks[str(record["event"])] = float(record["clock"])
+
+    def _take_finding(self, record: dict[str, Any]) -> None:
+        self.doubts.setdefault(str(record.get("owner")), []).append(str(record["problem"]))
+
+    def _take_stop(self, record: dict[str, Any]) -> None:
+        self.stopped = f"stopped by {record.get('owner')}: {record.get('reason')}"
+
+    def _take_subject(self, record: dict[str, Any]) -> None:
+        if "command" in record:
+            command = " ".join(map(str, record["command"]))
+            on = f" on {record['host']}" if record.get("host") else ""
+            self.subjects.append(f"{record.get('owner')}{on}: {command} (output in {record.get('output')})")
+
+    def _take_bound(self, record: dict[str, Any]) -> None:
+        each = record["parameters"].items()
+        self.bound += [(record["owner"], name, bound["factor"], bound["value"]) for name, bound in each]
+
+    def _take_clock(self, record: dict[str, Any]) -> None:
+        offset = (record.get("before") or record.get("after") or {}).get("wall_offset")
+        told = f", its clock {offset:+.6f} s to ours" if isinstance(offset, int | float) else ""
+        self.hosts.append(f"{record.get('host')} (measured by {record.get('owner')}{told})")
+
+    def _take_correction(self, record: dict[str, Any]) -> None:
+        self.excluded.take(record)
+        if record["kind"] == "deviation":
+            told = f"{record['column']} was changed by hand from {record['was']!r} to {record['is']!r}"
+        else:
+            told = f"{record['kind']}{f': {reason}' if (reason := record.get('reason')) else ''}"
+        self.corrections.append(f"{record['at']}, {told}")
+
+    def _take_wait(self, record: dict[str, Any]) -> None:
+        if record["kind"] == "guard":
+            self.waits.append(("Guard", f"{record['action']}: {record['problem']}"))
+            return
+        state = record.get("state") or ("open" if record["holds"] else "timed out")
+        if record["kind"] == "gate" and self.gate_of != record["attempt"]:
+            self.gate_of, self.waits, self.waited = record["attempt"], [], 0.0
+        if state == "waiting":
+            return
+        self.waited += float(record["seconds"])
+        seen = f": {record['seen']}" if record["seen"] else ""
+        who = "gate" if record["kind"] == "gate" else f"{record['owner']}"
+        how = "" if state == "open" else f", {state}"
+        lasted = shown_duration(float(record["seconds"]))
+        self.waits.append(("Waited", f"{who}, {lasted} until {record['condition']}{how}{seen}"))
+
+
+# ruff: noqa: SLF001 - the methods of the class above
+_TAKEN_BY: dict[str, Callable[[RunHistory, dict[str, Any]], None]] = {
+    "attempt_started": RunHistory._begin,
+    "attempt_finished": RunHistory._end,
+    "event": RunHistory._take_event,
+    **dict.fromkeys(EXCLUSION_KINDS, RunHistory._take_correction),
+    "finding": RunHistory._take_finding,
+    "mission_stopped": RunHistory._take_stop,
+    **dict.fromkeys(("gate", "waited", "guard"), RunHistory._take_wait),
+    "subject": RunHistory._take_subject,
+    "bound": RunHistory._take_bound,
+    "clock": RunHistory._take_clock,
+}

@@ -1,0 +1,141 @@
+"""What holds for every condition, as tests for its author to inherit."""
+
+from __future__ import annotations
+
+import threading
+import time
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, ClassVar
+
+from robot_runner.core.errors import ConditionTimeout, Finding
+from robot_runner.core.events.condition import Condition, Look
+from robot_runner.core.links.connect import SIMULATED
+from robot_runner.testing.fake_run import FakeClock, make_context
+from robot_runner.testing.plugin_contract import require
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from robot_runner.core.events.condition import LookAgain
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.testing.fake_run import FakeLinks
+
+__all__ = ["ConditionContract"]
+
+#: How long beginning to watch may take, s: a run must not be held up by it.
+_SOON = 20.0
+#: How long what holds, or is to hold, is awaited, s of the condition's clock.
+_PATIENCE = 30.0
+#: How long a condition that does not hold is awaited, s of its clock.
+_IN_VAIN = 0.3
+
+
+class ConditionContract:
+    """The facts that a condition must keep to; pytest finds them in a subclass whose name begins with `Test`.
+
+    Attributes:
+        robot: how the robot is reached in the tests.
+
+    Example:
+        >>> from robot_runner import text_in
+        >>> from robot_runner.testing import ConditionContract
+        >>> class TestTextIn(ConditionContract):
+        ...     robot = None
+        ...     def make_condition(self):
+        ...         return text_in("server.txt", "ready")
+        ...     def make_it_hold(self, context):
+        ...         (context.run_folder / "server.txt").write_text("ready")
+    """
+
+    robot: ClassVar[str | None] = SIMULATED
+
+    def make_condition(self) -> Condition:
+        """Return a condition, the same at each call; for the author to write."""
+        raise NotImplementedError
+
+    def make_it_hold(self, context: RobotRunnerContext) -> None:
+        """Bring about what the condition asks for; it must not hold before."""
+        raise NotImplementedError
+
+    def make_links(self, clock: FakeClock) -> FakeLinks | None:
+        """Return what stands in for the robot's links; None, as here, uses the robot that `robot` names."""
+        del clock
+        return None
+
+    @contextmanager
+    def run(self, folder: Path) -> Iterator[RobotRunnerContext]:
+        """Open a run; what it has opened is closed with it."""
+        clock = FakeClock()
+        links = self.make_links(clock)
+        context = make_context(folder, robot=self.robot, links=links, clock=clock if links is not None else None)
+        try:
+            yield context
+        finally:
+            context.resources.close()
+
+    def test_it_says_what_is_to_hold_in_one_line(self) -> None:
+        """Hold that it completes the sentence "waiting until ..."."""
+        said = str(self.make_condition())
+        require(said.strip() and "\n" not in said, f"the condition says {said!r}: write __str__, one line")
+        require(not said.endswith("."), f"{said!r} ends a sentence; it has to stand in the middle of one")
+
+    def test_its_check_speaks_in_findings(self) -> None:
+        """Hold that validation finds nothing wrong where it works, and says what to do elsewhere."""
+        errors = [str(finding) for finding in self.make_condition().check(self.robot) if finding.is_error]
+        require(not errors, f"the condition's check refuses the circumstances of these tests: {errors}")
+        for finding in self.make_condition().check(None):
+            require(isinstance(finding, Finding), f"the condition's check returned {finding!r}, which is no Finding")
+            require(finding.fix or not finding.is_error, f"a finding offers no fix: {finding}")
+
+    def test_it_holds_once_what_it_asks_for_is_there(self, tmp_path: Path) -> None:
+        """Hold that it does not hold before, and is waited for no longer than that."""
+        with self.run(tmp_path) as context, ExitStack() as opened:
+            condition = self.make_condition()
+            look = self._watched(condition, context, opened)()
+            require(isinstance(look, Look), f"a look returned {look!r}, which is no Look")
+            require(not look.holds, f"it holds that {condition} before it was made to: {look.seen}")
+            require("\n" not in look.seen, f"what was seen has several lines: {look.seen!r}")
+            self.make_it_hold(context)
+            require(condition.wait(context, timeout_s=_PATIENCE).holds, f"it does not hold that {condition}")
+
+    def test_a_wait_in_vain_tells_what_was_awaited(self, tmp_path: Path) -> None:
+        """Hold that a wait ends after its time."""
+        with self.run(tmp_path) as context:
+            condition = self.make_condition()
+            try:
+                condition.wait(context, timeout_s=_IN_VAIN)
+            except ConditionTimeout as error:
+                require(str(condition) in error.problem, f"the error does not say what was awaited: {error}")
+            else:
+                raise AssertionError(f"it holds that {condition} although nobody made it hold")
+
+    def test_two_watches_know_nothing_of_each_other(self, tmp_path: Path) -> None:
+        """Hold that one object can be used in several runs at once: what a look needs belongs to one watch."""
+        with self.run(tmp_path / "one") as first, self.run(tmp_path / "other") as second, ExitStack() as opened:
+            condition = self.make_condition()
+            before = dict(vars(condition)) if hasattr(condition, "__dict__") else {}
+            look = self._watched(condition, second, opened)
+            self._watched(condition, first, opened)()
+            require(not look().holds, f"it holds that {condition} in a run in which nobody made it hold")
+            after = dict(vars(condition)) if hasattr(condition, "__dict__") else {}
+            require(before == after, "watching changed the condition: keep what a look needs in `watch`")
+
+    def test_what_was_opened_is_closed(self, tmp_path: Path) -> None:
+        """Hold that no thread goes on once the watching and the run have ended."""
+        before = set(threading.enumerate())
+        with self.run(tmp_path) as context, ExitStack() as opened:
+            self._watched(self.make_condition(), context, opened)()
+        deadline = time.monotonic() + _SOON
+        while (left := set(threading.enumerate()) - before) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        require(
+            not left, f"these threads go on: {sorted(thread.name for thread in left)}; close with `opened.callback`"
+        )
+
+    @staticmethod
+    def _watched(condition: Condition, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
+        began = time.monotonic()
+        look_again = condition.watch(context, opened)
+        require(time.monotonic() - began < _SOON, "watch() takes long: it is to begin, and not to wait")
+        return look_again

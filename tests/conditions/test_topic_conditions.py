@@ -1,0 +1,150 @@
+"""Conditions of the simulated robot's graph and topics, awaited on its clock."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+import pytest
+
+from robot_runner import (
+    ConditionError,
+    battery_above,
+    battery_below,
+    message_on,
+    node_present,
+    service_present,
+    topic_above,
+    topic_present,
+)
+from robot_runner.core.errors import LinkError
+from robot_runner.plugins import connect_robot
+from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, make_context
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from robot_runner import Condition, RobotRunnerContext
+
+BATTERY = "sensor_msgs/BatteryState"
+ODOMETRY = "nav_msgs/Odometry"
+
+
+@pytest.fixture
+def simulated(tmp_path: Path) -> Iterator[RobotRunnerContext]:
+    context = make_context(tmp_path, robot="simulated:initial_charge=55")
+    yield context
+    context.resources.close()
+
+
+def test_what_is_on_the_graph_of_a_simulated_robot_holds_at_once(simulated: RobotRunnerContext) -> None:
+    for condition in (
+        node_present("turtlebot3_node"),
+        topic_present("odom", ODOMETRY),
+        service_present("task/stop"),
+        battery_above(50),
+        battery_below(56),
+    ):
+        assert condition.wait(simulated, timeout_s=2.0).holds, str(condition)
+        assert list(condition.check(simulated.robot)) == []
+    with pytest.raises(ConditionError, match=r"\d topics are there, among them /odom"):
+        topic_present("odmo").wait(simulated, timeout_s=0.3)
+    with pytest.raises(ConditionError, match="/odom is there and carries nav_msgs/Odometry"):
+        topic_present("odom", BATTERY).wait(simulated, timeout_s=0.3)
+
+
+def test_a_mission_ends_when_the_robot_has_come_so_far(simulated: RobotRunnerContext) -> None:
+    began, clock = time.monotonic(), simulated.clock.now()
+    connect_robot(simulated).publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
+    look = topic_above("odom", ODOMETRY, "pose.pose.position.x", 1.0).wait(simulated, timeout_s=60.0)
+    assert look.value == pytest.approx(1.0, abs=0.02)
+    assert 4.5 < simulated.clock.now() - clock < 7.0
+    message_on("odom", ODOMETRY, lambda odom: odom["pose"]["pose"]["position"]["x"] > 1.5).wait(
+        simulated, timeout_s=60.0
+    )
+    assert 2.0 < simulated.clock.now() - clock - 4.5 < 5.0
+    assert time.monotonic() - began < 60.0
+
+
+def test_a_topic_that_a_simulated_robot_never_has_is_not_awaited(simulated: RobotRunnerContext) -> None:
+    with pytest.raises(LinkError, match="'/odmo' is not a topic") as error:
+        topic_above("odmo", ODOMETRY, "pose.pose.position.x", 1.0).wait(simulated, timeout_s=60.0)
+    assert "'/odom'" in error.value.fix
+
+
+class Robot:
+    """A fake robot whose messages a test sends."""
+
+    def __init__(self, folder: Path) -> None:
+        self.clock = FakeClock()
+        self.link = FakeRobotLink(self.clock)
+        self.context = make_context(folder, links=FakeLinks(robot=self.link), clock=self.clock)
+
+    def sends(self, topic: str, message: dict, *, at: float) -> None:
+        self.clock.at(at, lambda: self.link.deliver(topic, message))
+
+    def waits(self, condition: Condition, timeout_s: float = 30.0) -> float:
+        condition.wait(self.context, timeout_s=timeout_s)
+        return self.clock.now()
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Robot:
+    return Robot(tmp_path)
+
+
+def test_the_newest_message_counts_and_an_old_one_does_not(robot: Robot) -> None:
+    robot.sends("battery_state", {"percentage": 0.7, "voltage": 12.1}, at=1.0)
+    robot.sends("battery_state", {"percentage": 0.3, "voltage": 11.1}, at=2.0)
+    assert robot.waits(battery_below(50)) == pytest.approx(2.0, abs=0.06)
+    with ExitStack() as opened:
+        look = battery_below(50).watch(robot.context, opened)
+        robot.sends("battery_state", {"percentage": 0.3}, at=3.0)
+        robot.clock.sleep(2.0)
+        assert look().holds
+        robot.clock.sleep(10.0)
+        assert not look().holds
+        assert "the newest message on /battery_state is 1" in look().seen
+
+
+def test_a_robot_that_does_not_tell_its_charge_is_not_charged(robot: Robot) -> None:
+    robot.sends("battery_state", {"percentage": float("nan"), "voltage": 12.1}, at=0.1)
+    with pytest.raises(ConditionError, match="the robot does not tell its charge"):
+        robot.waits(battery_above(10), timeout_s=1.0)
+
+
+def test_a_message_between_two_looks_is_not_overlooked(robot: Robot) -> None:
+    with ExitStack() as opened:
+        look = message_on("bumper", "std_msgs/Bool", lambda message: message["data"]).watch(robot.context, opened)
+        assert not look().holds
+        for at, pressed in ((0.1, False), (0.2, True), (0.3, False)):
+            robot.sends("bumper", {"data": pressed}, at=at)
+        robot.clock.sleep(1.0)
+        assert look().holds  # it was pressed since the look before
+        assert not look().holds  # and is not any more
+
+
+@pytest.mark.parametrize(
+    ("make", "problem"),
+    [
+        (lambda: topic_above("scan", "sensor_msgs/LaserScan", "rangse.0", 1), "the message has no field 'rangse.0'"),
+        (lambda: topic_above("scan", "sensor_msgs/LaserScan", "ranges.7", 1), "the message has no field 'ranges.7'"),
+        (lambda: topic_above("scan", "sensor_msgs/LaserScan", "ranges", 1), "is no number"),
+        (lambda: message_on("scan", "sensor_msgs/LaserScan", lambda scan: scan["nothing"]), "'nothing'"),
+    ],
+)
+def test_a_field_that_no_message_has_ends_the_wait(robot: Robot, make: Callable[[], Condition], problem: str) -> None:
+    robot.sends("scan", {"ranges": [1.0, 2.0]}, at=0.5)
+    with pytest.raises((ConditionError, KeyError), match=problem):
+        robot.waits(make())
+    assert robot.clock.now() < 2.0
+
+
+def test_what_needs_a_robot_is_refused_where_there_is_none(tmp_path: Path) -> None:
+    context = make_context(tmp_path, robot=None)
+    for condition in (battery_above(50), node_present("move_base"), message_on("odom", ODOMETRY)):
+        assert [finding.is_error for finding in condition.check(None)] == [True]
+        with pytest.raises((ConditionError, LinkError), match="names no robot"):
+            condition.wait(context, timeout_s=0.1)

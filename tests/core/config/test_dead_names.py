@@ -1,0 +1,80 @@
+"""Names of a config that look like an event or a parameter, and that nothing uses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from tests.conftest import HEAD
+
+from robot_runner.core.config.preparation import prepare
+
+Write = Callable[..., Path]
+
+
+def warnings(config: Path) -> dict[str, str]:
+    found = prepare(config).findings
+    assert not any(finding.is_error for finding in found), found
+    return {finding.where.rpartition(".")[2]: f"{finding.problem} → {finding.fix}" for finding in found}
+
+
+def test_what_an_earlier_tool_or_a_guess_calls_it_is_told_with_what_to_use(write_config: Write) -> None:
+    body = """
+    retries = 3
+    cooldown: int = 30
+    def after_run(self): ...
+    def interact(self, context): ...
+    def start_mission(self): ...
+    def beforeEachRun(self): ...
+    def end_of_the_mission(self): ...
+    def on_end_measurements(self): ...
+    """
+    found = warnings(write_config(body))
+    assert set(found) == {
+        "after_run", "beforeEachRun", "cooldown", "interact", "on_end_measurements", "retries", "start_mission"
+    }  # fmt: skip
+    assert found["retries"].startswith("nothing reads this attribute → Use attempts")
+    assert found["after_run"] == (
+        "nothing calls this method → Call it stop_run, or populate_run_data where it returns measures."
+    )
+    assert found["interact"].endswith("→ Call it launch_mission.")
+    assert found["start_mission"].endswith("→ Call it launch_mission.")
+    assert found["cooldown"].endswith("→ Call it time_between_runs_in_ms.")
+    assert "did you mean 'stop_measurement'?" in found["on_end_measurements"]
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "def after_run(self): ...\ndef stop_run(self): self.after_run()",
+        "retries = 3\ndef start_run(self): print(self.retries)",
+        "def interact(self): ...\ndef start_run(self): getattr(self, 'interact')()",
+        "def interact(self): ...\ndef start_run(self): getattr(self, self.experiment_name, print)()",
+        "def start_mission(self): ...\ndef __init__(self): self.handlers = [self.start_mission]",
+        "seed = 3\nother = seed + 1",
+        "@registered\ndef teardown(self): ...",
+        "def start_camera(self): ...\ndef stop_robot(self): ...\ndef run_script(self): ...\nspeed = 3\nfloor = 'wood'",
+        "def _interact(self): ...\n_retries = 3",
+    ],
+)
+def test_what_a_config_uses_itself_or_calls_by_its_own_words_is_no_false_alarm(write_config: Write, body: str) -> None:
+    assert warnings(write_config(body, head=f"registered = print\n{HEAD}".replace("= print", "= lambda it: it"))) == {}
+
+
+def test_what_a_neighbour_or_a_base_class_of_a_package_calls_is_in_use(write_config: Write, tmp_path: Path) -> None:
+    (tmp_path / "neighbour.py").write_text(
+        "import unittest\ndef drive(config): config.start_mission()\n", encoding="utf-8"
+    )
+    head = "import neighbour, unittest\n" + HEAD.replace("(ExperimentConfig)", "(ExperimentConfig, unittest.TestCase)")
+    body = "def start_mission(self): ...\ndef setUp(self): ...\ndef tearDown(self): ..."
+    assert warnings(write_config(body, head=head)) == {}
+
+
+def test_a_subscription_uses_its_method(write_config: Write) -> None:
+    body = """
+    def __init__(self):
+        EventSubscriptionController.subscribe_to_multiple_events([(RobotRunnerEvents.LAUNCH_MISSION, self.interact)])
+    def interact(self, context): ...
+    """
+    assert warnings(write_config(body)) == {}

@@ -1,0 +1,124 @@
+"""What somebody finds who comes back to an experiment that is half done."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+from tests.conftest import HEAD
+
+from robot_runner.core.config.preparation import prepare, prepare_or_refuse
+from robot_runner.core.execution.notices import SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.execution.recovery import Resumption
+
+if TYPE_CHECKING:
+    import pytest
+
+Execute = Callable[..., Any]
+Write = Callable[..., Path]
+
+MANY_FACTORS = """\
+    def create_run_table(self):
+        factors = [Factor(f"F{number}", ["off", "on"]) for number in range(200)]
+        return RunTableModel(factors, data_columns=["Energy"], exclude_combinations=[{"F0": "on", "F1": "on"}])
+"""
+TWO_RUNS = """\
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["Video", "Network"])], data_columns=["Energy"])
+"""
+READING = "def populate_run_data(self, context): return {'Energy': sum(map(len, context.combination.values()))}"
+
+
+def resume(config: Path, **asked: Any) -> Any:
+    return execute_experiment(prepare_or_refuse(config), SilentObserver(), resumption=Resumption(**asked))
+
+
+def test_a_resume_needs_room_only_for_the_runs_that_are_left(
+    write_config: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = write_config(READING)
+    resume(config, only=("r_1", "r_2", "r_3"))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=4096))
+    assert prepare(config).experiment is not None
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=4095))
+    (finding,) = prepare(config).findings
+    assert finding.problem.startswith("1 run will keep about 0.00 MB")
+
+
+def test_a_design_of_many_factors_is_planned_from_the_table_that_lists_its_runs(write_config: Write) -> None:
+    config = write_config(READING, table=MANY_FACTORS)
+    (refused,) = prepare(config).findings
+    assert "runs before exclusions; 10,000,000 is the most" in refused.problem
+    table = config.parent / "results" / "trial" / "run_table.csv"
+    table.parent.mkdir(parents=True)
+    names = [f"F{number}" for number in range(200)]
+    rows = [["on" if (run * 7 + place) % 3 else "off" for place in range(200)] for run in range(30)]
+    with table.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([names, *rows])
+    finished = resume(config, only=("r_1", "r_30"))
+    assert (finished.done_count, finished.todo_count) == (2, 28)
+    assert resume(config, only=("F0=off",)).done_count == 11
+    with table.open(encoding="utf-8", newline="") as file:
+        written = list(csv.DictReader(file))
+    assert [[row[name] for name in names] for row in written] == rows
+    assert written[0]["Energy"] == str(sum(map(len, rows[0])))
+
+
+def test_a_treatment_none_is_known_again_where_a_spreadsheet_left_its_cell_empty(write_config: Write) -> None:
+    body = "def populate_run_data(self, context): return {'Energy': str(context.combination['Load'])}"
+    config = write_config(
+        body,
+        table="    def create_run_table(self):\n"
+        "        return RunTableModel([Factor('Load', [None, 'stress'])], data_columns=['Energy'])",
+    )
+    finished = resume(config, only=("r_1",))
+    table = finished.run_table
+    text = table.read_text(encoding="utf-8")
+    assert ",None,None\n" in text
+    table.write_text(text.replace(",None,None\n", ",,None\n"), encoding="utf-8")
+    finished = resume(config)
+    assert finished.findings == ()
+    assert finished.done_count == 2
+
+
+def test_the_table_on_disk_is_up_to_date_while_a_run_or_a_rest_lasts(execute: Execute) -> None:
+    executed = execute(
+        """
+        def _waits_for(self, context, text):
+            table, end = context.experiment_folder / "run_table.csv", time.monotonic() + 10
+            while text not in table.read_text() and time.monotonic() < end:
+                time.sleep(0.02)
+            return text in table.read_text()
+
+        def before_run(self, context):
+            if context.run_number == 2:
+                self.was_done = "r_1,Done" in (context.experiment_folder / "run_table.csv").read_text()
+
+        def launch_mission(self, context):
+            self.was_seen = self._waits_for(context, f"{context.run_id},Running")
+
+        def populate_run_data(self, context):
+            return {"Energy": self.was_seen and getattr(self, "was_done", True)}
+        """,
+        head="import time\n" + HEAD,
+        time_between_runs_in_ms=2000,
+        table=TWO_RUNS,
+    )
+    assert [row["Energy"] for row in executed.table] == ["True", "True"]
+
+
+def test_nothing_but_results_stays_behind(execute: Execute) -> None:
+    executed = execute(READING)
+    assert sorted(path.name for path in executed.folder.iterdir() if not path.name.startswith(".")) == [
+        "config",
+        "journal.jsonl",
+        "manifest.json",
+        "run_table.csv",
+        "run_table.schema.json",
+        "runs",
+    ]

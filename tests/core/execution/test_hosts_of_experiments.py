@@ -1,0 +1,181 @@
+"""Experiments with hosts, against a real sshd on loopback."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.conftest import written_config
+from tests.core.execution.conftest import Executed, execute_in
+from tests.core.links.ssh_server import SshServer
+
+from robot_runner.core.config.preparation import prepare
+from robot_runner.core.errors import ConfigError, ExecutionError
+from robot_runner.core.execution.notices import FindingsNoticed, HostRestarts
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+
+HEAD = """\
+import os
+import time
+from pathlib import Path
+from robot_runner import *
+
+HERE = Path(__file__).parent
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = Path("results")
+    watch_machines = False
+"""
+ONE = """\
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["Video"])], data_columns=["Energy"])
+"""
+BLOCKS = """\
+    def create_run_table(self):
+        return RunTableModel([Factor("Room", ["lab", "hall"])], repetitions=2, blocks="Room", seed=1)
+"""
+RESULTS = """
+hosts = {"robot": Host(address="robot", ssh_config=HERE / "ssh_config", fetch=[str(HERE / "on board/*.log")]),
+         "base": Host(address="local", fetch=[str(HERE / "here.txt")])}
+grace_in_s = 20.0
+
+def before_run(self, context):
+    context.host("robot").run(["mkdir", "-p", str(HERE / "on board")])
+    context.host("base").copy_to(HERE / "config.py", str(HERE / "here.txt"))
+
+def start_run(self, context):
+    context.host("robot").run(f"echo driving > '{HERE}/on board/nav.log'")
+"""
+
+
+@pytest.fixture
+def server(tmp_path: Path) -> Iterator[SshServer]:
+    started = SshServer(tmp_path)
+    yield started
+    started.stop()
+
+
+def fetched(executed: Executed) -> str:
+    run = executed.folder / "runs" / "r_1"
+    inner = str(executed.config.parent).lstrip("/")
+    assert (run / "base" / inner / "here.txt").read_bytes() == executed.config.read_bytes()
+    assert (run / "robot" / "commands.log").exists()
+    return (run / "robot" / inner / "on board" / "nav.log").read_text()
+
+
+def test_results_are_fetched_when_a_run_stops_well_or_not(server: SshServer, tmp_path: Path) -> None:
+    well = execute_in(tmp_path, RESULTS, head=HEAD, table=ONE)
+    assert well.finished.done_count == 1
+    assert fetched(well) == "driving\n"
+    raising = 'def launch_mission(self): raise ValueError("bumped")'
+    failed = execute_in(tmp_path, RESULTS + raising, head=HEAD, table=ONE, experiment_name="failed")
+    assert failed.finished.failures == ("r_1: launch_mission of config: ValueError: bumped",)
+    assert fetched(failed) == "driving\n"
+    endless = "event_deadline_in_s = 8.0\ndef launch_mission(self): time.sleep(600)"
+    late = execute_in(tmp_path, RESULTS + endless, head=HEAD, table=ONE, experiment_name="late")
+    assert "took longer than event_deadline_in_s = 8 s" in late.finished.failures[0]
+    assert fetched(late) == "driving\n"
+
+
+def test_a_host_that_goes_away_fails_its_run_and_is_told_where_nothing_was_fetched(
+    server: SshServer, tmp_path: Path
+) -> None:
+    pid = server._process.pid
+    going = f"""
+def launch_mission(self, context):
+    # The listener goes last: it is what its connections are found by.
+    for pid in (*tests.core.links.ssh_server._descendants({pid}), {pid}):
+        try:
+            os.kill(pid, 9)
+        except ProcessLookupError:
+            pass
+    context.host("robot").run("sleep 60", timeout_s=20)
+"""
+    body = RESULTS + going
+    head = HEAD.replace("import os\n", "import os\nimport tests.core.links.ssh_server\n")
+    gone = execute_in(tmp_path, body, head=head, table=ONE)
+    (failure,) = gone.finished.failures
+    assert "launch_mission of config: robot" in failure
+    assert "cannot be reached" in failure or "the connection was lost" in failure
+    findings = [str(finding) for finding in gone.finished.findings]
+    assert any("nothing was fetched from robot: robot cannot be reached" in each for each in findings)
+    run = gone.folder / "runs" / "r_1" / "base"
+    assert list(run.rglob("here.txt")), "the other host is fetched from"
+
+
+def test_hosts_are_checked_before_anything_is_executed(tmp_path: Path) -> None:
+    body = 'hosts = {"robot": Host(address="nowhere", ssh_config=HERE / "none"), "INA": "local"}'
+    preparation = prepare(written_config(tmp_path, body, head=HEAD, table=ONE))
+    assert preparation.experiment is None
+    assert "there is no ssh config" in str(preparation.findings[0])
+    odd = prepare(written_config(tmp_path, 'hosts = {"robot": 5}', head=HEAD, table=ONE))
+    assert "the value is {'robot': 5}" in odd.findings[0].problem
+    assert "It must be names with addresses" in odd.findings[0].fix
+    with pytest.raises(ConfigError, match="fetch names"):
+        raise ConfigError.of_findings(
+            prepare(written_config(tmp_path, 'hosts = {"a": Host(address="local", fetch="x")}', head=HEAD)).findings
+        )
+
+
+@pytest.mark.parametrize(
+    ("policy", "table", "before"),
+    [("ONCE", BLOCKS, ["r_1"]), ("PER_BLOCK", BLOCKS, ["r_1", "r_3"])],
+)
+def test_hosts_are_started_anew_and_awaited(
+    server: SshServer, tmp_path: Path, policy: str, table: str, before: list[str]
+) -> None:
+    script = server.reboot_script()
+    body = f"""
+hosts = {{"robot": Host(address="robot", ssh_config=HERE / "ssh_config", reboot=Reboot.{policy},
+                        reboot_command={str(script)!r}, back_within_s=40, ready=FileThere())}}
+def launch_mission(self, context):
+    context.host("robot").run("true")
+"""
+    ready = """
+
+class FileThere(Condition):
+    def __str__(self): return "the host was started anew"
+    def watch(self, context, opened): return lambda: Look((HERE / "reboots").exists(), "no file")
+
+
+class RobotRunnerConfig("""
+    executed = execute_in(tmp_path, body, head=HEAD.replace("\n\nclass RobotRunnerConfig(", ready), table=table)
+    assert executed.finished.failed_count == 0
+    assert [each.next_run for each in executed.notices if isinstance(each, HostRestarts)] == before
+    assert len((tmp_path / "reboots").read_text().split()) == len(before)
+    records = executed.journal("host_restarted")
+    assert [record["next_run"] for record in records] == before
+    for record in records:
+        assert (record["host"], record["failure"]) == ("robot", "")
+        assert record["away_s"] > 0.3
+        assert record["is_new_kernel"] is False, "only sshd was started anew here"
+    assert any(
+        "its kernel was not started anew" in str(each) for each in executed.notices if isinstance(each, FindingsNoticed)
+    )
+    assert [record["condition"] for record in executed.journal("waited")] == ["the host was started anew"] * len(before)
+
+
+@pytest.mark.parametrize(
+    ("command", "problem"),
+    [
+        ("echo not allowed >&2; exit 1", "it cannot be started anew: .* ended with exit status 1: not allowed"),
+        ("true", "it was told to start anew .* and was still there after 4 s"),
+    ],
+)
+def test_a_host_that_does_not_start_anew_ends_the_experiment(
+    server: SshServer, tmp_path: Path, command: str, problem: str
+) -> None:
+    body = f"""
+hosts = {{"robot": Host(address="robot", ssh_config=HERE / "ssh_config", reboot=Reboot.PER_RUN,
+                        reboot_command={command!r}, back_within_s=4)}}
+"""
+    with pytest.raises(ExecutionError, match=problem) as raised:
+        execute_in(tmp_path, body, head=HEAD, table=ONE)
+    assert "r_1" in raised.value.problem

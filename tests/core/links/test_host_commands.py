@@ -1,0 +1,243 @@
+"""What a run does on its hosts: one contract, held by this machine and by a real sshd on loopback."""
+
+from __future__ import annotations
+
+import getpass
+import os
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.core.links.ssh_server import SshServer
+
+from robot_runner.core.errors import CommandError, ConfigError, LinkError
+from robot_runner.core.links.declared_host import Host, Reboot, are_hosts
+from robot_runner.core.links.host_commands import DeclaredHosts, HostCommands
+from robot_runner.testing import FakeClock, make_context
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from robot_runner.core.events.context import RobotRunnerContext
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SshServer]:
+    started = SshServer(tmp_path_factory.mktemp("sshd"))
+    yield started
+    started.stop()
+
+
+@pytest.fixture(params=["local", "ssh"])
+def declare(request: pytest.FixtureRequest) -> Callable[..., Host]:
+    """Return what declares the host, once as this machine and once over ssh."""
+    if request.param == "local":
+        return lambda **facts: Host(address="local", **facts)
+    server: SshServer = request.getfixturevalue("server")
+    return lambda **facts: Host(address="robot", ssh_config=server.config, **facts)
+
+
+@pytest.fixture
+def context(tmp_path: Path) -> Iterator[RobotRunnerContext]:
+    made = make_context(tmp_path / "experiment", robot=None, clock=FakeClock())
+    yield made
+    made.resources.close()
+
+
+@pytest.fixture
+def host(declare: Callable[..., Host], context: RobotRunnerContext) -> HostCommands:
+    return DeclaredHosts({"robot": declare()}).open("robot", context)
+
+
+def warned(context: RobotRunnerContext) -> str:
+    return "\n".join(finding.problem for finding in context.broker.findings)
+
+
+def is_alive(command: str) -> bool:
+    """Whether a process with this command line is there."""
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            line = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode().strip()
+        except OSError:
+            continue
+        if line == command:
+            return True
+    return False
+
+
+def test_a_command_tells_what_it_wrote_and_how_it_ended(host: HostCommands, context: RobotRunnerContext) -> None:
+    result = host.run("echo here; echo there >&2; pwd")
+    assert result.exit_status == 0
+    assert result.output == f"here\n{Path.home()}\n"
+    assert result.errors == "there\n"
+    assert host.run(["printf", "%s|", "two words", "$HOME", "it's"]).output == "two words|$HOME|it's|"
+    assert host.run("exit 3", check=False).exit_status == 3
+    log = (context.run_folder / "robot" / "commands.log").read_text()
+    assert "$ echo here; echo there >&2; pwd\nhere\n" in log
+    assert "[exit status 3, " in log
+
+
+def test_a_command_that_fails_tells_its_last_lines(host: HostCommands) -> None:
+    with pytest.raises(CommandError) as raised:
+        host.run("for i in 1 2 3 4 5 6 7; do echo line $i >&2; done; exit 4")
+    assert "ended with exit status 4: line 3 / line 4 / line 5 / line 6 / line 7" in raised.value.problem
+    assert raised.value.where == "robot"
+
+
+def test_a_command_is_ended_at_its_deadline_with_all_that_it_started(
+    host: HostCommands, context: RobotRunnerContext
+) -> None:
+    host.run("true")
+    started = time.monotonic()
+    with pytest.raises(CommandError, match=r"did not end within 3 s: begun"):
+        host.run("echo begun; sleep 4711.5 & sleep 4712.5; echo never", timeout_s=3.0)
+    assert time.monotonic() - started < 15
+    deadline = time.monotonic() + 5
+    while time.monotonic() < deadline and (is_alive("sleep 4711.5") or is_alive("sleep 4712.5")):
+        time.sleep(0.05)
+    assert not is_alive("sleep 4711.5")
+    assert not is_alive("sleep 4712.5")
+    assert "begun\n[it did not end in time, and was ended" in (context.run_folder / "robot/commands.log").read_text()
+    assert host.run("echo again").output == "again\n"
+
+
+def test_files_and_folders_are_copied_whole(host: HostCommands, tmp_path: Path) -> None:
+    there = tmp_path / "there dir"
+    (tmp_path / "map.yaml").write_text("resolution: 0.05\n")
+    host.copy_to(tmp_path / "map.yaml", f"{there}/deep/er/my map.yaml")
+    assert (there / "deep/er/my map.yaml").read_text() == "resolution: 0.05\n"
+    source = tmp_path / "bundle"
+    (source / "sub").mkdir(parents=True)
+    (source / "sub" / "data.bin").write_bytes(os.urandom(300_000))
+    (source / "run.sh").write_text("#!/bin/sh\necho runs\n")
+    (source / "run.sh").chmod(0o755)
+    for _ in range(2):  # what stands there is replaced
+        host.copy_to(source, f"{there}/bundle")
+        assert (there / "bundle/sub/data.bin").read_bytes() == (source / "sub/data.bin").read_bytes()
+    assert host.run([f"{there}/bundle/run.sh"]).output == "runs\n"
+    (there / "file").write_text("")
+    with pytest.raises(LinkError, match=r"was not copied to .*file/x"):
+        host.copy_to(source, f"{there}/file/x")
+    for wrong in ("relative", "/", "~/"):
+        with pytest.raises(LinkError, match="names no file"):
+            host.copy_to(source, wrong)
+    with pytest.raises(LinkError, match=r"there is no .*nothing to copy"):
+        host.copy_to(tmp_path / "nothing", f"{tmp_path}/x")
+
+
+def test_files_are_fetched_under_their_own_paths(
+    host: HostCommands, context: RobotRunnerContext, tmp_path: Path
+) -> None:
+    there = tmp_path / "on board"
+    (there / "logs" / "deep").mkdir(parents=True)
+    for name in ("nav.log", "map [1].log", "-odd", "deep/inner.txt"):
+        (there / "logs" / name).write_text(f"this is {name}")
+    (there / "logs" / "secret").symlink_to("/etc/hostname")
+    (there / "logs" / "deep" / "out").symlink_to("/etc")
+    os.mkfifo(there / "logs" / "pipe")
+    files = host.fetch(f"{there}/logs/*.log", f"{there}/logs", f"{there}/nothing*", timeout_s=20)
+    kept = context.run_folder / "robot"
+    inner = str(there).lstrip("/")
+    assert (kept / inner / "logs/nav.log").read_text() == "this is nav.log"
+    assert (kept / inner / "logs/-odd").read_text() == "this is -odd"
+    assert kept / inner / "logs/map [1].log" in files
+    assert kept / inner / "logs/deep/inner.txt" in files
+    assert not list(kept.rglob("secret"))
+    assert not list(kept.rglob("out"))
+    said = warned(context)
+    assert "/logs/secret is a link to /etc/hostname, which is not followed" in said
+    assert "/logs/pipe is no file" in said
+    assert f"there is no {there}/nothing* to fetch" in said
+    assert host.fetch(f"{there}/logs/secret") == [], "a link is not followed when it is named, either"
+
+
+def test_no_more_is_fetched_than_may_be(
+    declare: Callable[..., Host], context: RobotRunnerContext, tmp_path: Path
+) -> None:
+    (tmp_path / "small").write_bytes(b"x" * 100_000)
+    (tmp_path / "large").write_bytes(b"x" * 1_000_000)
+    (tmp_path / "last").write_bytes(b"x" * 100_000)
+    host = DeclaredHosts({"robot": declare(largest_fetch_mb=0.5)}).open("robot", context)
+    files = host.fetch(*(f"{tmp_path}/{name}" for name in ("small", "large", "last")))
+    assert [path.name for path in files] == ["small", "last"]
+    assert f"{tmp_path}/large was not fetched whole: it is more than 0.5 MB" in warned(context)
+
+
+def test_what_has_not_come_in_time_is_told_and_what_came_is_whole(
+    host: HostCommands, context: RobotRunnerContext, tmp_path: Path
+) -> None:
+    (tmp_path / "log").write_text("x")
+    assert [path.name for path in host.fetch(f"{tmp_path}/log", timeout_s=20)] == ["log"]
+    with (tmp_path / "huge").open("wb") as file:
+        file.truncate(900_000_000)  # tar reads and sends every byte of it
+    assert host.fetch(f"{tmp_path}/huge", f"{tmp_path}/log", timeout_s=0.05) == []
+    assert f"{tmp_path}/huge was not fetched whole within" in warned(context)
+    assert f"{tmp_path}/log was not fetched: 0.05 s were over" in warned(context)
+    assert not list(context.run_folder.rglob("*.part"))
+
+
+def test_the_nearest_name_is_offered(context: RobotRunnerContext) -> None:
+    hosts = DeclaredHosts({"robot": Host(address="local")})
+    with pytest.raises(LinkError) as raised:
+        hosts.open("robto", context)
+    assert "Did you mean 'robot'?" in raised.value.fix
+    with pytest.raises(LinkError, match="there is no host 'robot'"):
+        context.host("robot")
+
+
+def test_all_commands_of_a_run_share_one_connection(server: SshServer, context: RobotRunnerContext) -> None:
+    host = DeclaredHosts({"robot": Host(address="robot", ssh_config=server.config)}).open("robot", context)
+    host.run("true")
+    before = (server.folder / "sshd.log").read_text().count("Accepted publickey")
+    for _ in range(3):
+        host.run("true")
+    assert (server.folder / "sshd.log").read_text().count("Accepted publickey") == before
+
+
+def test_a_connection_that_is_lost_fails_the_command_and_is_made_again(
+    server: SshServer, context: RobotRunnerContext
+) -> None:
+    host = DeclaredHosts({"robot": Host(address="robot", ssh_config=server.config)}).open("robot", context)
+    host.run("true")
+    timer = threading.Timer(0.5, server.cut)
+    timer.start()
+    with pytest.raises(LinkError, match=r"the connection was lost while 'sleep 4713.5' was executed"):
+        host.run("sleep 4713.5", timeout_s=20)
+    timer.join()
+    assert host.run("echo back").output == "back\n"
+    deadline = time.monotonic() + 5
+    while time.monotonic() < deadline and is_alive("sleep 4713.5"):
+        time.sleep(0.05)
+    assert not is_alive("sleep 4713.5")
+
+
+def test_a_host_that_cannot_be_reached_says_why(context: RobotRunnerContext, tmp_path: Path) -> None:
+    config = tmp_path / "ssh_config"
+    config.write_text(f"Host gone\n  HostName 127.0.0.1\n  Port 1\n  User {getpass.getuser()}\n")
+    host = DeclaredHosts({"gone": Host(address="gone", ssh_config=config)}).open("gone", context)
+    with pytest.raises(LinkError, match=r"gone cannot be reached: .*Connection refused") as raised:
+        host.run("true")
+    assert "Start the SSH server there" in raised.value.fix
+
+
+@pytest.mark.parametrize(
+    ("facts", "problem"),
+    [
+        ({"address": "a b"}, "'a b' is no host"),
+        ({"address": "pi@robot", "fetch": ["nav.log"]}, "fetch names 'nav.log'"),
+        ({"address": "pi@robot", "back_within_s": 0}, "back_within_s is 0"),
+        ({"address": "local", "reboot": Reboot.PER_RUN}, "reboot is Reboot.PER_RUN for this machine"),
+        ({"address": "pi@robot", "reboot": "per_run"}, "reboot is 'per_run'"),
+    ],
+)
+def test_a_host_that_cannot_be_is_refused(facts: dict[str, Any], problem: str) -> None:
+    with pytest.raises(ConfigError, match=problem):
+        Host(**facts)
+
+
+def test_names_with_addresses_are_hosts() -> None:
+    assert are_hosts({"robot": "ssh://pi@robot:2222", "base": "local", "server": Host(address="x")})
+    for odd in (["robot"], {"a b": "x"}, {"robot": 1}, {"robot": "-oProxyCommand=x"}, "robot"):
+        assert not are_hosts(odd)
