@@ -39,6 +39,9 @@ if TYPE_CHECKING:
     from robot_runner.core.config.gate_parameters import GatePolicy as GatePolicy
     from robot_runner.core.config.gate_parameters import Guard as Guard
     from robot_runner.core.config.gate_parameters import GuardAction as GuardAction
+    from robot_runner.core.config.notify import Notify as Notify
+    from robot_runner.core.config.operator_steps import OperatorStep as OperatorStep
+    from robot_runner.core.config.operator_steps import Question as Question
     from robot_runner.core.config.parameters import BadValuePolicy as BadValuePolicy
     from robot_runner.core.config.parameters import ExperimentConfig as ExperimentConfig
     from robot_runner.core.config.parameters import FailurePolicy as FailurePolicy
@@ -62,6 +65,8 @@ if TYPE_CHECKING:
     from robot_runner.core.events.manager import RobotRunnerEvents as RobotRunnerEvents
     from robot_runner.core.events.measure import Measure as Measure
     from robot_runner.core.events.measure import Origin as Origin
+    from robot_runner.core.events.outlook import ExperimentEnd as ExperimentEnd
+    from robot_runner.core.events.outlook import NextRun as NextRun
     from robot_runner.core.links.declared_host import Host as Host
     from robot_runner.core.links.declared_host import Reboot as Reboot
     from robot_runner.core.treatments import treatment as treatment

@@ -242,7 +242,9 @@ def read_history(journal: Path) -> History:
         if each["attempt"] == last.get(each["run"])
     }
     starts = {**measured, **{run: start for run, (start, _) in windows.items()}}
-    ended = [each for each in records["attempt_finished"] if each["attempt"] == last.get(each["run"])]
+    # Of an attempt that has two ends, what was published after the run is in the later one.
+    ends = {each["run"]: each for each in records["attempt_finished"] if each["attempt"] == last.get(each["run"])}
+    ended = list(ends.values())
     return History(
         attempts,
         _events(of_last, starts),

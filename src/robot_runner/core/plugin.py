@@ -37,7 +37,7 @@ _log = logging.getLogger(__name__)
 # The two kinds of plugin and what validation asks them.
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
-_RESERVED_NAMES = frozenset({"config", "log"})
+_RESERVED_NAMES = frozenset({"config", "log", "operator"})
 
 
 @dataclass(frozen=True, slots=True)

@@ -122,6 +122,7 @@ JOINT = " / "
 _EXPLANATIONS = {
     "simulated": "It comes from a simulated sensor; it was not measured on a real robot.",
     "estimated": "A model estimates it; it was not measured.",
+    "entered by hand": "A person entered it by hand.",
 }
 
 

@@ -18,7 +18,11 @@ if TYPE_CHECKING:
 
 __all__ = ["print_outcome", "print_verdict", "whereabouts"]
 
-_UNMEASURED = {"simulated": "simulated, not measured", "estimated": "estimated, not measured"}
+_UNMEASURED = {
+    "simulated": "simulated, not measured",
+    "estimated": "estimated, not measured",
+    "entered by hand": "entered by hand",
+}
 
 
 def print_outcome(console: UserConsole, finished: ExperimentFinished, progress: Progress, *, command: str) -> None:

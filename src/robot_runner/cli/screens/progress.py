@@ -15,6 +15,7 @@ from robot_runner.core.execution.notices import (
     GateWaiting,
     Paused,
     RunRecord,
+    UserHasContinued,
     WaitingForUser,
 )
 from robot_runner.core.execution.task import AttemptStatus
@@ -125,6 +126,8 @@ class Progress:
                 self._take_left(notice.left)
             case WaitingForUser() | Paused():
                 self.is_waiting = True
+            case UserHasContinued():
+                self.is_waiting = False
             case GateWaiting():
                 self.gate = notice
             case GatePassed():

@@ -135,9 +135,10 @@ def _missing(loaded: LoadedConfig, parameter: Parameter) -> Finding:
 
 
 def _malformed(loaded: LoadedConfig, parameter: Parameter, value: object) -> Finding:
+    shown = "..." if parameter.kind.is_secret else repr(value)
     return Finding.error(
         f"{loaded.where}.{parameter.name}",
-        f"the value is {value!r}, of type {type(value).__name__}",
+        f"the value is {shown}, of type {type(value).__name__}",
         f"It must be {parameter.kind.expected}.",
     )
 

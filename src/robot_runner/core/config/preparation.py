@@ -21,11 +21,14 @@ from robot_runner.core.config.checks import (
 from robot_runner.core.config.dead_names import check_dead_names
 from robot_runner.core.config.experiment import Experiment, event_manager_for, experiment_folder
 from robot_runner.core.config.loader import LoadedConfig, load_config
+from robot_runner.core.config.notify import check_notify
+from robot_runner.core.config.operator_checks import check_operator_steps
+from robot_runner.core.config.operator_steps import operator_measures
 from robot_runner.core.config.plugin_checks import check_plugins, companions, gather_plugins
 from robot_runner.core.config.treatment_makers import maker_findings
 from robot_runner.core.errors import ConfigError, Finding, LinkError
 from robot_runner.core.events.manager import EventManager
-from robot_runner.core.events.measure import MeasureColumns, resolve_columns, with_phases
+from robot_runner.core.events.measure import OPERATOR_OWNER, MeasureColumns, resolve_columns, with_phases
 from robot_runner.core.links.connect import found_robot, link_findings, looks_for_robot
 
 if TYPE_CHECKING:
@@ -108,7 +111,9 @@ def prepare(
         added, companion_findings = companions(parameters, plugins)
         plugins, findings = (*added, *plugins), [*findings, *companion_findings]
     events = _subscribe(loaded, plugins, findings)
-    columns = _columns(model, plugins, parameters, findings)
+    step_findings = check_operator_steps(loaded.where, parameters.operator_steps, model) if parameters else []
+    findings += step_findings
+    columns = _columns(model, plugins, parameters if not step_findings else None, findings)
     if parameters is not None:
         findings += [*check_analysis(parameters, model, columns), *check_threads(loaded, parameters)]
     if is_for_here:
@@ -136,6 +141,7 @@ def _check_machine(
         yield from check_robot(loaded, parameters, plugins)
         if model is not None:
             yield from maker_findings(model.factors, experiment_folder(parameters, loaded))
+        yield from check_notify(f"{loaded.where}.notify", parameters.notify)
         yield from check_results_path(loaded, parameters)
         yield from check_disk_space(loaded, parameters, plugins, runs)
 
@@ -166,9 +172,13 @@ def _columns(
     model: RunTableModel | None, plugins: tuple[Plugin, ...], parameters: Parameters | None, findings: list[Finding]
 ) -> MeasureColumns:
     phases = parameters.phases if parameters is not None else ()
+    steps = parameters.operator_steps if parameters is not None else ()
     measures = {plugin.name: with_phases(plugin.measures, phases) for plugin in plugins}
+    if answers := operator_measures(steps):
+        measures[OPERATOR_OWNER] = answers
     columns, column_findings = resolve_columns(model.data_columns if model else None, measures)
     findings += column_findings
+    columns = columns.with_all_of(OPERATOR_OWNER)
     return columns.with_quality() if parameters is not None and parameters.quality_columns else columns
 
 

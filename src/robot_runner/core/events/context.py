@@ -6,11 +6,10 @@ import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast, runtime_checkable
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TypeVar, cast, runtime_checkable
 
-from robot_runner.core.errors import PluginError
+from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.early_end import EndingInPlace
-from robot_runner.core.events.host_access import NoHosts
 from robot_runner.core.events.measure import MeasureValue, Origin, PublishedMeasure
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.outliving import program_name, spare
@@ -22,13 +21,16 @@ if TYPE_CHECKING:
 
     from robot_runner.core.errors import Finding
     from robot_runner.core.events.early_end import Ending
-    from robot_runner.core.events.host_access import HostAccess, HostDoor
+    from robot_runner.core.events.host_access import HostAccess
+    from robot_runner.core.events.outlook import ExperimentEnd, NextRun
     from robot_runner.core.events.window import MissionTimes, Phase, Window
 
 __all__ = [
     "Clock",
     "Closable",
     "ExperimentContext",
+    "HostDoor",
+    "NoHosts",
     "Resources",
     "RobotRunnerContext",
     "RunBroker",
@@ -164,6 +166,29 @@ class RunBroker(Protocol):
         ...
 
 
+class HostDoor(Protocol):
+    """What a context opens hosts by."""
+
+    def open(self, name: str, context: RobotRunnerContext) -> HostAccess:
+        """Return the host of this name; its connection is kept until the run ends."""
+        ...
+
+
+class NoHosts:
+    """The hosts of a config that names none."""
+
+    def open(self, name: str, context: RobotRunnerContext) -> NoReturn:
+        """Refuse.
+
+        Raises:
+            LinkError: always.
+        """
+        del context
+        raise LinkError(
+            f"there is no host {name!r}", where="hosts", fix=f"Name it in the config: hosts = {{{name!r}: 'pi@robot'}}."
+        )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExperimentContext:
     """What the callbacks of `before_experiment` and `after_experiment` are told.
@@ -173,12 +198,14 @@ class ExperimentContext:
         experiment_folder: where everything of this experiment is kept.
         robot: how the robot is reached (`"simulated"`, ...), or None where the config names none.
         seed: the seed of the experiment, from which the runs' order and the runs' own seeds come.
+        ended: how the experiment ended, in `after_experiment`; None before.
     """
 
     experiment_name: str
     experiment_folder: Path
     robot: str | None = None
     seed: int = 0
+    ended: ExperimentEnd | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -201,6 +228,7 @@ class RobotRunnerContext(ExperimentContext):
         ending: what ends the run or its mission; ask for it through `fail` and `stop_mission`.
         hosts: what opens the hosts of the config; ask for one through `host`.
         run_path: where the run's folder is once something is kept in it; ask for `run_folder` to keep something.
+        next_run: in `continue_experiment`, the run that comes next; all else there is about the run that is over.
     """
 
     run_id: str
@@ -219,6 +247,7 @@ class RobotRunnerContext(ExperimentContext):
     attempts_left: int = 0
     ending: Ending = field(default_factory=EndingInPlace, repr=False)
     hosts: HostDoor = field(default_factory=NoHosts, repr=False)
+    next_run: NextRun | None = None
 
     @property
     def run_folder(self) -> Path:

@@ -207,7 +207,7 @@ class Durations:
                 self.break_off()
             case "attempt_started":
                 self.begin(combination_key(record.get("combination") or {}), _seconds(record["at"]))
-            case "attempt_finished":
+            case "attempt_finished" if not record.get("is_amended"):  # which only adds what was published later
                 self.end(_seconds(record["at"]), record["status"], is_last=record.get("is_last", True))
 
     def plan(self, combinations: Iterable[Mapping[str, Any]]) -> None:
@@ -352,7 +352,8 @@ def durations_of(
     Raises:
         StorageError: the journal cannot be read.
     """
-    waits = ["the operator between two runs"] if parameters.operation_type is OperationType.SEMI else []
+    has_operator = parameters.operation_type is OperationType.SEMI or parameters.operator_steps
+    waits = ["the operator between two runs"] if has_operator else []
     durations = Durations(
         MissionKnowledge.of(config, plugins, events, parameters.robot),
         combinations,

@@ -62,6 +62,8 @@ class ExperimentStatus:
     Attributes:
         holder: who executes it at this moment, or None.
         is_waiting_for_user: whether it waits for `robot-runner continue`.
+        waiting_for: what it waits for then: `next_run`, `step` (empty where it only asks whether the run may start),
+            and `questions` as plain data; None while it does not wait.
         current_run, current_event: what is being executed, or None.
         failures: why each failed run failed, one line each.
         findings: what looked odd.
@@ -108,6 +110,7 @@ class ExperimentStatus:
     order: str = ""
     gate: Mapping[str, Any] | None = None
     gate_seconds: float = 0.0
+    waiting_for: Mapping[str, Any] | None = None
 
 
 def read_status(folder: Path) -> ExperimentStatus:
@@ -130,7 +133,7 @@ def read_status(folder: Path) -> ExperimentStatus:
         experiment_name=manifest["experiment_name"],
         folder=folder,
         holder=holder,
-        is_waiting_for_user=holder is not None and history.is_waiting,
+        is_waiting_for_user=holder is not None and history.waiting_for is not None,
         run_count=len(statuses),
         done=_count(statuses, RunStatus.DONE),
         failed=_count(counting, RunStatus.FAILED),
@@ -207,7 +210,8 @@ class _History:
         self.statuses: dict[str, RunStatus] = {}
         self.failures: dict[str, str] = {}
         self.findings: list[Finding] = []
-        self.is_waiting = self.is_paused = False
+        self.waiting_for: dict[str, Any] | None = None
+        self.is_paused = False
         self.sessions: list[Session] = []
         self._begun: dict[str, None] = {}
         self._excluded = ExcludedRuns()
@@ -271,8 +275,8 @@ class _History:
     def _take_experiment_started(self, record: Mapping[str, Any]) -> None:
         self.started_at = record["at"]
         self.finished_at = None
-        self.gate = None
-        self.is_waiting = self.is_paused = False
+        self.gate = self.waiting_for = None
+        self.is_paused = False
         self.sessions.append(Session(record["at"], record["at"], selection=record.get("selection", {})))
 
     def _take_experiment_finished(self, record: Mapping[str, Any]) -> None:
@@ -324,12 +328,14 @@ class _History:
             self.gate_seconds += record["seconds"]
 
     def _take_waiting(self, record: Mapping[str, Any]) -> None:
-        del record
-        self.is_waiting = True
+        if "next_run" in record:
+            asked = record.get("questions", ())
+            self.waiting_for = {"next_run": record["next_run"], "step": record.get("step", ""), "questions": asked}
 
     def _take_continued(self, record: Mapping[str, Any]) -> None:
         del record
-        self.is_waiting = self.is_paused = False
+        self.waiting_for = None
+        self.is_paused = False
 
     def _take_paused(self, record: Mapping[str, Any]) -> None:
         del record

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.config.plugin_checks import check_treatments
@@ -14,6 +14,7 @@ from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.watched_combination import unread
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.events.manager import RUN_EVENTS, RobotRunnerEvents
+from robot_runner.core.events.measure import OPERATOR_OWNER
 from robot_runner.core.execution.circumstances import (
     keep_config,
     manifest_of,
@@ -110,6 +111,7 @@ class ProgressManager:
         self._findings: list[Finding] = []
         self._unread: dict[str, Finding] | None = None
         self._resources = ExitStack()
+        self._last_outcome = RunOutcome(AttemptStatus.INTERRUPTED)
 
     def __enter__(self) -> Self:
         with ExitStack() as opened:
@@ -209,6 +211,11 @@ class ProgressManager:
         return tuple(f"{run_id}: {reason}" for run_id, reason in self._failed.items())
 
     @property
+    def last_outcome(self) -> RunOutcome:
+        """How the attempt went that was recorded last."""
+        return self._last_outcome
+
+    @property
     def time_left(self) -> TimeLeft | None:
         """How long the run that has begun and those to come take; None where that is not known."""
         return self._durations.left()
@@ -222,6 +229,10 @@ class ProgressManager:
         """Yield the runs to execute, in order: those to do, those that failed, those asked for again."""
         for place in self._selected:
             yield PendingRun(self._rows.run_id(place), place)
+
+    def runs_left(self, run: PendingRun) -> int:
+        """Return how many runs are to be executed in this session from this one on, itself included."""
+        return len(self._selected) - self._selected.index(run.place)
 
     def task_of(self, run: PendingRun) -> RunTask:
         """Return the attempt at a run that was begun last."""
@@ -283,23 +294,44 @@ class ProgressManager:
         """
         keep_log(self._folder, task.run_id)
         self._durations.end(time.monotonic(), outcome.status.value, is_last=is_last)
+        self._findings += [*outcome.findings, *self._missing_measures(task, outcome)]
+        if outcome.status is AttemptStatus.FAILED and is_last:
+            self._failed[task.run_id] = str(outcome.failure)
+        self._keep_outcome(task, outcome, {"is_last": is_last})
+        return self._look_for_readers(task, outcome) if outcome.status is AttemptStatus.DONE else ()
+
+    def amend_outcome(self, task: RunTask, later: RunOutcome) -> None:
+        """Keep what was published and found after the last attempt had been recorded, if anything was.
+
+        Args:
+            task: that attempt.
+            later: what it has yielded by now, with what it had yielded before.
+        """
+        before = self._last_outcome
+        found = later.findings[len(before.findings) :]
+        if later.measures == before.measures and not found:
+            return
+        outcome = replace(before, stamps=later.stamps, measures=later.measures, findings=later.findings)
+        no_more = set(self._missing_measures(task, before)).difference(self._missing_measures(task, outcome))
+        self._findings = [each for each in self._findings if each not in no_more] + list(found)
+        # The later end of an attempt takes the place of the earlier.
+        self._keep_outcome(task, outcome, {"is_last": True, "is_amended": True})
+
+    def _keep_outcome(self, task: RunTask, outcome: RunOutcome, facts: dict[str, Any]) -> None:
+        self._last_outcome = outcome
         self._journal.append(
             "attempt_finished",
             flush=True,
             run=task.run_id,
             attempt=task.attempt,
-            is_last=is_last,
+            **facts,
             **_plain(outcome),
             **self._left(),
         )
-        self._findings += [*outcome.findings, *self._missing_measures(task, outcome)]
-        if outcome.status is AttemptStatus.FAILED and is_last:
-            self._failed[task.run_id] = str(outcome.failure)
         if self._table.take_outcome(task.run_id, outcome):
             # From here on the schema tells the types: without it a text such as "1" would come back as a number.
             self._table.write_schema(self._folder.schema)
         self._file.refresh()
-        return self._look_for_readers(task, outcome) if outcome.status is AttemptStatus.DONE else ()
 
     def note(self, kind: str, *, flush: bool = False, **fields: Any) -> None:
         """Keep something that is not about a run."""
@@ -417,6 +449,7 @@ class ProgressManager:
         return [
             Finding.warning(f"{task.run_id}, {column.owner}", f"{column.name} has no value", _missing_fix(column.owner))
             for column in self._experiment.columns.in_table
+            if column.owner != OPERATOR_OWNER  # a person is asked before some runs only
             if outcome.measures.get(column.name) is None or outcome.measures[column.name].value is None
         ]
 

@@ -57,7 +57,7 @@ def run_contexts(
         report: takes what happens.
         ending: ends the run from any thread; None where callbacks of the orchestrator prepare it: they end in place.
     """
-    broker = MeasureBroker(task.run_id, experiment.columns, report)
+    broker = MeasureBroker(task.run_id, experiment.columns, report, task.entered)
     times = MissionTimes(clock, report, experiment.parameters.phases)
     run_path = experiment.folder.run(task.run_id)
     hosts = DeclaredHosts(experiment.parameters.hosts)
@@ -247,9 +247,9 @@ def _refused(context: RobotRunnerContext, name: Any, value: object) -> MeasureEr
 def _origin_of_returned(context: RobotRunnerContext, name: object) -> Origin:
     """Return where a returned value comes from: what was computed from simulated samples does not pass for measured."""
     published = context.broker.measures
-    if isinstance(name, str) and name in published:
+    if isinstance(name, str) and name in published and published[name].origin is not Origin.ENTERED:
         return published[name].origin
     if is_simulated(context.robot):
         return Origin.SIMULATED
-    origins = {measure.origin for measure in published.values()}
+    origins = {measure.origin for measure in published.values()} - {Origin.ENTERED}
     return origins.pop() if len(origins) == 1 else Origin.MEASURED

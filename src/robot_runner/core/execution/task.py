@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.parameters import BadValuePolicy
 from robot_runner.core.errors import Finding
-from robot_runner.core.events.measure import Origin, PublishedMeasure, quality_text
+from robot_runner.core.events.measure import OPERATOR_OWNER, Origin, PublishedMeasure, quality_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from robot_runner.core.events.measure import MeasureColumns
+    from robot_runner.core.events.measure import MeasureColumns, MeasureValue
 
 __all__ = [
     "FINISHED",
@@ -58,6 +58,7 @@ class RunTask:
         experiment_seed: the seed from which the run's own is derived.
         run_seed: a seed for this run alone, the same each time that it is executed.
         attempts_left: how often it is tried again where this attempt fails.
+        entered: what a person answered about this run, by column.
     """
 
     run_id: str
@@ -69,6 +70,7 @@ class RunTask:
     experiment_seed: int
     run_seed: int
     attempts_left: int = 0
+    entered: Mapping[str, MeasureValue] = field(default_factory=dict)
 
 
 def seed_of_run(experiment_seed: int, run_id: str) -> int:
@@ -251,6 +253,14 @@ class OutcomeBuilder:
         elif kind == FINISHED:
             self.is_finished = True
 
+    def go_on_from(self, outcome: RunOutcome) -> None:
+        """Add what comes to what an attempt that has ended has yielded; its failures stay its own."""
+        self._stamps.update(outcome.stamps)
+        self._measures.update(outcome.measures)
+        self._findings += outcome.findings
+        for name, measure in outcome.measures.items():
+            self._doubts[name] += measure.doubts
+
     def outcome(self, *, ended_because: str = "", interrupted: bool = False) -> RunOutcome:
         """Return how the attempt went.
 
@@ -285,7 +295,7 @@ class OutcomeBuilder:
             published = measures.get(column.name)
             if published is not None:
                 implausible = column.measure.implausible(published.value)
-                doubts = (*dict.fromkeys(self._doubts[column.name]), *filter(None, [implausible]))
+                doubts = tuple(dict.fromkeys(filter(None, (*self._doubts[column.name], implausible))))
                 measures[column.name] = replace(published, doubts=doubts) if doubts else published
         for column in self._columns.in_table:
             told = measures.get(column.tells_of)
@@ -298,7 +308,7 @@ class OutcomeBuilder:
         """Yield a failure for each value of the run table that is missing, or not plausible."""
         for column in self._columns.in_table:
             published = measures.get(column.name)
-            if column.tells_of:
+            if column.tells_of or column.owner == OPERATOR_OWNER:
                 continue
             if published is None or published.value is None:
                 because = f": {'; '.join(published.doubts)}" if published is not None and published.doubts else ""
