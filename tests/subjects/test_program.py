@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import signal
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import time
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -21,11 +23,11 @@ from tests.subjects.conftest import alive, gone
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import PluginError
 from robot_runner.plugins.systems import Program
+from robot_runner.subjects import supervisor
 from robot_runner.testing import SystemContract
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from robot_runner.core.events.context import RobotRunnerContext
 
@@ -246,6 +248,8 @@ def test_what_cannot_be_is_found_with_each_treatment_before_anything_moves(tmp_p
         ({"command": ["planner", object]}, "Give texts, numbers or paths."),
         ({"command": ["planner"], "per": "experimnt"}, "Did you mean 'experiment'?"),
         ({"command": ["planner"], "grace_s": 0}, "Give grace_s a number of seconds above 0."),
+        ({"command": ["planner"], "stop_signal": "sigint"}, "Did you mean 'SIGINT'?"),
+        ({"command": ["planner"], "environment": ["A=b"]}, "Give a mapping"),
         ({"command": ["planner"], "ready": 8080}, "Give a condition"),
         ({"command": ["planner"], "host": "-oProxyCommand=x"}, "Name it as for ssh"),
         ({"command": ["planner"], "ssh_config": "x"}, "Leave ssh_config out."),
@@ -255,6 +259,10 @@ def test_a_parameter_that_cannot_be_is_refused(wrong: dict[str, Any], fix: str) 
     with pytest.raises(PluginError) as caught:
         Program(**wrong)
     assert caught.value.fix.startswith(fix)
+
+
+def test_the_supervisor_that_is_sent_to_other_computers_is_python_of_theirs() -> None:
+    ast.parse(Path(supervisor.__file__).read_text(encoding="utf-8"), feature_version=(3, 6))
 
 
 def test_a_setup_file_is_sourced_first(execute: Callable[..., Executed], tmp_path: Path) -> None:
