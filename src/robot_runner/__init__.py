@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from robot_runner.core.design.analysis_plan import Hypothesis as Hypothesis
     from robot_runner.core.design.factor import Factor as Factor
     from robot_runner.core.design.run_table_model import RunTableModel as RunTableModel
+    from robot_runner.core.design.warm_up import WarmUp as WarmUp
     from robot_runner.core.errors import CommandError as CommandError
     from robot_runner.core.errors import ConditionError as ConditionError
     from robot_runner.core.errors import ConditionTimeout as ConditionTimeout

@@ -7,16 +7,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.cli.console import quiet_loading, shown_path
+from robot_runner.cli.design_words import later_orders_in_words
 from robot_runner.cli.parser import UsageError
 from robot_runner.core.config.checks import create_model, read_parameters
 from robot_runner.core.config.dialects import load_config
-from robot_runner.core.config.experiment import event_manager_for, experiment_folder
+from robot_runner.core.config.experiment import event_manager_for, experiment_folder, grown_model
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.plugin_checks import gather_plugins
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.errors import ConfigError, Finding, StorageError, did_you_mean
 from robot_runner.core.events.measure import resolve_columns, with_phases
 from robot_runner.core.execution.durations import Estimate, durations_of
+from robot_runner.core.execution.extension import unplanned_additions
 from robot_runner.core.execution.probe import probe_window_of, probed_plugins
 from robot_runner.core.execution.table_recovery import is_reordered
 from robot_runner.core.storage.cells import RunStatus
@@ -81,6 +83,10 @@ class Plan:
     def _order_of_table(self) -> str:
         if self.source is not None:
             return f"as in {shown_path(self.source)}"
+        return "; ".join([self._order_of_first, *later_orders_in_words(self.model)])
+
+    @property
+    def _order_of_first(self) -> str:
         blocks = self.model.blocks
         if not self.model.shuffle:
             return f"as written, in blocks of {blocks}" if blocks else "as written"
@@ -89,7 +95,7 @@ class Plan:
     @property
     def how_to_repeat(self) -> str:
         """What makes the same order again."""
-        if self.source is not None or not self.model.shuffle:
+        if self.source is not None or not (self.model.shuffle or self.model.batches):
             return ""
         if self.is_recorded:
             return "the experiment has begun: executing it goes on in this order"
@@ -116,6 +122,9 @@ def plan_of(config: Path, overrides: Mapping[str, str]) -> Plan:
         raise ConfigError.of_findings(findings)
     plugins, _ = gather_plugins(loaded, model)
     parameters, _ = read_parameters(loaded)
+    folder = folder_of(loaded)
+    if folder is not None:
+        model = grown_model(model, folder)
     phases = parameters.phases if parameters is not None else ()
     columns, column_findings = resolve_columns(
         model.data_columns, {plugin.name: with_phases(plugin.measures, phases) for plugin in plugins}
@@ -124,8 +133,7 @@ def plan_of(config: Path, overrides: Mapping[str, str]) -> Plan:
     if refused:
         raise ConfigError.of_findings(refused)
     warnings = (*loaded.findings, *findings, *column_findings)
-    folder = folder_of(loaded)
-    plan, rows = _planned(folder, model, columns, warnings, loaded.spelling)
+    plan, rows = _planned(config, folder, model, columns, warnings, loaded.spelling)
     if parameters is None or folder is None:
         return plan
     return _with_duration(plan, rows, loaded, plugins, parameters, folder)
@@ -158,6 +166,7 @@ def _with_duration(
 
 
 def _planned(
+    config: Path,
     folder: ExperimentFolder | None,
     model: RunTableModel,
     columns: MeasureColumns,
@@ -166,7 +175,7 @@ def _planned(
 ) -> tuple[Plan, RunTableRows | None]:
     """Return the plan, and the rows on disk where there are any, in the same order."""
     if folder is not None and folder.run_table.exists():
-        return _plan_on_disk(folder, model, columns, warnings, spelling)
+        return _plan_on_disk(config, folder, model, columns, warnings, spelling)
     table = model.plan()
     return Plan(model, columns, table, None, table.seed, is_recorded=False, findings=warnings), None
 
@@ -180,16 +189,21 @@ def folder_of(loaded: LoadedConfig) -> ExperimentFolder | None:
 
 
 def _plan_on_disk(
+    config: Path,
     folder: ExperimentFolder,
     model: RunTableModel,
     columns: MeasureColumns,
     warnings: tuple[Finding, ...],
     spelling: TableSpelling,
-) -> tuple[Plan, RunTableRows]:
+) -> tuple[Plan, RunTableRows | None]:
     try:
         manifest = read_manifest(folder.manifest)
     except StorageError:  # a table that was made by hand, before anything was executed
         manifest = {}
+    if unplanned := unplanned_additions(config, model, manifest):
+        found = (Finding.warning(each.where, each.problem, each.fix) for each in unplanned)
+        table = model.plan(manifest["seed"])
+        return Plan(model, columns, table, None, table.seed, is_recorded=False, findings=(*warnings, *found)), None
     known = ExcludedRuns.read(folder.journal)
     layout = replace(TableLayout.of_model(model, columns.names, spelling=spelling), has_exclusions=known.were_any)
     told: dict[str, Any] = {

@@ -16,7 +16,7 @@ from robot_runner.core.events.measure import Quality
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import moved_in_words
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.words import counted
+from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -61,7 +61,17 @@ def threats_of(material: Material) -> tuple[Remark, ...]:
     """Return all threats, those of one kind together."""
     kinds = {
         "Conclusion validity": (_groups, _power, _plan, _doubtful),
-        "Internal validity": (_drifts, _order, _excluded, _unfinished, _circumstances, machine_threats, _odd, _gaps),
+        "Internal validity": (
+            _drifts,
+            _order,
+            _extended,
+            _excluded,
+            _unfinished,
+            _circumstances,
+            machine_threats,
+            _odd,
+            _gaps,
+        ),
         "Construct validity": (_unread, _origins, _saturation),
         "External validity": (_constant_factors,),
     }
@@ -168,6 +178,25 @@ def _excluded(material: Material) -> Threats:
         text = f"{sentence(str(reason))} Not in the statistics: {listed(runs[RUN_ID], shown=20)}{when}."
         title = f"{counted(len(runs), 'run')} {'was' if len(runs) == 1 else 'were'} excluded"
         yield title, text, Tone.WARNING
+
+
+def _extended(material: Material) -> Threats:
+    batches = material.manifest("design", "batches", default=[])
+    if not batches:
+        return
+    sizes = enumerated(f"{batch['runs']:,}" for batch in batches)
+    text = (
+        f"Its {len(batches)} batches, of {sizes} runs, were executed at other times, and each has an order of its own: "
+        "what changed between them may pass for an effect unless the batch is a block."
+    )
+    yield "The experiment was extended", text, Tone.NOTE
+    for batch in batches:
+        for name, treatment in batch.get("defaults", {}).items():
+            text = (
+                f"It was added with batch {batch['batch']}; runs before count as {treatment}, which nobody set. Its "
+                "other treatments were executed later only: compare them within that batch."
+            )
+            yield f"{name} is confounded with time", text, Tone.WARNING
 
 
 def _unfinished(material: Material) -> Threats:

@@ -17,7 +17,7 @@ from robot_runner.cli.parser import add_json, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
 from robot_runner.cli.screens.plain import continue_command
 from robot_runner.core.execution.experiment_status import ExperimentStatus, Session, read_status
-from robot_runner.core.words import counted, one_line, shown_duration
+from robot_runner.core.words import counted, enumerated, one_line, shown_duration
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -53,6 +53,8 @@ def _print(console: UserConsole, status: ExperimentStatus) -> None:
         [
             ("State", _state(status)),
             ("Runs", _counts(status)),
+            ("Warm-up", _warm_ups(status)),
+            ("Batches", _batches(status)),
             ("Now", _now(status)),
             ("To do", _to_do(status)),
             ("Left", _left(status)),
@@ -108,6 +110,18 @@ def _left(status: ExperimentStatus) -> str:
 def _counts(status: ExperimentStatus) -> str:
     failed = f", {status.failed:,} failed" if status.failed else ""
     return f"{status.done:,} of {counted(status.run_count, 'run')} done{failed}, {status.todo:,} to do"
+
+
+def _warm_ups(status: ExperimentStatus) -> str:
+    if not status.warm_ups:
+        return ""
+    are = "is a warm-up run" if status.warm_ups == 1 else "are warm-up runs"
+    return f"{status.warm_ups:,} of these {are}, {status.warm_ups_done:,} done: kept, and not analysed"
+
+
+def _batches(status: ExperimentStatus) -> str:
+    sizes = enumerated(f"{runs:,}" for runs in status.batches)
+    return f"{len(status.batches)}, of {sizes} runs: the experiment was extended" if status.batches else ""
 
 
 def _excluded(status: ExperimentStatus) -> str:

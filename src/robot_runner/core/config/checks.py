@@ -19,7 +19,8 @@ from robot_runner.core.config.parameters import (
     RunProcess,
 )
 from robot_runner.core.config.plugin_checks import failed_check
-from robot_runner.core.design.run_table_model import RunTable, RunTableModel, listed_elsewhere
+from robot_runner.core.design.design_findings import listed_elsewhere
+from robot_runner.core.design.run_table_model import RunTable, RunTableModel
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, StorageError
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK

@@ -219,7 +219,7 @@ class RobotRunnerContext(ExperimentContext):
         attempt: how often this run has been tried, this time included, from 1.
         attempts_left: how often it is tried again where this attempt fails.
         combination: the treatment of each factor, by the factor's name.
-        repetition: which repetition of the combination this is, from 1.
+        repetition: which repetition of the combination this is, from 1; 0 for a warm-up run.
         run_seed: a seed for this run alone, the same each time that it is executed.
         clock: the clock to sleep on; on a simulated robot it is the simulation's.
         resources: links and devices that the run's plugins share.
@@ -248,6 +248,11 @@ class RobotRunnerContext(ExperimentContext):
     ending: Ending = field(default_factory=EndingInPlace, repr=False)
     hosts: HostDoor = field(default_factory=NoHosts, repr=False)
     next_run: NextRun | None = None
+
+    @property
+    def is_warm_up(self) -> bool:
+        """Whether the run only warms up: it is executed and kept like any other, and not analysed."""
+        return self.repetition == 0
 
     @property
     def run_folder(self) -> Path:

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import select
-import time
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from robot_runner.core.config.parameters import OperationType
@@ -16,47 +12,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.interruption import Interruption
     from robot_runner.core.execution.notices import Notice, Observer
     from robot_runner.core.execution.operator import Operator
     from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
+    from robot_runner.core.execution.patience import Patience
     from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
 
-__all__ = ["BetweenRuns", "Patience", "rest"]
-
-
-@dataclass(frozen=True, slots=True)
-class Patience:
-    """What goes on while the orchestrator waits.
-
-    Attributes:
-        refresh: called every `refresh_interval` seconds; never where that is None.
-    """
-
-    interruption: Interruption
-    refresh: Callable[[], None]
-    refresh_interval: float | None
-
-    def refresh_screen(self) -> None:
-        """Bring a live screen up to date."""
-        if self.refresh_interval is not None:
-            self.refresh()
-
-    def wait(self, seconds: float, user_input: int | None = None) -> bytes | None:
-        """Wait this long at most, for the user's interruption or input; return the latter, or None."""
-        descriptors = [self.interruption.descriptor, *([] if user_input is None else [user_input])]
-        readable, _, _ = select.select(descriptors, [], [], min(seconds, self.refresh_interval or seconds))
-        if self.interruption.descriptor in readable:
-            self.interruption.forget_wakeups()
-        self.refresh_screen()
-        return os.read(user_input, 4096) if user_input is not None and user_input in readable else None
-
-
-def rest(seconds: float, patience: Patience) -> None:
-    """Let this much real time go by, or less if the user interrupts."""
-    end = time.monotonic() + seconds
-    while not patience.interruption.is_requested and (left := end - time.monotonic()) > 0:
-        patience.wait(left)
+__all__ = ["BetweenRuns"]
 
 
 class BetweenRuns:
@@ -112,7 +74,7 @@ class BetweenRuns:
         if self._is_semi and not (is_cleared or has_asked or self._patience.interruption.is_requested):
             self._operator.ask_to_start(run)
         if finished is not None:
-            rest(self._parameters.time_between_runs_in_ms / 1000, self._patience)
+            self._patience.rest(self._parameters.time_between_runs_in_ms / 1000)
             self._pause_where_requested(run)  # it may have been asked for meanwhile
         self._reboots.before(run, finished)
 

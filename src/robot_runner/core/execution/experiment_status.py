@@ -77,6 +77,9 @@ class ExperimentStatus:
             `at` (at most a minute ago), and for how many `seconds` it had been awaited then.
         gate_seconds: how long gates were awaited in all, s of their clocks.
         bad_values: the runs that are done whose values are not good, by measure and quality.
+        warm_ups: how many of the runs only warm up.
+        warm_ups_done: how many of these are done.
+        batches: how many runs each batch has, in order, where the experiment was extended; warm-up runs left out.
         sessions: all its executions, the first one first.
         excluded: why runs are left out, by id.
         is_paused: whether somebody paused it; `robot-runner continue` goes on.
@@ -102,6 +105,9 @@ class ExperimentStatus:
     seconds_left: float | None = None
     left_is_least: bool = False
     bad_values: Mapping[str, Mapping[str, Sequence[str]]] = field(default_factory=lambda: MappingProxyType({}))
+    warm_ups: int = 0
+    warm_ups_done: int = 0
+    batches: tuple[int, ...] = ()
     sessions: tuple[Session, ...] = ()
     excluded: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     is_paused: bool = False
@@ -149,6 +155,9 @@ def read_status(folder: Path) -> ExperimentStatus:
         seconds_left=left.after(history.since_left if holder else 0.0) if left is not None else None,
         left_is_least=left is not None and left.is_least,
         bad_values=history.bad_values,
+        warm_ups=len(history.warm_ups),
+        warm_ups_done=sum(statuses.get(run) is RunStatus.DONE for run in history.warm_ups),
+        batches=tuple(int(each["runs"]) for each in manifest.get("design", {}).get("batches", ())),
         sessions=tuple(history.sessions),
         excluded=out,
         is_paused=holder is not None and history.is_paused,
@@ -211,6 +220,7 @@ class _History:
         self.failures: dict[str, str] = {}
         self.findings: list[Finding] = []
         self.waiting_for: dict[str, Any] | None = None
+        self.warm_ups: set[str] = set()
         self.is_paused = False
         self.sessions: list[Session] = []
         self._begun: dict[str, None] = {}
@@ -243,6 +253,7 @@ class _History:
             self._measures = layout.measures
             rows = read_run_table(files.run_table, layout)
             self.statuses = {rows.run_id(place): rows.status(place) for place in range(len(rows))}
+            self.warm_ups = {run.run_id for run in rows.planned if run.is_warm_up}
             self.combinations = {run.run_id: run.combination for run in rows.planned}
             if not layout.spelling.tells_apart(RunStatus.TODO, RunStatus.FAILED):
                 todo = {run for run, status in self.statuses.items() if status is RunStatus.TODO}

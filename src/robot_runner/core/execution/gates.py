@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.config.gate_parameters import Gate
     from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.execution.between_runs import Patience
     from robot_runner.core.execution.notices import Notice
+    from robot_runner.core.execution.patience import Patience
     from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
     from robot_runner.core.execution.task import Report, RunOutcome, RunTask
 

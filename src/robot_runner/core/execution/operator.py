@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.config.operator_steps import Question
     from robot_runner.core.events.measure import MeasureValue
-    from robot_runner.core.execution.between_runs import Patience
     from robot_runner.core.execution.notices import Notice
+    from robot_runner.core.execution.patience import Patience
     from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
     from robot_runner.core.execution.task import Report, RunTask
 

@@ -14,7 +14,7 @@ from robot_runner.core.config.parameters import FailurePolicy
 from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, StorageError
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.events.outlook import ExperimentEnd
-from robot_runner.core.execution.between_runs import BetweenRuns, Patience
+from robot_runner.core.execution.between_runs import BetweenRuns
 from robot_runner.core.execution.executor import Watch, executor_for
 from robot_runner.core.execution.gates import Gates, Passage
 from robot_runner.core.execution.interruption import Interruption
@@ -34,6 +34,7 @@ from robot_runner.core.execution.notices import (
 from robot_runner.core.execution.notifications import Notifications
 from robot_runner.core.execution.operator import Operator
 from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
+from robot_runner.core.execution.patience import Patience
 from robot_runner.core.execution.prepared_treatments import prepared_treatments
 from robot_runner.core.execution.probe import Probe, probe_profilers, probed_profilers
 from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager

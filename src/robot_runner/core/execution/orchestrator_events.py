@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.between_runs import Patience
+    from robot_runner.core.execution.patience import Patience
     from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
     from robot_runner.core.execution.task import Report, RunTask
 

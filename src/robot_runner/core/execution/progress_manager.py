@@ -23,6 +23,7 @@ from robot_runner.core.execution.circumstances import (
     resumed_manifest,
 )
 from robot_runner.core.execution.durations import durations_of
+from robot_runner.core.execution.extension import refuse_unplanned, unplanned_additions
 from robot_runner.core.execution.left_over import await_left_over
 from robot_runner.core.execution.mission_knowledge import combination_key
 from robot_runner.core.execution.recovery import config_changes, selected_places
@@ -122,11 +123,12 @@ class ProgressManager:
             left_over = await_left_over(self._folder, self._experiment.parameters.grace_in_s)
             self._findings += [left_over] if left_over is not None else []
             self._manifest = self._load_manifest()
+            self._findings += refuse_unplanned(self._experiment, self._manifest)
             if self._resumption.selection:
                 self._manifest["executions"][-1]["selection"] = self._resumption.selection
             started = time.monotonic()
             recovered = recover_table(self._experiment, self._manifest, self._resumption)
-            self._selected = selected_places(recovered.rows, self._resumption)
+            self._selected = selected_places(recovered.rows, self._resumption, self._experiment.model.warm_up)
             self._refuse_unfit_treatments(recovered)
             self._take(recovered)
             prepared = self._prepare(known_treatments(self._folder))
@@ -157,6 +159,8 @@ class ProgressManager:
             seed=self.seed,
             runs=self.run_count,
             design=manifest["design"]["source"],
+            factors=manifest["design"]["factors"],
+            repetitions=manifest["design"]["repetitions"],
             **({"selection": chosen} if (chosen := self._resumption.selection) else {}),
             repository=manifest["executions"][-1].get("repository"),
         )
@@ -382,7 +386,9 @@ class ProgressManager:
             return lost.manifest
         if self._folder.manifest.exists():
             if not self._resumption.accept_changes and (changes := config_changes(self._experiment)):
-                raise ExecutionError.of_findings(changes)
+                experiment, manifest = self._experiment, read_manifest(self._folder.manifest)
+                unplanned = unplanned_additions(experiment.config_path, experiment.model, manifest)
+                raise ExecutionError.of_findings([*changes, *unplanned])
             return resumed_manifest(self._experiment, read_manifest(self._folder.manifest))
         return manifest_of(self._experiment)
 

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.execution.between_runs import Patience
     from robot_runner.core.execution.notices import Notice
+    from robot_runner.core.execution.patience import Patience
     from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
     from robot_runner.core.execution.task import RunTask
     from robot_runner.core.links.declared_host import Host

@@ -56,6 +56,7 @@ class RunTask:
         run_number: its place in the order of execution, from 1.
         combination: the treatment of each factor, by name.
         experiment_seed: the seed from which the run's own is derived.
+        repetition: which repetition of its combination it is, from 1; 0 for a warm-up run.
         run_seed: a seed for this run alone, the same each time that it is executed.
         attempts_left: how often it is tried again where this attempt fails.
         entered: what a person answered about this run, by column.
@@ -71,6 +72,11 @@ class RunTask:
     run_seed: int
     attempts_left: int = 0
     entered: Mapping[str, MeasureValue] = field(default_factory=dict)
+
+    @property
+    def is_warm_up(self) -> bool:
+        """Whether it only warms up, so that it is not analysed."""
+        return self.repetition == 0
 
 
 def seed_of_run(experiment_seed: int, run_id: str) -> int:
