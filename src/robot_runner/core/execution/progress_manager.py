@@ -42,24 +42,9 @@ if TYPE_CHECKING:
 __all__ = ["PendingRun", "ProgressManager"]
 
 #: What a run reports that is kept in the journal; measures are kept with the end of the attempt.
-_KEPT = frozenset(
-    {
-        "event",
-        "window",
-        "phase",
-        "shared",
-        "finding",
-        "refused",
-        "failure",
-        "clock",
-        "bound",
-        "waited",
-        "guard",
-        "subject",
-        "mission_stopped",
-        "outlives",
-    }
-)
+_OF_RUN = ("event", "window", "phase", "shared", "finding", "refused", "failure", "clock", "bound")
+_OF_ATTENDANCE = ("waited", "guard", "asked", "answered", "subject", "mission_stopped", "outlives")
+_KEPT = frozenset((*_OF_RUN, *_OF_ATTENDANCE))
 
 
 @dataclass(frozen=True, slots=True)
@@ -312,9 +297,8 @@ class ProgressManager:
         if later.measures == before.measures and not found:
             return
         outcome = replace(before, stamps=later.stamps, measures=later.measures, findings=later.findings)
-        no_more = set(missing_measures(self._experiment, task, before)).difference(
-            missing_measures(self._experiment, task, outcome)
-        )
+        missing = missing_measures(self._experiment, task, outcome)
+        no_more = set(missing_measures(self._experiment, task, before)).difference(missing)
         self._findings = [each for each in self._findings if each not in no_more] + list(found)
         # The later end of an attempt takes the place of the earlier.
         self._keep_outcome(task, outcome, {"is_last": True, "is_amended": True})
