@@ -103,7 +103,7 @@ def shown_measure(published: PublishedMeasure | None) -> str:
 def treatments_in_words(task: RunTask | WaitingForUser, model: RunTableModel) -> str:
     """Return what a run varies, as `Task=Video, Repetition=3`."""
     parts = [f"{name}={shown_treatment(treatment)}" for name, treatment in task.combination.items()]
-    if task.is_warm_up:
+    if task.repetition == 0:
         parts.append("warm-up")
     elif model.repetitions > 1:
         parts.append(f"{REPETITION}={task.repetition}")

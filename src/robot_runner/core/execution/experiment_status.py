@@ -155,6 +155,7 @@ def read_status(folder: Path) -> ExperimentStatus:
         seconds_left=left.after(history.since_left if holder else 0.0) if left is not None else None,
         left_is_least=left is not None and left.is_least,
         bad_values=history.bad_values,
+        waiting_for=history.waiting_for if holder else None,
         warm_ups=len(history.warm_ups),
         warm_ups_done=sum(statuses.get(run) is RunStatus.DONE for run in history.warm_ups),
         batches=tuple(int(each["runs"]) for each in manifest.get("design", {}).get("batches", ())),
@@ -165,7 +166,6 @@ def read_status(folder: Path) -> ExperimentStatus:
         order=moved_in_words(moved_runs(list(statuses), history.executed), history.executed),
         gate=history.gate if holder else None,
         gate_seconds=history.gate_seconds,
-        waiting_for=history.waiting_for if holder else None,
     )
 
 
@@ -298,8 +298,9 @@ class _History:
     def _take_attempt_started(self, record: Mapping[str, Any]) -> None:
         self.current_run, self.current_event = record["run"], None
         self._take_left(record)
-        self._begun.pop(record["run"], None)
-        self._begun[record["run"]] = None
+        if record.get("repetition") != 0:  # a warm-up run comes before each session, whatever the table's order
+            self._begun.pop(record["run"], None)
+            self._begun[record["run"]] = None
 
     def _take_event(self, record: Mapping[str, Any]) -> None:
         self.current_event = record["event"]
