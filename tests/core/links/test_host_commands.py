@@ -13,14 +13,14 @@ import pytest
 from tests.core.links.ssh_server import SshServer
 
 from robot_runner.core.errors import CommandError, ConfigError, LinkError
-from robot_runner.core.links.declared_host import Host, Reboot, are_hosts
-from robot_runner.core.links.host_commands import DeclaredHosts, HostCommands
+from robot_runner.core.links.declared_host import DeclaredHosts, Host, Reboot, are_hosts
 from robot_runner.testing import FakeClock, make_context
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.links.host_commands import HostCommands
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,6 @@ from robot_runner.core.execution.circumstances import (
 from robot_runner.core.execution.durations import durations_of
 from robot_runner.core.execution.extension import refuse_unplanned, unplanned_additions
 from robot_runner.core.execution.left_over import await_left_over
-from robot_runner.core.execution.mission_knowledge import combination_key
 from robot_runner.core.execution.recovery import config_changes, selected_places
 from robot_runner.core.execution.table_on_disk import TableOnDisk
 from robot_runner.core.execution.table_recovery import recover_table, texts_of
@@ -266,7 +265,7 @@ class ProgressManager:
         self._rows.record(run.run_id, status=RunStatus.RUNNING)
         self._failed.pop(run.run_id, None)
         task = self.task_of(run)
-        self._durations.begin(combination_key(task.combination), time.monotonic())
+        self._durations.begin(task.combination, time.monotonic())
         self.note(
             "attempt_started",
             run=run.run_id,
