@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from robot_runner.conditions.network_answers import port_open as port_open
     from robot_runner.conditions.outputs import file_complete as file_complete
     from robot_runner.conditions.outputs import text_in as text_in
+    from robot_runner.conditions.person import confirmed as confirmed
     from robot_runner.conditions.topic_messages import battery_above as battery_above
     from robot_runner.conditions.topic_messages import battery_below as battery_below
     from robot_runner.conditions.topic_messages import message_on as message_on
@@ -49,7 +50,10 @@ if TYPE_CHECKING:
     from robot_runner.core.config.parameters import RunProcess as RunProcess
     from robot_runner.core.design.analysis_plan import AnalysisPlan as AnalysisPlan
     from robot_runner.core.design.analysis_plan import Correction as Correction
+    from robot_runner.core.design.analysis_plan import Estimand as Estimand
+    from robot_runner.core.design.analysis_plan import Family as Family
     from robot_runner.core.design.analysis_plan import Hypothesis as Hypothesis
+    from robot_runner.core.design.analysis_plan import Statistic as Statistic
     from robot_runner.core.design.factor import Factor as Factor
     from robot_runner.core.design.run_table_model import RunTableModel as RunTableModel
     from robot_runner.core.design.warm_up import WarmUp as WarmUp

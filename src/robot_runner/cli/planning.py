@@ -272,13 +272,14 @@ def _in_folder(path: Path, *, takes_older: bool) -> ExperimentFolder:
 
 
 def _is_of_older_tool(folder: ExperimentFolder) -> bool:
-    """Return whether a folder has a run table with runs that were executed, and nothing of ours."""
+    """Return whether a folder has a run table with runs that were executed, and nothing of ours.
+
+    Raises:
+        StorageError: the run table cannot be read.
+    """
     if folder.manifest.exists() or not folder.run_table.exists():
         return False
-    try:
-        rows = read_run_table(folder.run_table, TableLayout((), stamps=()))
-    except StorageError:
-        return False
+    rows = read_run_table(folder.run_table, TableLayout((), stamps=()))
     return len(rows) > rows.count(RunStatus.TODO)
 
 
