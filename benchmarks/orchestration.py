@@ -59,7 +59,7 @@ class RobotRunnerConfig(ExperimentConfig):
     operation_type = OperationType.SEMI
     plugins = [Everything()]
 
-    def before_experiment(self, context): pass
+    def before_experiment(self, context): return True
     def before_run(self, context): pass
     def start_run(self, context): pass
     def start_measurement(self, context): pass

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 from typing import TYPE_CHECKING
@@ -43,7 +44,11 @@ def call(program: str, folder: Path, *words: str) -> subprocess.CompletedProcess
 def test_enter_starts_the_next_run(terminal: Callable, write_config: Callable[..., Path], tmp_path: Path) -> None:
     write_config(SEMI, table=TWO_RUNS)
     shown = terminal("run", "config.py")
+    shown.wait_for("Press ENTER to start run 1 of 2, or in another terminal: robot-runner continue results/trial")
+    assert "Next is r_1, run 1 of 2: Task=Video\n2 runs left\n" in shown.text
+    shown.child.sendline("")
     shown.wait_for("Press ENTER to start run 2 of 2, or in another terminal: robot-runner continue results/trial")
+    assert re.search(r"Next is r_2, run 2 of 2: Task=Network\n1 run, (about|at least) \d+", shown.text)
     assert "▶" not in shown.text, "the live part gives way"
     shown.child.sendline("")
     assert shown.finish() == 0
@@ -64,7 +69,9 @@ def test_a_second_terminal_lets_it_go_on(
 ) -> None:
     write_config(SEMI, table=TWO_RUNS)
     shown = terminal("run", "config.py")
-    shown.wait_for("Press ENTER")
+    shown.wait_for("start run 1")
+    shown.child.sendline("")
+    shown.wait_for("start run 2")
     waiting = json.loads(call(program, tmp_path, "status", "config.py", "--json").stdout)
     assert waiting["is_waiting_for_user"] is True
     assert waiting["holder"]["pid"] == shown.child.pid
@@ -87,10 +94,13 @@ def test_where_nobody_sits_a_second_terminal_is_the_way(
         [program, "run", "config.py"], cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True
     ) as running:
         assert running.stdout is not None
+        asked = []
         for line in running.stdout:
-            if line.startswith("Waiting before run 2 of 2."):
+            if line.startswith("Waiting before run"):
+                asked.append(line.split(".")[0])
                 assert call(program, tmp_path, "continue", "results/trial").returncode == 0
         assert running.wait(timeout=60) == 0
+    assert asked == ["Waiting before run 1 of 2", "Waiting before run 2 of 2"]
 
 
 def test_an_experiment_that_does_not_wait_is_not_told_to_go_on(
@@ -131,7 +141,9 @@ def test_the_live_screen_shows_run_event_and_phase_and_ctrl_c_ends_it_cleanly(
 def test_ctrl_c_ends_the_waiting_too(terminal: Callable, write_config: Callable[..., Path]) -> None:
     write_config(SEMI, table=TWO_RUNS)
     shown = terminal("run", "config.py")
-    shown.wait_for("Press ENTER")
+    shown.wait_for("start run 1")
+    shown.child.sendline("")
+    shown.wait_for("start run 2")
     shown.child.sendintr()
     assert shown.finish() == 130
     assert "Interrupted: 1 of 2 runs done, 0 failed, 1 to do" in shown.text
@@ -140,9 +152,11 @@ def test_ctrl_c_ends_the_waiting_too(terminal: Callable, write_config: Callable[
 def test_an_enter_that_came_too_early_starts_nothing(terminal: Callable, write_config: Callable[..., Path]) -> None:
     write_config(f"{SEMI}\ndef launch_mission(self, context): context.clock.sleep(0.5)\n", table=TWO_RUNS)
     shown = terminal("run", "config.py")
+    shown.wait_for("start run 1")
+    shown.child.sendline("")
     shown.wait_for("launch_mission")
     shown.child.sendline("")
-    shown.wait_for("Press ENTER")
+    shown.wait_for("start run 2")
     with pytest.raises(shown.timeout):
         shown.child.expect("r_2 is ready", timeout=0.5)
     shown.child.sendline("")

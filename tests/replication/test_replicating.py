@@ -10,7 +10,10 @@ from pathlib import Path
 import pytest
 from tests.replication.small_experiment import SECRET, execute, own_modules, write_config
 
+from robot_runner.core.config.preparation import prepare
+from robot_runner.core.design.growing import Additions
 from robot_runner.core.errors import ConfigError, PackageError
+from robot_runner.core.execution.extension import ExtensionRequest, extend_experiment
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -18,7 +21,21 @@ from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
-from robot_runner.replication.replicating import identical_values, prepare_replication
+from robot_runner.replication.replicating import Sameness, identical_values, prepare_replication
+
+GROWING = """
+from robot_runner import ExperimentConfig, Factor, RunTableModel
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "growing"
+    results_output_path = "results"
+
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["Video", "Network"])], shuffle=True, data_columns=["Number"], warm_up=1)
+
+    def populate_run_data(self, context):
+        return {"Number": context.run_number}
+"""
 
 
 @pytest.fixture(autouse=True)
@@ -185,3 +202,41 @@ def test_what_cannot_be_set_is_refused(unpacked, tmp_path):
 def test_nothing_is_written_into_the_original(replicated):
     _, _, before, after = replicated
     assert after == before
+
+
+def test_an_experiment_that_was_extended_is_executed_again_with_its_batches(tmp_path):
+    config = tmp_path / "study.py"
+    config.write_text(GROWING, encoding="utf-8")
+    original = execute(config)
+    request = ExtensionRequest(added=Additions(2, {"Task": ["Audio"]}), seed=3)
+    extend_experiment(prepare(config, is_for_here=False).experiment, request)
+    execute(config)
+    target = tmp_path / "again"
+    assert prepare_replication(original, target, {}).findings == ()
+    _replicate(original, target)  # what an earlier try has left is gone on with
+    again = target / "growing"
+    assert _runs(again) == _runs(original)
+    assert len(_runs(again)) == 3 + 5
+    manifest, was = (read_manifest(ExperimentFolder(folder).manifest) for folder in (again, original))
+    assert manifest["design"] == was["design"]
+    assert [batch["batch"] for batch in manifest["design"]["batches"]] == [1, 2]
+    assert identical_values(original, again) == {"Number": Sameness(runs=6, identical=6)}
+    (again / "run_table.csv").unlink()
+    execute_experiment(prepare_replication(original, target, {}).experiment, SilentObserver())
+    assert _runs(again) == _runs(original)
+
+
+def test_a_run_in_an_interpreter_of_its_own_writes_into_the_replication_and_knows_added_treatments(tmp_path):
+    config = tmp_path / "study.py"
+    body = GROWING.replace("import ExperimentConfig", "import ExperimentConfig, RunProcess")
+    spawned = '    results_output_path = "results"\n    run_process = RunProcess.SPAWN\n'
+    told = '    def launch_mission(self, context):\n        (context.run_folder / "task").write_text(context.combination["Task"])\n'
+    config.write_text(body.replace('    results_output_path = "results"\n', spawned) + told, encoding="utf-8")
+    original = execute(config)
+    request = ExtensionRequest(added=Additions(treatments={"Task": ["Audio"]}), seed=3)
+    extend_experiment(prepare(config, is_for_here=False).experiment, request)
+    execute(config)
+    before = _written_at(original)
+    _replicate(original, tmp_path / "again")
+    assert _written_at(original) == before
+    assert (tmp_path / "again" / "growing" / "runs" / "r_3" / "task").read_text("utf-8") == "Audio"

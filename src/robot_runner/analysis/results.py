@@ -8,10 +8,16 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-import pandas as pd
-
 from robot_runner.analysis.exporting import ExportContent, export_results
-from robot_runner.analysis.run_frame import History, RunFrame, column_descriptions, read_history, read_run_frame
+from robot_runner.analysis.run_frame import (
+    History,
+    RunFrame,
+    column_descriptions,
+    excluded_frame,
+    quality_frame,
+    read_history,
+    read_run_frame,
+)
 from robot_runner.analysis.sample_files import (
     PhaseSpans,
     SampleFile,
@@ -27,7 +33,7 @@ from robot_runner.analysis.samples import SampleRequest, read_samples
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STATUS
 from robot_runner.core.errors import AnalysisError, StorageError, did_you_mean
-from robot_runner.core.events.measure import QUALITY_SUFFIX, Quality, quality_of_value
+from robot_runner.core.events.measure import QUALITY_SUFFIX
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.excluded_runs import ExcludedRuns
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -37,6 +43,8 @@ from robot_runner.core.storage.table_columns import ColumnRole
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    import pandas as pd
 
     from robot_runner.core.errors import Finding
     from robot_runner.core.storage.table_schema import ColumnDescription
@@ -53,6 +61,7 @@ class Results:
         manifest: the circumstances, as in `manifest.json`.
         columns: what each column of the run table is, by its heading: role, type, unit, owner, origin.
         with_excluded: whether runs that were excluded are among the others.
+        with_warm_ups: whether warm-up runs are among the others; else they are left out everywhere.
 
     Example:
         >>> results = load_results("experiments/basic_experiment")  # doctest: +SKIP
@@ -64,6 +73,7 @@ class Results:
     manifest: Mapping[str, Any] = field(repr=False)
     columns: Mapping[str, ColumnDescription] = field(repr=False)
     with_excluded: bool = False
+    with_warm_ups: bool = False
 
     @property
     def name(self) -> str:
@@ -89,6 +99,16 @@ class Results:
         return blocks if blocks in self.columns else None
 
     @property
+    def batch(self) -> str | None:
+        """The column that says in which batch a run was planned, where the experiment was extended: a block, too."""
+        return next(iter(self._named(ColumnRole.BATCH)), None)
+
+    @property
+    def warm_ups(self) -> tuple[str, ...]:
+        """The ids of the warm-up runs, whether they are among the runs or left out."""
+        return self._run_frame.warm_ups
+
+    @property
     def measures(self) -> tuple[str, ...]:
         """The measures that have a column in the run table, in its order; columns of qualities are left out."""
         named = self._named(ColumnRole.MEASURE)
@@ -98,14 +118,12 @@ class Results:
     @property
     def plan(self) -> AnalysisPlan | None:
         """What was fixed for the analysis before the experiment, or None."""
-        plain = self.manifest.get("analysis")
-        return AnalysisPlan.of_mapping(plain) if plain else None
+        return AnalysisPlan.of_mapping(plain) if (plain := self.manifest.get("analysis")) else None
 
     @property
     def seed(self) -> int | None:
         """What the order of the runs comes from; None where it is not known."""
-        seed = self.manifest.get("seed")
-        return None if seed is None else int(seed)
+        return None if (seed := self.manifest.get("seed")) is None else int(seed)
 
     @property
     def is_running(self) -> bool:
@@ -119,8 +137,7 @@ class Results:
 
     def unit(self, name: str) -> str:
         """Return the unit of a column (SI symbol, `%`, `1`); empty where there is none or it is not known."""
-        column = self.columns.get(name)
-        return column.unit if column else ""
+        return self.columns[name].unit if name in self.columns else ""
 
     def label(self, name: str) -> str:
         """Return a heading for an axis or a table: the name with its unit in brackets, as in `Energy (J)`."""
@@ -133,9 +150,9 @@ class Results:
 
         Columns are those of `run_table.csv`: `run_id` (str), `status` (ordered categorical), time stamps
         (datetime64, UTC), factors (ordered categoricals, in the order in which the config has the treatments), the
-        repetition (Int64), measures (float64, Int64, boolean or str), a user's own columns. What is missing is NaN,
-        NaT or <NA>. `attrs["units"]` has the units. With `with_excluded`, all runs are there; where any run was ever
-        excluded, the column `excluded` has the reason.
+        repetition and the batch (Int64), whether it warms up (boolean), measures (float64, Int64, boolean or str), a
+        user's own columns. What is missing is NaN, NaT or <NA>. `attrs["units"]` has the units. With `with_excluded`,
+        all runs are there; where any run was ever excluded, the column `excluded` has the reason.
         """
         frame = self.all_runs
         if self.with_excluded or EXCLUDED not in frame:
@@ -150,12 +167,7 @@ class Results:
     @property
     def excluded(self) -> pd.DataFrame:
         """The runs that were excluded, as `all_runs` has them: `excluded` is the reason, `excluded_at` when (UTC)."""
-        frame = self.all_runs
-        chosen = frame[frame[EXCLUDED].notna()] if EXCLUDED in frame else frame.iloc[:0].assign(**{EXCLUDED: None})
-        told = ExcludedRuns.read(self._files.journal).present
-        at = [told[run_id].at if run_id in told else None for run_id in chosen[RUN_ID]]
-        stamps = pd.to_datetime(pd.Series(at, dtype="object"), utc=True, format="ISO8601")
-        return chosen.reset_index(drop=True).assign(excluded_at=stamps)
+        return excluded_frame(self.all_runs, ExcludedRuns.read(self._files.journal))
 
     @property
     def done(self) -> pd.DataFrame:
@@ -195,17 +207,7 @@ class Results:
             >>> quality = load_results("experiments/basic_experiment").quality  # doctest: +SKIP
             >>> quality[quality["quality"] != "good"].groupby("measure").size()  # doctest: +SKIP
         """
-        done = self.done
-        rows = [
-            (run_id, name, quality_of_value(None if pd.isna(value) else value, reasons).value, "; ".join(reasons))
-            for name in self.measures
-            if name in done
-            for run_id, value in zip(done[RUN_ID], done[name], strict=True)
-            for reasons in [self._reasons(run_id, name)]
-        ]
-        frame = pd.DataFrame(rows, columns=["run_id", "measure", "quality", "reasons"])
-        frame["quality"] = pd.Categorical(frame["quality"], [each.value for each in Quality], ordered=True)
-        return frame
+        return quality_frame(self.done, self.measures, self._reasons)
 
     def _reasons(self, run_id: str, measure: str) -> tuple[str, ...]:
         """Return what the journal says of a value; the schema, where the journal does not know the run."""
@@ -247,8 +249,7 @@ class Results:
         first = phases.groupby("run_id")["start_s"].transform("min")
         start = phases["run_id"].map(self._history.starts).astype("float64").fillna(first)
         phases = phases.assign(start_s=phases["start_s"] - start, end_s=phases["end_s"] - start)
-        treatments = self.all_runs[[RUN_ID, *self._labels]]
-        joined = phases.merge(treatments, on=RUN_ID, how="left")
+        joined = phases.merge(self.all_runs[[RUN_ID, *self._labels]], on=RUN_ID, how="left")
         own = [name for name in joined.columns if name not in {RUN_ID, *self._labels}]
         return joined[[RUN_ID, *self._labels, *own]]
 
@@ -344,11 +345,13 @@ class Results:
 
     @cached_property
     def _run_frame(self) -> RunFrame:
-        return read_run_frame(self._files, tuple(self.columns.values()), self.manifest)
+        read = read_run_frame(self._files, tuple(self.columns.values()), self.manifest)
+        return read if self.with_warm_ups else read.without_warm_ups()
 
     @cached_property
     def _history(self) -> History:
-        return read_history(self._files.journal)
+        history = read_history(self._files.journal)
+        return history if self.with_warm_ups else history.without(self.warm_ups)
 
     @cached_property
     def _run_files(self) -> dict[tuple[str, str], dict[str, Path]]:
@@ -375,13 +378,14 @@ class Results:
         return wanted
 
 
-def load_results(folder: Path | str, *, with_excluded: bool = False) -> Results:
+def load_results(folder: Path | str, *, with_excluded: bool = False, with_warm_ups: bool = False) -> Results:
     """Read the results of an experiment.
 
     Args:
         folder: the experiment's folder: the one that holds `run_table.csv` and `manifest.json`.
         with_excluded: whether runs that were excluded (`robot-runner exclude`) are among the others. By default they
             are in `excluded` and `all_runs` alone, and in no statistics.
+        with_warm_ups: whether warm-up runs are among the others; `Results.warm_ups` names them in any case.
 
     Raises:
         StorageError: there is no experiment here, or it cannot be read.
@@ -393,4 +397,4 @@ def load_results(folder: Path | str, *, with_excluded: bool = False) -> Results:
         raise StorageError("there is a run table here, but no manifest.json", where=str(folder), fix=fix)
     manifest = read_manifest(files.manifest)
     columns = {column.name: column for column in column_descriptions(files, manifest)}
-    return Results(root, MappingProxyType(manifest), MappingProxyType(columns), with_excluded)
+    return Results(root, MappingProxyType(manifest), MappingProxyType(columns), with_excluded, with_warm_ups)

@@ -8,18 +8,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from robot_runner.core.design.columns import REPETITION, RUN_ID, STATUS
+from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STATUS
 from robot_runner.core.errors import StorageError
 from robot_runner.core.events.manager import ORCHESTRATED_EVENTS, RobotRunnerEvents
+from robot_runner.core.events.measure import Quality, quality_of_value
 from robot_runner.core.storage.cells import RunStatus, typed_value, typed_values
 from robot_runner.core.storage.excluded_runs import ExcludedRuns
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.run_table_reading import read_run_table
-from robot_runner.core.storage.table_columns import ColumnRole, TableLayout
+from robot_runner.core.storage.table_columns import MARKS, ColumnRole, TableLayout
 from robot_runner.core.storage.table_schema import ColumnDescription, read_schema, type_of_values
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.core.errors import Finding
@@ -32,6 +33,8 @@ __all__ = [
     "History",
     "RunFrame",
     "column_descriptions",
+    "excluded_frame",
+    "quality_frame",
     "read_history",
     "read_run_frame",
     "treatment_texts",
@@ -50,10 +53,20 @@ class RunFrame:
     Attributes:
         frame: one row a run, in the order of the file.
         findings: what looked odd in the file.
+        warm_ups: the ids of the warm-up runs.
     """
 
     frame: pd.DataFrame
     findings: tuple[Finding, ...]
+    warm_ups: tuple[str, ...] = ()
+
+    def without_warm_ups(self) -> RunFrame:
+        """Return the table without the rows of warm-up runs."""
+        if not self.warm_ups:
+            return self
+        kept = self.frame[~self.frame[RUN_ID].isin(self.warm_ups)].reset_index(drop=True)
+        kept.attrs = self.frame.attrs
+        return replace(self, frame=kept)
 
 
 def column_descriptions(folder: ExperimentFolder, manifest: Mapping[str, Any]) -> tuple[ColumnDescription, ...]:
@@ -101,7 +114,38 @@ def read_run_frame(
     if excluded is not None:  # the journal is the truth; a cell that was edited by hand is settled by the next session
         for run_id in rows.values(RUN_ID) if rows.layout.has_exclusions else ():
             rows.exclude(run_id, excluded.reason(run_id))
-    return RunFrame(_frame(rows, columns, manifest), rows.warnings)
+    warm_ups = tuple(run.run_id for run in rows.planned if run.is_warm_up)
+    return RunFrame(_frame(rows, columns, manifest), rows.warnings, warm_ups)
+
+
+def excluded_frame(frame: pd.DataFrame, known: ExcludedRuns) -> pd.DataFrame:
+    """Return the rows of a run table that are left out, with `excluded_at`, when they were (UTC)."""
+    chosen = frame[frame[EXCLUDED].notna()] if EXCLUDED in frame else frame.iloc[:0].assign(**{EXCLUDED: None})
+    at = [known.present[run_id].at if run_id in known.present else None for run_id in chosen[RUN_ID]]
+    stamps = pd.to_datetime(pd.Series(at, dtype="object"), utc=True, format="ISO8601")
+    return chosen.reset_index(drop=True).assign(excluded_at=stamps)
+
+
+def quality_frame(
+    done: pd.DataFrame, measures: Sequence[str], reasons_of: Callable[[str, str], Sequence[str]]
+) -> pd.DataFrame:
+    """Return how far each value of runs that are done can be trusted, one row a value.
+
+    Args:
+        done: their rows of the run table.
+        measures: the names of the measures.
+        reasons_of: tells what makes the value of a run, by its id, and a measure doubtful or missing.
+    """
+    rows = [
+        (run_id, name, quality_of_value(None if pd.isna(value) else value, reasons).value, "; ".join(reasons))
+        for name in measures
+        if name in done
+        for run_id, value in zip(done[RUN_ID], done[name], strict=True)
+        for reasons in [reasons_of(run_id, name)]
+    ]
+    frame = pd.DataFrame(rows, columns=["run_id", "measure", "quality", "reasons"])
+    frame["quality"] = pd.Categorical(frame["quality"], [each.value for each in Quality], ordered=True)
+    return frame
 
 
 def treatment_texts(values: pd.Series) -> pd.Series:
@@ -142,6 +186,8 @@ def _frame(rows: RunTableRows, columns: Sequence[ColumnDescription], manifest: M
         data[name] = _factor(list(rows.values(name)), types.get(name, "any"), declared.get(name, ()))
     for name in rows.layout.repetition:
         data[name] = pd.array(list(rows.values(name)), dtype="Int64")
+    for name in rows.layout.marks:
+        data[name] = pd.array(list(rows.values(name)), dtype=_DTYPES[MARKS[name].type])
     for name in rows.layout.measures:
         data[name] = _values(list(rows.values(name)), types.get(name, "any"))
     for name in rows.layout.extras:
@@ -221,6 +267,17 @@ class History:
     doubts: Mapping[str, Mapping[str, tuple[str, ...]]]
     readers: Mapping[str, tuple[str, ...]] | None = None
 
+    def without(self, runs: Collection[str]) -> History:
+        """Return the history without what it has of these runs."""
+        if not runs:
+            return self
+        frames = {
+            name: frame[~frame["run_id"].isin(runs)].reset_index(drop=True)
+            for name in ("attempts", "events", "published", "odd")
+            for frame in [getattr(self, name)]
+        }
+        return replace(self, **frames)
+
 
 def read_history(journal: Path) -> History:
     """Read the journal of an experiment; one that does not exist tells nothing.
@@ -242,7 +299,9 @@ def read_history(journal: Path) -> History:
         if each["attempt"] == last.get(each["run"])
     }
     starts = {**measured, **{run: start for run, (start, _) in windows.items()}}
-    ended = [each for each in records["attempt_finished"] if each["attempt"] == last.get(each["run"])]
+    # Of an attempt that has two ends, what was published after the run is in the later one.
+    ends = {each["run"]: each for each in records["attempt_finished"] if each["attempt"] == last.get(each["run"])}
+    ended = list(ends.values())
     return History(
         attempts,
         _events(of_last, starts),

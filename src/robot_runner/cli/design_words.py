@@ -2,30 +2,40 @@
 
 from __future__ import annotations
 
+import sys
+from dataclasses import asdict
+from math import prod
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.cli.console import Column, width_of
-from robot_runner.core.design.columns import REPETITION
+from robot_runner.cli.console import Column, aligned, fitting, width_of
+from robot_runner.core.design.columns import BATCH, REPETITION
 from robot_runner.core.design.listed_runs import ListedRunTableModel
-from robot_runner.core.words import counted, plain, shown_treatment
+from robot_runner.core.words import counted, enumerated, listed, plain, shown_treatment
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
+    from robot_runner.cli.console import UserConsole
+    from robot_runner.core.design.batches import Batch
     from robot_runner.core.design.factor import Factor
     from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.events.measure import MeasureColumn, MeasureColumns
 
 __all__ = [
+    "batch_as_json",
+    "batch_order_in_words",
     "columns_as_json",
     "design_as_json",
     "in_words",
+    "later_orders_in_words",
     "measures_in_words",
     "order_in_words",
+    "print_runs",
     "run_as_json",
     "run_cells",
     "run_columns",
+    "warm_ups_in_words",
 ]
 
 
@@ -43,7 +53,44 @@ def run_columns(model: RunTableModel, last_run_id: str) -> list[Column]:
 def run_cells(model: RunTableModel, run_id: str, combination: Mapping[str, object], repetition: int) -> list[str]:
     """Return the cells of one run."""
     cells = [run_id, *map(shown_treatment, combination.values())]
-    return [*cells, str(repetition)] if model.repetitions > 1 else cells
+    return [*cells, str(repetition) if repetition else "warm-up"] if model.repetitions > 1 else cells
+
+
+#: A table of more runs than this is abbreviated on a terminal.
+_LONG = 40
+_FIRST, _LAST = 20, 5
+
+
+def print_runs(
+    console: UserConsole, model: RunTableModel, runs: Sequence[PlannedRun], *, shows_all: bool = False
+) -> None:
+    """Print planned runs as a table; a long one is abbreviated on a terminal, where not all are asked for."""
+    is_abbreviated = sys.stdout.isatty() and not shows_all and len(runs) > _LONG
+    columns = [*run_columns(model, max((run.run_id for run in runs), key=len)), *_mark_columns(model, runs)]
+    shown = columns[: fitting(columns, console.width)]
+    console.print(aligned(shown, [column.heading for column in columns]), style="bold", soft_wrap=True)
+    for run in runs[:_FIRST] if is_abbreviated else runs:
+        print(aligned(shown, _cells(run, model)))
+    if is_abbreviated:
+        left_out = len(runs) - _FIRST - _LAST
+        console.print(f"… {counted(left_out, 'run')} left out: --all shows them …", style="dim")
+        for run in runs[-_LAST:]:
+            print(aligned(shown, _cells(run, model)))
+    if len(shown) < len(columns):
+        names = ", ".join(column.heading for column in columns[len(shown) :])
+        console.print(f"No room for: {names}. A wider terminal shows them, and so does --json.", style="dim")
+
+
+def _mark_columns(model: RunTableModel, runs: Sequence[PlannedRun]) -> list[Column]:
+    marks = [BATCH] if model.batches else []
+    marks += ["block"] if any(run.block is not None for run in runs) else []
+    return [Column(name, len(name), is_number=True) for name in marks]
+
+
+def _cells(run: PlannedRun, model: RunTableModel) -> list[str]:
+    cells = run_cells(model, run.run_id, run.combination, run.repetition)
+    batch = [str(run.batch)] if model.batches else []
+    return [*cells, *batch, *([] if run.block is None else [str(run.block)])]
 
 
 def _factor_column(factor: Factor) -> Column:
@@ -63,23 +110,52 @@ def in_words(model: RunTableModel) -> str:
     parts = [f"{factor.name} ({len(factor.treatments):,})" for factor in model.factors]
     if isinstance(model, ListedRunTableModel):
         return f"{counted(len(model.runs), 'run')}, listed one by one: {', '.join(parts) or 'nothing is varied'}"
-    combinations = 1
-    for factor in model.factors:
-        combinations *= len(factor.treatments)
-    runs = len(model.plan())
-    excluded = combinations - runs // model.repetitions
+    combinations = prod(len(factor.treatments) for factor in model.factors)
+    runs = sum(not run.is_warm_up for run in model.plan())
     if model.repetitions > 1:
         parts.append(f"{model.repetitions:,} repetitions")
+    if model.batches:
+        sizes = enumerated(f"{len(batch.run_ids):,}" for batch in model.batches)
+        return f"{counted(runs, 'run')} in {len(model.batches)} batches of {sizes}: {' x '.join(parts)}"
+    excluded = combinations - runs // model.repetitions
     less = f", {counted(excluded, 'combination')} excluded" if excluded else ""
     return f"{counted(runs, 'run')}: {' x '.join(parts)}{less}"
 
 
+def warm_ups_in_words(model: RunTableModel, runs: Sequence[PlannedRun]) -> str:
+    """Return which runs only warm up; empty where none does."""
+    ids = [run.run_id for run in runs if run.is_warm_up]
+    if not ids:
+        return ""
+    how = f" ({model.warm_up})" if model.warm_up else ""
+    again = ", and again in each session" if model.warm_up and model.warm_up.each_session else ""
+    return f"{listed(ids)}{how}: executed and kept, not analysed{again}"
+
+
+def batch_order_in_words(batch: Batch) -> str:
+    """Return how the runs of a batch were put in order among themselves."""
+    blocks = f" within blocks of {batch.order.blocks}" if batch.order.blocks else ""
+    if not batch.order.shuffle:
+        return f"as written{f', in blocks of {batch.order.blocks}' if batch.order.blocks else ''}"
+    return f"randomised{blocks} among themselves from seed {batch.order.seed}"
+
+
+def batch_as_json(batch: Batch) -> dict[str, Any]:
+    """Return how a batch was planned as plain data."""
+    return {**batch.summary(), "order": batch_order_in_words(batch)}
+
+
 def order_in_words(model: RunTableModel) -> str:
     """Return in which order the runs are executed."""
-    if not model.shuffle:
-        return f"as written, in blocks of {model.blocks}" if model.blocks else "as written"
     seed = f"from seed {model.seed}" if model.seed_is_given else "from a seed that is drawn at the start and recorded"
-    return f"randomised{f' within blocks of {model.blocks}' if model.blocks else ''}, {seed}"
+    randomised = f"randomised{f' within blocks of {model.blocks}' if model.blocks else ''}, {seed}"
+    written = f"as written, in blocks of {model.blocks}" if model.blocks else "as written"
+    return "; ".join([randomised if model.shuffle else written, *later_orders_in_words(model)])
+
+
+def later_orders_in_words(model: RunTableModel) -> list[str]:
+    """Return in which order the runs of each batch are executed that was added to the first plan."""
+    return [f"batch {batch.number} {batch_order_in_words(batch)}" for batch in model.batches[1:]]
 
 
 def measures_in_words(columns: MeasureColumns) -> str:
@@ -93,6 +169,8 @@ def _with_unit(column: MeasureColumn) -> str:
 
 def design_as_json(model: RunTableModel) -> dict[str, Any]:
     """Return factors, repetitions and order as plain data."""
+    warm_up = {"warm_up": asdict(model.warm_up)} if model.warm_up else {}
+    batches = {"batches": list(map(batch_as_json, model.batches))} if model.batches else {}
     return {
         "run_count": len(model.plan()),
         "factors": {factor.name: list(map(plain, factor.treatments)) for factor in model.factors},
@@ -102,6 +180,8 @@ def design_as_json(model: RunTableModel) -> dict[str, Any]:
             "blocks": model.blocks,
             "seed": model.seed if model.seed_is_given else None,
         },
+        **warm_up,
+        **batches,
     }
 
 
@@ -118,4 +198,6 @@ def run_as_json(run: PlannedRun) -> dict[str, Any]:
         "combination": {name: plain(treatment) for name, treatment in run.combination.items()},
         "repetition": run.repetition,
         "block": run.block,
+        "batch": run.batch,
+        "is_warm_up": run.is_warm_up,
     }

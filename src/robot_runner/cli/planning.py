@@ -7,16 +7,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.cli.console import quiet_loading, shown_path
+from robot_runner.cli.design_words import later_orders_in_words
 from robot_runner.cli.parser import UsageError
 from robot_runner.core.config.checks import create_model, read_parameters
 from robot_runner.core.config.dialects import load_config
-from robot_runner.core.config.experiment import event_manager_for, experiment_folder
+from robot_runner.core.config.experiment import event_manager_for, experiment_folder, grown_model
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.plugin_checks import gather_plugins
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.errors import ConfigError, Finding, StorageError, did_you_mean
 from robot_runner.core.events.measure import resolve_columns, with_phases
 from robot_runner.core.execution.durations import Estimate, durations_of
+from robot_runner.core.execution.extension import unplanned_additions
 from robot_runner.core.execution.probe import probe_window_of, probed_plugins
 from robot_runner.core.execution.table_recovery import is_reordered
 from robot_runner.core.storage.cells import RunStatus
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
     from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.events.measure import MeasureColumns
+    from robot_runner.core.execution.durations import Durations
     from robot_runner.core.plugin import Plugin
     from robot_runner.core.storage.run_table_rows import RunTableRows
     from robot_runner.core.storage.table_columns import TableSpelling
@@ -55,6 +58,7 @@ class Plan:
         seed: what a randomised order comes from; None where the table was made by hand.
         is_recorded: whether the seed is that of an experiment which has begun, so that executing it goes on in
             this order.
+        durations: what is known of how long runs take; None where that cannot be found out.
         duration: how long the runs take that are still to be executed.
         executed: the runs that were begun, in the order in which they were.
         excluded: why runs are left out, by id.
@@ -67,6 +71,7 @@ class Plan:
     seed: int | None
     is_recorded: bool
     findings: tuple[Finding, ...]
+    durations: Durations | None = None
     duration: Estimate = field(default_factory=lambda: Estimate(None))
     executed: Sequence[str] = ()
     excluded: Mapping[str, str] = field(default_factory=dict)
@@ -81,6 +86,10 @@ class Plan:
     def _order_of_table(self) -> str:
         if self.source is not None:
             return f"as in {shown_path(self.source)}"
+        return "; ".join([self._order_of_first, *later_orders_in_words(self.model)])
+
+    @property
+    def _order_of_first(self) -> str:
         blocks = self.model.blocks
         if not self.model.shuffle:
             return f"as written, in blocks of {blocks}" if blocks else "as written"
@@ -89,7 +98,7 @@ class Plan:
     @property
     def how_to_repeat(self) -> str:
         """What makes the same order again."""
-        if self.source is not None or not self.model.shuffle:
+        if self.source is not None or not (self.model.shuffle or self.model.batches):
             return ""
         if self.is_recorded:
             return "the experiment has begun: executing it goes on in this order"
@@ -116,6 +125,9 @@ def plan_of(config: Path, overrides: Mapping[str, str]) -> Plan:
         raise ConfigError.of_findings(findings)
     plugins, _ = gather_plugins(loaded, model)
     parameters, _ = read_parameters(loaded)
+    folder = folder_of(loaded)
+    if folder is not None:
+        model = grown_model(model, folder)
     phases = parameters.phases if parameters is not None else ()
     columns, column_findings = resolve_columns(
         model.data_columns, {plugin.name: with_phases(plugin.measures, phases) for plugin in plugins}
@@ -124,8 +136,7 @@ def plan_of(config: Path, overrides: Mapping[str, str]) -> Plan:
     if refused:
         raise ConfigError.of_findings(refused)
     warnings = (*loaded.findings, *findings, *column_findings)
-    folder = folder_of(loaded)
-    plan, rows = _planned(folder, model, columns, warnings, loaded.spelling)
+    plan, rows = _planned(config, folder, model, columns, warnings, loaded.spelling)
     if parameters is None or folder is None:
         return plan
     return _with_duration(plan, rows, loaded, plugins, parameters, folder)
@@ -154,10 +165,12 @@ def _with_duration(
     is_probed = parameters.probe
     probed = probe_window_of(probed_plugins(plugins, events, parameters.robot)) if is_probed else 0.0
     estimate = durations.estimate(probe_s=probed)
-    return replace(plan, duration=estimate, findings=(*plan.findings, *durations.knowledge.findings))
+    findings = (*plan.findings, *durations.knowledge.findings)
+    return replace(plan, duration=estimate, durations=durations, findings=findings)
 
 
 def _planned(
+    config: Path,
     folder: ExperimentFolder | None,
     model: RunTableModel,
     columns: MeasureColumns,
@@ -166,7 +179,7 @@ def _planned(
 ) -> tuple[Plan, RunTableRows | None]:
     """Return the plan, and the rows on disk where there are any, in the same order."""
     if folder is not None and folder.run_table.exists():
-        return _plan_on_disk(folder, model, columns, warnings, spelling)
+        return _plan_on_disk(config, folder, model, columns, warnings, spelling)
     table = model.plan()
     return Plan(model, columns, table, None, table.seed, is_recorded=False, findings=warnings), None
 
@@ -180,16 +193,21 @@ def folder_of(loaded: LoadedConfig) -> ExperimentFolder | None:
 
 
 def _plan_on_disk(
+    config: Path,
     folder: ExperimentFolder,
     model: RunTableModel,
     columns: MeasureColumns,
     warnings: tuple[Finding, ...],
     spelling: TableSpelling,
-) -> tuple[Plan, RunTableRows]:
+) -> tuple[Plan, RunTableRows | None]:
     try:
         manifest = read_manifest(folder.manifest)
     except StorageError:  # a table that was made by hand, before anything was executed
         manifest = {}
+    if unplanned := unplanned_additions(config, model, manifest):
+        found = (Finding.warning(each.where, each.problem, each.fix) for each in unplanned)
+        table = model.plan(manifest["seed"])
+        return Plan(model, columns, table, None, table.seed, is_recorded=False, findings=(*warnings, *found)), None
     known = ExcludedRuns.read(folder.journal)
     layout = replace(TableLayout.of_model(model, columns.names, spelling=spelling), has_exclusions=known.were_any)
     told: dict[str, Any] = {
@@ -254,13 +272,14 @@ def _in_folder(path: Path, *, takes_older: bool) -> ExperimentFolder:
 
 
 def _is_of_older_tool(folder: ExperimentFolder) -> bool:
-    """Return whether a folder has a run table with runs that were executed, and nothing of ours."""
+    """Return whether a folder has a run table with runs that were executed, and nothing of ours.
+
+    Raises:
+        StorageError: the run table cannot be read.
+    """
     if folder.manifest.exists() or not folder.run_table.exists():
         return False
-    try:
-        rows = read_run_table(folder.run_table, TableLayout((), stamps=()))
-    except StorageError:
-        return False
+    rows = read_run_table(folder.run_table, TableLayout((), stamps=()))
     return len(rows) > rows.count(RunStatus.TODO)
 
 

@@ -209,10 +209,11 @@ class EarlierExperiment:
         """
         return self._made.model
 
-    def before_experiment(self, context: ExperimentContext) -> None:
-        """Call the callbacks of BEFORE_EXPERIMENT."""
+    def before_experiment(self, context: ExperimentContext) -> bool:
+        """Call the callbacks of BEFORE_EXPERIMENT. Returns that the first run starts by itself, as it did."""
         del context
         self._emit(RobotRunnerEvents.BEFORE_EXPERIMENT)
+        return True
 
     def before_run(self, context: RobotRunnerContext) -> None:
         """Call the callbacks of BEFORE_RUN; what they print goes to the run's log."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.columns import RUN_ID, STATUS
+from robot_runner.core.design.columns import BATCH, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.errors import StorageError, did_you_mean
 from robot_runner.core.events.measure import quality_text
 from robot_runner.core.storage.cells import RunStatus
@@ -14,7 +14,7 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.safe_write import storage_error
-from robot_runner.core.storage.table_columns import ColumnRole, TableLayout
+from robot_runner.core.storage.table_columns import MARKS, ColumnRole, TableLayout
 from robot_runner.core.storage.table_schema import ColumnDescription, read_schema
 from robot_runner.core.words import shown_commit, shown_duration
 from robot_runner.replication.config_lines import ConfigLine, ConfigLines
@@ -119,6 +119,8 @@ class _Explaining:
             ColumnRole.MEASURE: self._measure_facts,
             ColumnRole.FACTOR: self._factor_facts,
             ColumnRole.REPETITION: self._factor_facts,
+            ColumnRole.BATCH: self._batch_facts,
+            ColumnRole.WARM_UP: self._progress_facts,
             ColumnRole.TIMESTAMP: self._stamp_facts,
             ColumnRole.PROGRESS: self._progress_facts,
             ColumnRole.EXTRA: self._extra_facts,
@@ -136,11 +138,10 @@ class _Explaining:
         if len(history.corrections) > (excluded is not None):
             yield from (("Correction", told) for told in history.corrections)
         yield "Place", f"run {self._number} of {self._count}, {self._order()}"
+        if self._mark(WARM_UP):
+            yield "Warm-up", "the run was executed and kept, and is not analysed"
         yield "Executed", self._executed()
-        if history.attempt:
-            yield "Attempt", f"{history.attempt}, {history.started_at} to {history.finished_at or 'no end'}"
-        for number, failure in history.failures.items():
-            yield f"Attempt {number}", f"failed: {failure}"
+        yield from self._attempt_facts()
         if history.stopped:
             yield "Mission", history.stopped
         yield from history.waits
@@ -156,23 +157,52 @@ class _Explaining:
         for owner, name, factor, value in history.bound:
             yield "Parameter", f"{name} of {owner} = {value}, bound to the factor {factor}"
 
+    def _attempt_facts(self) -> Iterator[tuple[str, str]]:
+        history = self._history
+        if history.attempt:
+            yield "Attempt", f"{history.attempt}, {history.started_at} to {history.finished_at or 'no end'}"
+        for number, failure in history.failures.items():
+            yield f"Attempt {number}", f"failed: {failure}"
+
     def _order(self) -> str:
         design = self._manifest.get("design") or {}
         if design.get("source") not in {None, "config"}:
             return f"in the order of {design['source']}, which was written by hand"
-        blocks = f" within blocks of {design['blocks']}" if design.get("blocks") else ""
-        seed = self._manifest.get("seed")
+        batch = self._batch or {}
+        order = batch if batch.get("batch", 1) > 1 else {**design, "seed": self._manifest.get("seed")}
+        blocks = f" within blocks of {order['blocks']}" if order.get("blocks") else ""
         planned = (
-            f"randomised{blocks} from seed {seed}" if design.get("shuffle") else f"in the order of the config{blocks}"
+            f"randomised{blocks} from seed {order['seed']}"
+            if order.get("shuffle")
+            else f"in the order of the config{blocks}"
         )
+        planned = f"{planned}, in batch {batch['batch']}" if batch else planned
         return f"changed by hand in run_table.csv; planned: {planned}" if design.get("is_reordered") else planned
+
+    def _mark(self, name: str) -> Any:
+        """Return how the run was planned; None where a column of that name is somebody else's."""
+        return self._row[name] if name in self._columns and self._columns[name].role is MARKS[name].role else None
+
+    @property
+    def _batch(self) -> Mapping[str, Any] | None:
+        """The batch in which the run was planned, as the manifest has it; None where there is only one plan."""
+        batches = (self._manifest.get("design") or {}).get("batches") or ()
+        return next((each for each in batches if each.get("batch") == self._mark(BATCH)), None)
+
+    def _batch_facts(self, column: ColumnDescription) -> Iterator[tuple[str, str]]:
+        yield "From", f"Robot Runner: {column.description}"
+        batch = self._batch
+        if batch is not None:
+            added = f", added at {batch['at']} by `robot-runner extend`" if batch.get("at") else ""
+            yield "Runs", f"{batch['runs']} ({batch['first']} to {batch['last']}){added}"
 
     def _executed(self) -> str:
         """Return where the run came in the order that was executed, where that is another than the table's."""
         executed = executed_order(self._files.journal)
         if self._run_id not in moved_runs(self._run_ids, executed):
             return ""
-        return f"as number {executed.index(self._run_id) + 1} of the {len(executed)} runs so far: not in its place"
+        place = f"as number {executed.index(self._run_id) + 1} of the {len(executed)} runs so far"
+        return f"{place}, out of the order of the run table"
 
     def _host(self) -> str:
         host = self._manifest.get("host") or {}
@@ -239,6 +269,7 @@ class _Explaining:
         if design.get("source") not in {None, "config"}:
             yield "From", f"{design['source']}, which was written by hand before the first run"
         if column.role is ColumnRole.FACTOR:
+            yield "Assumed", self._assumed(column.name)
             bound = [f"{name} of {owner}" for owner, name, factor, _ in self._history.bound if factor == column.name]
             for name, facts in ((self._manifest.get("revisions") or {}).get(column.name) or {}).items():
                 yield "Revision", f"{name} is {shown_commit(facts)}"
@@ -246,6 +277,14 @@ class _Explaining:
             yield "Read by", self._read_by(column.name)
         found = self._lines.of_factor(column.name)
         yield "Config", _shown(found or self._lines.of_method("create_run_table"))
+
+    def _assumed(self, factor: str) -> str:
+        """Return that the run was planned before the factor was added, where that is so."""
+        batches = (self._manifest.get("design") or {}).get("batches") or ()
+        added = next((each["batch"] for each in batches if factor in each.get("defaults", {})), 0)
+        if (self._mark(BATCH) or 1) >= added:
+            return ""
+        return f"the factor was added with batch {added}, and runs before count as having had this treatment"
 
     def _read_by(self, factor: str) -> str:
         if self._history.readers is None:  # not executed, or by a version that did not look

@@ -8,9 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.checks import runs_listed_in
 from robot_runner.core.config.dialects import prepare
+from robot_runner.core.config.experiment import grown_model
+from robot_runner.core.config.treatment_makers import known_treatments
+from robot_runner.core.design.batches import EXTENDED, records_of
 from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.recovery import table_differences
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
@@ -187,6 +191,7 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
         _refuse_other(experiment, facts)
     else:
         experiment.model.take_seed(int(manifest["seed"]))
+        experiment = _with_batches(experiment, files)
         findings += _settle_table(experiment, files, manifest, has_deviations=bool(deviations))
     return Replication(experiment, root, deviations, tuple(findings))
 
@@ -232,6 +237,7 @@ def _facts(files: ExperimentFolder, manifest: Mapping[str, Any], deviations: Map
         "sha256": digest,
         "seed": manifest.get("seed"),
         "deviations": dict(deviations),
+        "treatments": known_treatments(files),  # a branch may mean another commit by now
     }
 
 
@@ -270,16 +276,36 @@ def _settle_table(
     return [Finding.warning(str(files.run_table), problem, fix)]
 
 
+def _with_batches(experiment: Experiment, files: ExperimentFolder) -> Experiment:
+    """Return the experiment with the batches that the original was extended by, which its own journal then has.
+
+    Raises:
+        DesignError: the config lacks a treatment that runs of the original have.
+    """
+    model = grown_model(experiment.model, files)
+    if not model.batches:
+        return experiment
+    _make(experiment.folder.root)
+    with Journal(experiment.folder.journal) as journal:
+        if not experiment.model.batches:  # else an earlier try has come this far
+            for fields in records_of(model.batches):
+                journal.append(EXTENDED, flush=True, **fields)
+    return replace(experiment, model=model)
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise storage_error(folder, "made", error) from error
+
+
 def _put_table(experiment: Experiment, rows: RunTableRows) -> None:
     """Write the original's runs as if by hand, all of them to be executed, those that were excluded there as well."""
     for place in range(len(rows)):
         rows.clear(rows.run_id(place))
     rows = rows.without_exclusions()
-    folder = experiment.folder.root
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise storage_error(folder, "made", error) from error
+    _make(experiment.folder.root)
     write_run_table(experiment.folder.run_table, rows)
 
 
@@ -325,6 +351,7 @@ def identical_values(original: Path, replication: Path) -> dict[str, Sameness]:
         if (other := theirs.place_of(ours.run_id(place))) is not None
         and ours.status(place) is theirs.status(other) is RunStatus.DONE
         and ours.excluded(place) is theirs.excluded(other) is None
+        and not ours.is_warm_up(place)
     ]
     return {
         name: _sameness(ours, theirs, name, pairs) for name in ours.layout.measures if name in theirs.layout.measures

@@ -92,7 +92,7 @@ class RunHistory:
         self.bound, self.readers, self.stopped, self.subjects = [], None, "", []
 
     def _end(self, record: dict[str, Any]) -> None:
-        self.finished_at = record["at"]
+        self.finished_at = self.finished_at or record["at"]  # a later end only adds what was published after it
         self.measures = record["measures"]
         self.readers = record.get("readers")
         if record.get("failure"):

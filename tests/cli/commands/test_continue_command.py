@@ -6,7 +6,7 @@ import pytest
 
 from robot_runner.cli.commands import continue_
 from robot_runner.core.execution.experiment_status import ExperimentStatus
-from robot_runner.core.storage.lock import Holder
+from robot_runner.core.storage.lock import Command, Holder, Request, take_request
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -54,4 +54,4 @@ def test_an_experiment_that_does_not_hear_is_said_not_to(
     answer = robot_runner("continue", "config.py")
     assert answer.code == 2
     assert "the experiment has not taken the request" in answer.err
-    assert (folder / ".control").read_text() == "continue"
+    assert take_request(folder / ".control") == Request(Command.CONTINUE)

@@ -55,6 +55,7 @@ def test_json_holds_everything(robot_runner: Callable, half_done: Path) -> None:
         "folder": str(half_done),
         "holder": None,
         "is_waiting_for_user": False,
+        "waiting_for": None,
         "run_count": 4,
         "done": 2,
         "failed": 2,

@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 Execute = Callable[..., Any]
 
 LISTENING = """
-def before_experiment(self, context): self.note("before_experiment")
+def before_experiment(self, context):
+    self.note("before_experiment")
+    return True
 def before_run(self, context): self.note("before_run")
 def start_run(self, context): self.note("start_run")
 def start_measurement(self, context): self.note("start_measurement")
@@ -93,6 +95,7 @@ def test_what_before_run_and_continue_set_is_seen_in_the_next_run(execute: Execu
         """
         operation_type = OperationType.SEMI
         runs = continued = 0
+        def before_experiment(self): return True
         def before_run(self, context): self.runs += 1
         def continue_experiment(self, context):
             self.continued += 10

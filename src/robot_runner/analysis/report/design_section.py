@@ -49,6 +49,9 @@ def _facts(material: Material) -> Iterator[tuple[str, str]]:
         yield "Config", f"{config['file']}, class {config.get('class', '?')}"
     yield "Design", material.statistics.design.sentence
     yield "Order", order_in_words(material)
+    yield from _batches(material)
+    if material.results.warm_ups:
+        yield "Warm-up", f"{listed(material.results.warm_ups)}: executed and kept, not analysed"
     yield "Robot", str(material.manifest("robot", default="not recorded"))
     deviations = material.manifest("deviations", default={})
     if deviations:
@@ -75,6 +78,15 @@ def _order_of_table(material: Material) -> str:
     if design.get("is_reordered"):
         return f"changed by hand in run_table.csv; planned: {_planned_order(material, design)}"
     return _planned_order(material, design)
+
+
+def _batches(material: Material) -> Iterator[tuple[str, str]]:
+    """Yield how each batch was added to an experiment that was extended."""
+    for batch in material.manifest("design", "batches", default=[])[1:]:
+        blocks = f" within blocks of {batch['blocks']}" if batch.get("blocks") else ""
+        order = f"randomised{blocks} from seed {batch['seed']}" if batch.get("shuffle") else f"as written{blocks}"
+        runs = f"{counted(batch['runs'], 'run')} ({batch['first']} to {batch['last']})"
+        yield f"Batch {batch['batch']}", f"{runs}, added on {shown_stamp(batch.get('at', ''))}; {order}"
 
 
 def _planned_order(material: Material, design: Mapping[str, Any]) -> str:

@@ -48,6 +48,8 @@ def json_of_report(material: Material, *, made: str) -> str:
             "seed": results.seed,
             "robot": material.manifest("robot"),
             "deviations": material.manifest("deviations", default={}),
+            "batches": material.manifest("design", "batches", default=[]),
+            "warm_ups": results.warm_ups,
         },
         "circumstances": {key: material.manifest(key) for key in ("config", "host", "executions", "plugins")},
         "versions": {key: material.manifest("software", key) for key in ("robot_runner", "python")},

@@ -99,7 +99,7 @@ def _run_table(material: Material) -> Table:
         seconds = took.get(row[RUN_ID])
         return Cell(seconds, MISSING if seconds is None else shown_duration(seconds))
 
-    repetition = [results.repetition] if results.repetition else []
+    repetition = [name for name in (results.repetition, results.batch) if name]
     fields = (
         text("Run", lambda row: str(row[RUN_ID])),
         field("Status", status),

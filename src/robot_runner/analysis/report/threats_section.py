@@ -16,7 +16,7 @@ from robot_runner.core.events.measure import Quality
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import moved_in_words
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.words import counted
+from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 
 __all__ = ["threats_of", "threats_section"]
 
-_LOW_POWER = 0.8
+#: From where on an effect is large (Cohen 1988).
+_LARGE = {"Cohen's d": 0.8, "Cohen's f": 0.4}
 _FEW = 5
 
 
@@ -61,7 +62,17 @@ def threats_of(material: Material) -> tuple[Remark, ...]:
     """Return all threats, those of one kind together."""
     kinds = {
         "Conclusion validity": (_groups, _power, _plan, _doubtful),
-        "Internal validity": (_drifts, _order, _excluded, _unfinished, _circumstances, machine_threats, _odd, _gaps),
+        "Internal validity": (
+            _drifts,
+            _order,
+            _extended,
+            _excluded,
+            _unfinished,
+            _circumstances,
+            machine_threats,
+            _odd,
+            _gaps,
+        ),
         "Construct validity": (_unread, _origins, _saturation),
         "External validity": (_constant_factors,),
     }
@@ -110,23 +121,22 @@ def _doubtful(material: Material) -> Threats:
 
 
 def _power(material: Material) -> Threats:
-    weak = {
-        each.name: each.power.achieved_power for each in material.statistics.measures if each.power and _is_weak(each)
+    weak = {each.name: each.power for each in material.statistics.measures if each.power and _is_silent(each)}
+    shown = {
+        name: f"{name} {power.effect_name} = {shown_number(power.detectable_effect, 3)}"
+        for name, power in weak.items()
+        if power.detectable_effect is not None and power.detectable_effect > _LARGE[power.effect_name]
     }
-    if weak:
-        powers = ", ".join(f"{name} {power:.2f}" for name, power in weak.items())
+    if shown:
         text = (
-            f"No effect was found, and the power for effects as large as the observed ones is below {_LOW_POWER} "
-            f"({powers}). That no effect was found does not mean that there is none."
+            "No effect was found, and so many runs find with a power of 0.8 none but large ones: "
+            f"{', '.join(shown.values())} and above. That no effect was found does not mean that there is none."
         )
         yield "Low power", text, Tone.WARNING
 
 
-def _is_weak(measure: MeasureStatistics) -> bool:
-    if measure.power is None or measure.test is None:
-        return False
-    found = any(effect.is_significant for effect in measure.test.effects)
-    return not found and measure.power.achieved_power < _LOW_POWER
+def _is_silent(measure: MeasureStatistics) -> bool:
+    return measure.test is not None and not any(effect.is_significant for effect in measure.test.effects)
 
 
 def _drifts(material: Material) -> Threats:
@@ -168,6 +178,25 @@ def _excluded(material: Material) -> Threats:
         text = f"{sentence(str(reason))} Not in the statistics: {listed(runs[RUN_ID], shown=20)}{when}."
         title = f"{counted(len(runs), 'run')} {'was' if len(runs) == 1 else 'were'} excluded"
         yield title, text, Tone.WARNING
+
+
+def _extended(material: Material) -> Threats:
+    batches = material.manifest("design", "batches", default=[])
+    if not batches:
+        return
+    sizes = enumerated(f"{batch['runs']:,}" for batch in batches)
+    text = (
+        f"Its {len(batches)} batches, of {sizes} runs, were executed at other times, and each has an order of its own: "
+        "what changed between them may pass for an effect unless the batch is a block."
+    )
+    yield "The experiment was extended", text, Tone.NOTE
+    for batch in batches:
+        for name, treatment in batch.get("defaults", {}).items():
+            text = (
+                f"It was added with batch {batch['batch']}; runs before count as {treatment}, which nobody set. Its "
+                "other treatments were executed later only: compare them within that batch."
+            )
+            yield f"{name} is confounded with time", text, Tone.WARNING
 
 
 def _unfinished(material: Material) -> Threats:

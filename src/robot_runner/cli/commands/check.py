@@ -9,7 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.cli.console import UserConsole, output, print_facts, print_json, quiet_loading, shown_path
-from robot_runner.cli.design_words import columns_as_json, design_as_json, in_words, measures_in_words, order_in_words
+from robot_runner.cli.design_words import (
+    columns_as_json,
+    design_as_json,
+    in_words,
+    measures_in_words,
+    order_in_words,
+    warm_ups_in_words,
+)
 from robot_runner.cli.findings import as_json, print_findings, tally
 from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.parser import add_config, add_json, add_set
@@ -75,6 +82,7 @@ def _print(console: UserConsole, config: str, preparation: Preparation, probe: P
             ("Experiment", experiment.parameters.experiment_name),
             ("Runs", in_words(experiment.model)),
             ("Order", order_in_words(experiment.model)),
+            ("Warm-up", warm_ups_in_words(experiment.model, experiment.model.plan())),
             ("Plugins", ", ".join(plugin.name for plugin in experiment.plugins) or "none"),
             ("Measures", measures_in_words(experiment.columns)),
             *_seen(probe),

@@ -1,6 +1,7 @@
-"""Let an experiment that waits between two runs go on.
+"""Let an experiment that waits for a person before a run go on.
 
-An experiment in SEMI mode waits so, and one that was paused; the command does the same as ENTER in its own terminal.
+An experiment in SEMI mode waits so, one that has steps for the operator, and one that was paused; the command does the
+same as ENTER, or the answers, in its own terminal. `robot-runner status` says what is waited for.
 """
 
 from __future__ import annotations
@@ -11,12 +12,14 @@ from typing import TYPE_CHECKING
 from robot_runner.cli.console import shown_path
 from robot_runner.cli.parser import add_set, add_target
 from robot_runner.cli.planning import folder_of_target
-from robot_runner.core.errors import ExecutionError
+from robot_runner.core.config.operator_steps import Question, read_answers
+from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status
 from robot_runner.core.storage.lock import Command, forget_pause, send_command
 
 if TYPE_CHECKING:
     from argparse import Namespace
+    from collections.abc import Sequence
 
     from robot_runner.cli.parser import Parser
     from robot_runner.core.storage.layout import ExperimentFolder
@@ -32,6 +35,13 @@ def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
     add_target(parser)
     add_set(parser)
+    parser.add_argument(
+        "--answer",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        help="answer a question that the step asks, such as voltage=11.8; may be given several times",
+    )
 
 
 def execute(arguments: Namespace) -> int:
@@ -43,11 +53,41 @@ def execute(arguments: Namespace) -> int:
         print(f"{status.experiment_name} {'goes on' if status.is_paused else 'does not pause'}.")
         return 0
     _refuse_unless_it_waits(status)
-    send_command(folder.control, Command.CONTINUE)
+    answers = _answers(arguments.answer, questions_of(status), shown_path(status.folder))
+    send_command(folder.control, Command.CONTINUE, answers)
     _wait_until_taken(folder)
+    step = (status.waiting_for or {}).get("step")
     number = status.done + status.failed + 1
-    print(f"{status.experiment_name} goes on: {number} of {status.run_count} runs begun.")
+    done = f"{step!r} is done" if step else f"{number} of {status.run_count} runs begun"
+    print(f"{status.experiment_name} goes on: {done}.")
     return 0
+
+
+def questions_of(status: ExperimentStatus) -> list[Question]:
+    """Return what an experiment asks at this moment."""
+    asked = status.waiting_for["questions"] if status.waiting_for else ()
+    return [Question.from_mapping(facts) for facts in asked]
+
+
+def _answers(given: Sequence[str], questions: Sequence[Question], where: str) -> dict[str, str]:
+    """Return the answers by the names of the questions.
+
+    Raises:
+        ExecutionError: some are missing, or would not be taken; all of them are named.
+    """
+    answers: dict[str, str] = {}
+    findings: list[Finding] = []
+    for each in given:
+        name, sign, text = each.partition("=")
+        answers[name.strip()] = text
+        if not sign:
+            answers.pop(name.strip())
+            findings.append(Finding.error(where, f"{each!r} is no answer", "Write --answer NAME=VALUE."))
+    _, refused = read_answers(questions, answers)
+    findings += [Finding.error(f"--answer {each.where}", each.problem, each.fix) for each in refused]
+    if findings:
+        raise ExecutionError.of_findings(findings)
+    return answers
 
 
 def _refuse_unless_it_waits(status: ExperimentStatus) -> None:
@@ -61,7 +101,7 @@ def _refuse_unless_it_waits(status: ExperimentStatus) -> None:
         raise ExecutionError(
             f"the experiment does not wait: process {status.holder.pid} on {status.holder.host} {doing}",
             where=where,
-            fix="Wait until it asks; in AUTO mode it never does.",
+            fix="Wait until it asks; without steps for the operator, and in AUTO mode, it never does.",
         )
 
 

@@ -5,29 +5,19 @@ It has every run in its order, and tells what the order comes from.
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robot_runner.cli.console import (
-    Column,
-    UserConsole,
-    aligned,
-    fitting,
-    output,
-    print_facts,
-    print_json,
-    quiet_loading,
-)
+from robot_runner.cli.console import output, print_facts, print_json, quiet_loading
 from robot_runner.cli.design_words import (
     columns_as_json,
     design_as_json,
     in_words,
     measures_in_words,
+    print_runs,
     run_as_json,
-    run_cells,
-    run_columns,
+    warm_ups_in_words,
 )
 from robot_runner.cli.findings import show_findings
 from robot_runner.cli.parser import add_config, add_json, add_set
@@ -39,14 +29,8 @@ if TYPE_CHECKING:
     from argparse import Namespace
 
     from robot_runner.cli.parser import Parser
-    from robot_runner.core.design.planned_runs import PlannedRun
-    from robot_runner.core.design.run_table_model import RunTableModel
 
 __all__ = ["add_arguments", "execute"]
-
-#: A table of more runs than this is abbreviated on a terminal.
-_LONG = 40
-_FIRST, _LAST = 20, 5
 
 
 def add_arguments(parser: Parser) -> None:
@@ -65,14 +49,14 @@ def execute(arguments: Namespace) -> int:
         print_json(_as_json(plan))
         return 0
     show_findings(plan.findings)
-    is_abbreviated = sys.stdout.isatty() and not arguments.all and len(plan.runs) > _LONG
     console = output()
-    _print_table(console, plan, is_abbreviated=is_abbreviated)
+    print_runs(console, plan.model, plan.runs, shows_all=arguments.all)
     console.print()
     print_facts(
         console,
         [
             ("Runs", in_words(plan.model) if plan.source is None else counted(len(plan.runs), "run")),
+            ("Warm-up", warm_ups_in_words(plan.model, plan.runs)),
             ("Measures", measures_in_words(plan.columns)),
             ("Order", plan.order),
             ("Excluded", listed(f"{run}: {reason}" for run, reason in plan.excluded.items())),
@@ -81,34 +65,6 @@ def execute(arguments: Namespace) -> int:
         ],
     )
     return 0
-
-
-def _print_table(console: UserConsole, plan: Plan, *, is_abbreviated: bool) -> None:
-    columns = _columns(plan)
-    shown = columns[: fitting(columns, console.width)]
-    console.print(aligned(shown, [column.heading for column in columns]), style="bold", soft_wrap=True)
-    for run in plan.runs[:_FIRST] if is_abbreviated else plan.runs:
-        print(aligned(shown, _cells(run, plan.model)))
-    if is_abbreviated:
-        left_out = len(plan.runs) - _FIRST - _LAST
-        console.print(f"… {counted(left_out, 'run')} left out: --all shows them …", style="dim")
-        for run in plan.runs[-_LAST:]:
-            print(aligned(shown, _cells(run, plan.model)))
-    if len(shown) < len(columns):
-        names = ", ".join(column.heading for column in columns[len(shown) :])
-        console.print(f"No room for: {names}. A wider terminal shows them, and so does --json.", style="dim")
-
-
-def _columns(plan: Plan) -> list[Column]:
-    columns = run_columns(plan.model, plan.runs[-1].run_id)
-    if plan.runs[0].block is not None:
-        columns.append(Column("block", len("block"), is_number=True))
-    return columns
-
-
-def _cells(run: PlannedRun, model: RunTableModel) -> list[str]:
-    cells = run_cells(model, run.run_id, run.combination, run.repetition)
-    return cells if run.block is None else [*cells, str(run.block)]
 
 
 def _as_json(plan: Plan) -> dict[str, object]:

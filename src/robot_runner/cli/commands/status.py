@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
 
+from robot_runner.cli.commands.continue_ import questions_of
 from robot_runner.cli.console import UserConsole, output, print_facts, print_json, shown_path
 from robot_runner.cli.findings import as_json, print_odd, quality_in_words
 from robot_runner.cli.parser import add_json, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
+from robot_runner.cli.screens.plain import continue_command
 from robot_runner.core.execution.experiment_status import ExperimentStatus, Session, read_status
-from robot_runner.core.words import counted, one_line, shown_duration
+from robot_runner.core.words import counted, enumerated, one_line, shown_duration
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -51,7 +53,10 @@ def _print(console: UserConsole, status: ExperimentStatus) -> None:
         [
             ("State", _state(status)),
             ("Runs", _counts(status)),
+            ("Warm-up", _warm_ups(status)),
+            ("Batches", _batches(status)),
             ("Now", _now(status)),
+            ("To do", _to_do(status)),
             ("Left", _left(status)),
             ("Waited", f"{shown_duration(status.gate_seconds)} at gates" if status.gate_seconds else ""),
             ("Quality", quality_in_words(status.bad_values)),
@@ -87,6 +92,15 @@ def _now(status: ExperimentStatus) -> str:
     return f"{status.current_run}, {status.current_event or 'about to start'}"
 
 
+def _to_do(status: ExperimentStatus) -> str:
+    if status.waiting_for is None:
+        return ""
+    run = f"say that {status.waiting_for['next_run']} may start"
+    step = f"{status.waiting_for['step']}, before {status.waiting_for['next_run']}"
+    asked = ", ".join(question.asked for question in questions_of(status))
+    return (step if status.waiting_for["step"] else run) + (f"; then tell {asked}" if asked else "")
+
+
 def _left(status: ExperimentStatus) -> str:
     if status.seconds_left is None:
         return ""
@@ -96,6 +110,18 @@ def _left(status: ExperimentStatus) -> str:
 def _counts(status: ExperimentStatus) -> str:
     failed = f", {status.failed:,} failed" if status.failed else ""
     return f"{status.done:,} of {counted(status.run_count, 'run')} done{failed}, {status.todo:,} to do"
+
+
+def _warm_ups(status: ExperimentStatus) -> str:
+    if not status.warm_ups:
+        return ""
+    are = "is a warm-up run" if status.warm_ups == 1 else "are warm-up runs"
+    return f"{status.warm_ups:,} of these {are}, {status.warm_ups_done:,} done: kept, and not analysed"
+
+
+def _batches(status: ExperimentStatus) -> str:
+    sizes = enumerated(f"{runs:,}" for runs in status.batches)
+    return f"{len(status.batches)}, of {sizes} runs: the experiment was extended" if status.batches else ""
 
 
 def _excluded(status: ExperimentStatus) -> str:
@@ -126,8 +152,8 @@ def _state(status: ExperimentStatus) -> str:
         return "all runs are done"
     who = f"process {status.holder.pid} on {status.holder.host}"
     if status.is_waiting_for_user:
-        return f"waits for you ({who}): robot-runner continue {shown_path(status.folder)}"
-    to_go_on = f"robot-runner continue {shown_path(status.folder)}"
+        return f"waits for you ({who}): {continue_command(status.folder, questions_of(status))}"
+    to_go_on = continue_command(status.folder)
     if status.is_paused:
         return f"is paused ({who}): {to_go_on}"
     after = f" and pauses before the next run (to take it back: {to_go_on})" if status.pause_is_requested else ""

@@ -18,7 +18,11 @@ if TYPE_CHECKING:
 
 __all__ = ["print_outcome", "print_verdict", "whereabouts"]
 
-_UNMEASURED = {"simulated": "simulated, not measured", "estimated": "estimated, not measured"}
+_UNMEASURED = {
+    "simulated": "simulated, not measured",
+    "estimated": "estimated, not measured",
+    "entered by hand": "entered by hand",
+}
 
 
 def print_outcome(console: UserConsole, finished: ExperimentFinished, progress: Progress, *, command: str) -> None:
@@ -48,6 +52,8 @@ def whereabouts(finished: ExperimentFinished, progress: Progress) -> list[tuple[
     runs = ExperimentFolder.found_at(finished.folder).runs
     if runs.is_dir() and any(runs.iterdir()):
         facts.append(("", f"{shown_path(runs)}/<run>/ has what the run printed, and its raw data"))
+    if progress.gate_seconds >= 1:
+        facts.append(("Waited", f"{shown_duration(progress.gate_seconds)} at gates"))
     if progress.bad_values:
         facts.append(("Quality", f"{quality_in_words(progress.bad_values)} (`robot-runner explain` says why)"))
     if finished.excluded:

@@ -20,7 +20,10 @@ from robot_runner.cli.screens.plain import (
     gate_passed,
     opening,
     pausing,
+    question_asked,
+    refusals,
     request,
+    run_to_come,
     terminal_input,
     treatments_in_words,
     waited_so_far,
@@ -28,6 +31,7 @@ from robot_runner.cli.screens.plain import (
 )
 from robot_runner.cli.screens.progress import Progress
 from robot_runner.core.execution.notices import (
+    AnswersRefused,
     AttemptFinished,
     AttemptStarted,
     ExperimentStarted,
@@ -39,6 +43,8 @@ from robot_runner.core.execution.notices import (
     Paused,
     PreparationStarted,
     ProbeStarted,
+    QuestionAsked,
+    UserHasContinued,
     WaitingForUser,
 )
 from robot_runner.core.storage.lock import pause_is_requested
@@ -120,10 +126,23 @@ class LiveScreen:
             case InterruptionNoticed(run_id):
                 self._print_finished()
                 self._print_lines([Text(closing(run_id), style="bold yellow")])
+            case _:
+                self._take_part(notice)
+
+    def _take_part(self, notice: Notice) -> None:
+        by_key = self.user_input is not None
+        match notice:
             case WaitingForUser():
-                self._ask(request(notice, by_key=self.user_input is not None))
+                self._ask(*run_to_come(notice, self._experiment.model), request(notice, by_key=by_key))
             case Paused():
-                self._ask(pausing(notice, by_key=self.user_input is not None))
+                self._ask(pausing(notice, by_key=by_key))
+            case QuestionAsked(question):
+                self._console.print(Text(question_asked(question), style="bold cyan"), end="", soft_wrap=True)
+            case AnswersRefused():
+                self._console.print(Text("\n".join(refusals(notice)), style="bold yellow"), soft_wrap=True)
+            case UserHasContinued():
+                self._show_live_part()
+                self.refresh()
             case GatePassed(problem=problem) if problem:
                 self._print_finished()
                 self._print_lines([Text(f"  {gate_passed(notice)}", style="yellow")])
@@ -162,12 +181,12 @@ class LiveScreen:
             self._live.stop()
             self._live = None  # a new one next time: this one would draw over what was printed meanwhile
 
-    def _ask(self, asked: str) -> None:
+    def _ask(self, *asked: str) -> None:
         # The live part is taken away while it waits: the ENTER that the terminal echoes would tear it.
         self._print_finished()
         self._take_live_part_away()
         forget_typed(self.user_input)
-        self._console.print(Text(asked, style="bold cyan"), soft_wrap=True)
+        self._console.print(Text("\n".join(asked), style="bold cyan"), soft_wrap=True)
 
     def _print_finished(self) -> None:
         if not self._finished or self._rows is None:

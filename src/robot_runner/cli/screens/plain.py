@@ -18,6 +18,7 @@ from robot_runner.cli.screens.progress import Progress
 from robot_runner.core.design.columns import REPETITION, numbered_run_id
 from robot_runner.core.events.measure import Quality
 from robot_runner.core.execution.notices import (
+    AnswersRefused,
     AttemptFinished,
     AttemptStarted,
     ExperimentStarted,
@@ -30,17 +31,21 @@ from robot_runner.core.execution.notices import (
     Paused,
     PreparationStarted,
     ProbeStarted,
+    QuestionAsked,
+    RunRecord,
     WaitingForUser,
 )
 from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.words import counted, enumerated, one_line, shown_duration, shown_treatment, shown_value
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
     from typing import Self
 
     from robot_runner.cli.console import UserConsole
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.config.operator_steps import Question
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.events.measure import PublishedMeasure
     from robot_runner.core.execution.task import RunOutcome, RunTask
@@ -50,12 +55,16 @@ __all__ = [
     "RunRows",
     "announced",
     "closing",
+    "continue_command",
     "forget_typed",
     "gate_passed",
     "heading_of",
     "opening",
     "pausing",
+    "question_asked",
+    "refusals",
     "request",
+    "run_to_come",
     "shown_measure",
     "terminal_input",
     "treatments_in_words",
@@ -91,10 +100,12 @@ def shown_measure(published: PublishedMeasure | None) -> str:
     return shown_value(published.value) + ("?" if published.quality is Quality.DOUBTFUL else "")
 
 
-def treatments_in_words(task: RunTask, model: RunTableModel) -> str:
+def treatments_in_words(task: RunTask | WaitingForUser, model: RunTableModel) -> str:
     """Return what a run varies, as `Task=Video, Repetition=3`."""
     parts = [f"{name}={shown_treatment(treatment)}" for name, treatment in task.combination.items()]
-    if model.repetitions > 1:
+    if task.repetition == 0:
+        parts.append("warm-up")
+    elif model.repetitions > 1:
         parts.append(f"{REPETITION}={task.repetition}")
     return ", ".join(parts)
 
@@ -141,7 +152,7 @@ class RunRows:
         return columns[: fitting(columns, width - len(_INDENT))]
 
 
-# What a screen says beside its rows: how an experiment begins, and what SEMI asks of the user.
+# What a screen says beside its rows: how an experiment begins, and what is asked of the user.
 
 
 #: How often a log is told of a gate that is awaited, s.
@@ -191,12 +202,46 @@ def closing(run_id: str) -> str:
 
 
 def request(waiting: WaitingForUser, *, by_key: bool) -> str:
-    """Return what the user is asked for between two runs."""
-    command = f"robot-runner continue {shlex.quote(shown_path(waiting.folder))}"
+    """Return what the user is asked for before a run."""
+    command = continue_command(waiting.folder, waiting.questions)
     run = f"run {waiting.next_run_number} of {waiting.run_count}"
-    if by_key:
-        return f"Press ENTER to start {run}, or in another terminal: {command}"
-    return f"Waiting before {run}. To go on: {command}"
+    if not by_key:
+        return f"Waiting before {run}. To go on: {command}"
+    if waiting.questions:
+        return f"Answer when it is done, or in another terminal: {command}"
+    wanted = "when it is done" if waiting.step else f"to start {run}"
+    return f"Press ENTER {wanted}, or in another terminal: {command}"
+
+
+def continue_command(folder: Path, questions: Sequence[Question] = ()) -> str:
+    """Return the command that lets an experiment go on, with a place for each answer that it needs."""
+    answers = [f"--answer {shlex.quote(question.name)}=..." for question in questions if not question.optional]
+    return " ".join(["robot-runner continue", shlex.quote(shown_path(folder)), *answers])
+
+
+def run_to_come(waiting: WaitingForUser, model: RunTableModel) -> list[str]:
+    """Return what is said of the run that the user is asked about: its treatments, and how much is left."""
+    if not waiting.run_id:
+        return []
+    treatments = treatments_in_words(waiting, model)
+    run = f"{waiting.run_id}, run {waiting.next_run_number} of {waiting.run_count}"
+    lines = [f"Next is {run}{f': {treatments}' if treatments else ''}"]
+    if waiting.runs_left is not None:
+        about = f", {waiting.left.in_words()}" if waiting.left is not None else " left"
+        lines.append(f"{counted(waiting.runs_left, 'run')}{about}")
+    if waiting.step:
+        lines.append(f"To do: {waiting.step}")
+    return lines
+
+
+def question_asked(question: Question) -> str:
+    """Return what stands before the place where an answer is typed."""
+    return f"  {question.asked}: "
+
+
+def refusals(refused: AnswersRefused) -> list[str]:
+    """Return why answers are not taken, a line each."""
+    return [one_line(f"  {found.where}: {found.problem}. {found.fix}".rstrip()) for found in refused.findings]
 
 
 def pausing(paused: Paused, *, by_key: bool) -> str:
@@ -275,12 +320,24 @@ class PlainScreen:
                 print_findings(self._console, findings)
             case InterruptionNoticed(run_id):
                 self._print(closing(run_id))
+            case _:
+                self._take_part(notice)
+
+    def _take_part(self, notice: Notice) -> None:
+        match notice:
             case WaitingForUser():
                 forget_typed(self.user_input)
-                self._print(request(notice, by_key=self.user_input is not None))
+                self._print(*run_to_come(notice, self._model), request(notice, by_key=self.user_input is not None))
             case Paused():
                 forget_typed(self.user_input)
                 self._print(pausing(notice, by_key=self.user_input is not None))
+            case QuestionAsked(question):
+                self._console.file.write(question_asked(question))
+                self._console.file.flush()
+            case AnswersRefused():
+                self._print(*refusals(notice))
+            case RunRecord(run_id, "asked", fields):
+                self._print(f"{run_id} waits until a person says that {fields['step']}: {fields['command']}")
             case GateWaiting() | GatePassed():
                 self._tell_of_gate(notice)
 

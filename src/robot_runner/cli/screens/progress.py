@@ -15,6 +15,7 @@ from robot_runner.core.execution.notices import (
     GateWaiting,
     Paused,
     RunRecord,
+    UserHasContinued,
     WaitingForUser,
 )
 from robot_runner.core.execution.task import AttemptStatus
@@ -125,6 +126,8 @@ class Progress:
                 self._take_left(notice.left)
             case WaitingForUser() | Paused():
                 self.is_waiting = True
+            case UserHasContinued():
+                self.is_waiting = False
             case GateWaiting():
                 self.gate = notice
             case GatePassed():
@@ -144,6 +147,10 @@ class Progress:
             self.current.shared = ""
         elif kind == "shared":
             self.current.shared = _said(fields["values"])
+        elif kind == "waiting":
+            self.current.shared = f"waiting until {fields['condition']}: {fields['seen']}".removesuffix(": ")
+        elif kind == "waited":
+            self.current.shared = ""
         elif kind == "failure" and not self.current.failure:
             self.current.failure = str(fields["problem"])
 

@@ -19,7 +19,8 @@ from robot_runner.core.config.parameters import (
     RunProcess,
 )
 from robot_runner.core.config.plugin_checks import failed_check
-from robot_runner.core.design.run_table_model import RunTable, RunTableModel, listed_elsewhere
+from robot_runner.core.design.design_findings import listed_elsewhere
+from robot_runner.core.design.run_table_model import RunTable, RunTableModel
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, StorageError
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
@@ -135,9 +136,10 @@ def _missing(loaded: LoadedConfig, parameter: Parameter) -> Finding:
 
 
 def _malformed(loaded: LoadedConfig, parameter: Parameter, value: object) -> Finding:
+    shown = "..." if parameter.kind.is_secret else repr(value)
     return Finding.error(
         f"{loaded.where}.{parameter.name}",
-        f"the value is {value!r}, of type {type(value).__name__}",
+        f"the value is {shown}, of type {type(value).__name__}",
         f"It must be {parameter.kind.expected}.",
     )
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.batches import EXTENDED, GrownRunTableModel, batches_of
+from robot_runner.core.design.columns import WARM_UP
 from robot_runner.core.events.manager import EventManager, OwnerKind
 from robot_runner.core.events.measure import CONFIG_OWNER, MeasureColumns
 from robot_runner.core.plugin import Plugin, System
+from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.table_columns import OWN_SPELLING, TableLayout, TableSpelling
 
@@ -19,7 +22,7 @@ if TYPE_CHECKING:
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.design.run_table_model import RunTableModel
 
-__all__ = ["Experiment", "event_manager_for", "experiment_folder"]
+__all__ = ["Experiment", "event_manager_for", "experiment_folder", "grown_model"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +37,7 @@ class Experiment:
         spelling: how the run table's file spells headings and statuses.
         replication: which package is executed again and what was changed on purpose, for the manifest; None where
             the experiment is nobody's replication.
+        kept: how much of the config's source the folder keeps: the `file`, the notebook's `cell` alone, or `nothing`.
     """
 
     config_path: Path
@@ -49,14 +53,22 @@ class Experiment:
     folder: ExperimentFolder
     spelling: TableSpelling = OWN_SPELLING
     replication: Mapping[str, Any] | None = None
+    kept: str = "file"
 
-    def table_layout(self, types: Mapping[str, str] | None = None) -> TableLayout:
-        """Return the columns of the run table; `types` are those in its schema, where there is one already.
+    def table_layout(self, types: Mapping[str, str] | None = None, *, warms_up: bool = False) -> TableLayout:
+        """Return the columns of the run table.
+
+        Args:
+            types: those in its schema, where there is one already.
+            warms_up: whether the table has warm-up runs though the config may have none any more.
 
         Raises:
             DesignError: a measure is called like a factor.
         """
-        return TableLayout.of_model(self.model, self.columns.names, types, self.spelling)
+        layout = TableLayout.of_model(self.model, self.columns.names, types, self.spelling)
+        if warms_up and WARM_UP not in layout.marks:
+            return replace(layout, marks=(*layout.marks, WARM_UP))
+        return layout
 
     @property
     def systems(self) -> tuple[System, ...]:
@@ -70,6 +82,19 @@ def experiment_folder(parameters: Parameters, loaded: LoadedConfig) -> Experimen
         return loaded.folder
     root = (loaded.source.path.parent / parameters.results_output_path.expanduser()).resolve()
     return ExperimentFolder(root / parameters.experiment_name)
+
+
+def grown_model(model: RunTableModel, folder: ExperimentFolder) -> RunTableModel:
+    """Return the design with the batches of runs that were added to the experiment, as its journal has them.
+
+    Raises:
+        StorageError: the journal cannot be read.
+        DesignError: the config lacks a treatment that runs have.
+    """
+    if not folder.journal.exists():
+        return model
+    batches = batches_of(read_journal(folder.journal, kinds={EXTENDED}))
+    return GrownRunTableModel(model, batches) if batches else model
 
 
 def event_manager_for(loaded: LoadedConfig, plugins: tuple[Plugin, ...]) -> EventManager:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from robot_runner.core.config.authors import Author, authors_from_text, is_licence
+from robot_runner.core.config.notify import Notify
+from robot_runner.core.config.operator_steps import OperatorStep
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.events.window import is_phase_name
 from robot_runner.core.links.declared_host import are_hosts, named_hosts
@@ -23,12 +26,15 @@ __all__ = [
     "LICENCE",
     "LINK",
     "NAME",
+    "NOTIFY",
+    "OPERATOR_STEPS",
     "PATH",
     "PHASES",
     "PLAN",
     "ROS_DISTRIBUTION",
     "ROS_GENERATION",
     "SECONDS",
+    "SMOKE",
     "TEXT",
     "Kind",
     "choice",
@@ -47,6 +53,7 @@ class Kind:
         from_text: reads a value of the command line; raises ValueError.
         normalise: makes what `Parameters` holds of a value that is accepted.
         type_name: what the documentation calls the type, where the annotation says less.
+        is_secret: whether a malformed value may hold a password, and is not shown.
     """
 
     expected: str
@@ -54,6 +61,7 @@ class Kind:
     from_text: Callable[[str], Any] = str
     normalise: Callable[[Any], Any] = lambda value: value
     type_name: str = ""
+    is_secret: bool = False
 
     def or_none(self) -> Kind:
         """Return the same with None as one more value."""
@@ -160,7 +168,18 @@ HOSTS = Kind(
     named_hosts,
 )
 LICENCE = Kind('an SPDX identifier such as "CC-BY-4.0", a URL', is_licence)
+SMOKE = Kind(
+    'names with values, such as {"BasicTurtlebot3.task_s": 1.0}',
+    lambda value: isinstance(value, Mapping) and all(isinstance(name, str) and name for name in value),
+    _not_from_text,
+    dict,
+)
 TEXT = Kind("a text", _is_text)
+OPERATOR_STEPS = replace(
+    instances(OperatorStep, "a list of OperatorStep(...) in the config file; from outside, none"),
+    from_text=lambda text: () if text.casefold() == "none" else _not_from_text(text),
+)
+NOTIFY = Kind("Notify(...) in the config file", lambda value: isinstance(value, Notify), _not_from_text, is_secret=True)
 PHASES = Kind(
     "a list of the names of phases: letters, digits, '_' and '-'",
     lambda value: isinstance(value, list | tuple) and all(map(is_phase_name, value)),

@@ -19,12 +19,15 @@ from robot_runner.core.config.parameter_kinds import (
     LICENCE,
     LINK,
     NAME,
+    NOTIFY,
+    OPERATOR_STEPS,
     PATH,
     PHASES,
     PLAN,
     ROS_DISTRIBUTION,
     ROS_GENERATION,
     SECONDS,
+    SMOKE,
     TEXT,
     Kind,
     choice,
@@ -37,6 +40,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from robot_runner.core.config.authors import Author
+    from robot_runner.core.config.notify import Notify
+    from robot_runner.core.config.operator_steps import OperatorStep
     from robot_runner.core.design.analysis_plan import AnalysisPlan
     from robot_runner.core.design.run_table_model import RunTable, RunTableModel
     from robot_runner.core.links.declared_host import Host
@@ -57,7 +62,7 @@ __all__ = [
 
 
 class OperationType(Enum):
-    """Whether the next run starts by itself (AUTO), or once the user says so (SEMI: to swap a battery, say)."""
+    """Whether a run starts by itself (AUTO), or once the user says so (SEMI: to swap a battery, say)."""
 
     AUTO = "auto"
     SEMI = "semi"
@@ -143,9 +148,13 @@ class StaticParameters:
         Path("experiments"),
     )
     operation_type: OperationType = _declare(
-        "AUTO starts each run by itself; SEMI waits after each run until the user says to go on.",
+        "AUTO starts each run by itself; SEMI waits before each run, the first one of a session included, until the "
+        "user says to go on.",
         choice(OperationType),
         OperationType.AUTO,
+    )
+    operator_steps: Sequence[OperatorStep] = _declare(
+        "What a person does before a run, and what they are asked: `OperatorStep(...)`.", OPERATOR_STEPS, ()
     )
     time_between_runs_in_ms: int = _declare(
         "How long the robot rests between two runs, in milliseconds.", whole(0, " of milliseconds"), 0
@@ -202,7 +211,10 @@ class StaticParameters:
         "How long a run may take, in seconds of real time; None for no limit.", SECONDS.or_none(), None
     )
     event_deadline_in_s: float | None = _declare(
-        "How long one event of a run may take, in seconds of real time; None for no limit.", SECONDS.or_none(), None
+        "How long one event may take, in seconds of real time; None for no limit. It holds for the events of the "
+        "orchestrator, too.",
+        SECONDS.or_none(),
+        None,
     )
     grace_in_s: float = _declare(
         "How long a run that is told to end may take to stop its robot and close its profilers before it is killed, "
@@ -226,11 +238,20 @@ class StaticParameters:
         instances(Guard, "a list of Guard(...), such as [Guard(battery_below(15), GuardAction.STOP)]"),
         (),
     )
+    smoke: Mapping[str, Any] = _declare(
+        "What `robot-runner smoke` sets to be quick: static parameters and attributes of the config by name, and "
+        "parameters of a plugin as `<plugin>.<parameter>`.",
+        SMOKE,
+        {},
+    )
     watch_machines: bool = _declare(
         "Whether the computers that profilers measure are watched for what else goes on there: load by others, swap, "
         "throttling.",
         FLAG,
         default=True,
+    )
+    notify: Notify | None = _declare(
+        "Who is told how the experiment goes on, and of what: `Notify(...)`.", NOTIFY.or_none(), None
     )
     analysis: AnalysisPlan | None = _declare(
         "What is fixed for the analysis before the experiment: measures, level of significance, hypotheses.",
@@ -266,6 +287,7 @@ class Parameters(StaticParameters):
     required_ros_distro: str | None
     authors: tuple[Author, ...]
     phases: tuple[str, ...]
+    operator_steps: tuple[OperatorStep, ...]
     gates: tuple[Gate, ...]
     guards: tuple[Guard, ...]
 

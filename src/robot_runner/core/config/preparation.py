@@ -19,13 +19,17 @@ from robot_runner.core.config.checks import (
     read_parameters,
 )
 from robot_runner.core.config.dead_names import check_dead_names
-from robot_runner.core.config.experiment import Experiment, event_manager_for, experiment_folder
+from robot_runner.core.config.experiment import Experiment, event_manager_for, experiment_folder, grown_model
 from robot_runner.core.config.loader import LoadedConfig, load_config
+from robot_runner.core.config.notify import check_notify
+from robot_runner.core.config.operator_checks import check_operator_steps
+from robot_runner.core.config.operator_steps import operator_measures
 from robot_runner.core.config.plugin_checks import check_plugins, companions, gather_plugins
 from robot_runner.core.config.treatment_makers import maker_findings
-from robot_runner.core.errors import ConfigError, Finding, LinkError
+from robot_runner.core.design.batches import GrownRunTableModel
+from robot_runner.core.errors import ConfigError, DesignError, Finding, LinkError, StorageError
 from robot_runner.core.events.manager import EventManager
-from robot_runner.core.events.measure import MeasureColumns, resolve_columns, with_phases
+from robot_runner.core.events.measure import OPERATOR_OWNER, MeasureColumns, resolve_columns, with_phases
 from robot_runner.core.links.connect import found_robot, link_findings, looks_for_robot
 
 if TYPE_CHECKING:
@@ -102,21 +106,47 @@ def prepare(
     findings = [*loaded.findings, *_name_findings(loaded), *(choose_robot(loaded) if is_for_here else ())]
     parameters, parameter_findings = read_parameters(loaded)
     model, model_findings = create_model(loaded)
-    plugins, plugin_findings = gather_plugins(loaded, model)
+    model = _grown(loaded, parameters, model, model_findings)
+    complete = _with_all_factors(model)
+    plugins, plugin_findings = gather_plugins(loaded, complete)
     findings += [*parameter_findings, *plugin_findings, *model_findings]
     if parameters is not None:
         added, companion_findings = companions(parameters, plugins)
         plugins, findings = (*added, *plugins), [*findings, *companion_findings]
     events = _subscribe(loaded, plugins, findings)
-    columns = _columns(model, plugins, parameters, findings)
+    step_findings = check_operator_steps(loaded.where, parameters.operator_steps, model) if parameters else []
+    findings += step_findings
+    columns = _columns(model, plugins, parameters if not step_findings else None, findings)
     if parameters is not None:
-        findings += [*check_analysis(parameters, model, columns), *check_threads(loaded, parameters)]
+        findings += [*check_analysis(parameters, complete, columns), *check_threads(loaded, parameters)]
     if is_for_here:
-        findings += _check_machine(loaded, parameters, plugins, model)
+        findings += _check_machine(loaded, parameters, plugins, complete)
     ordered = tuple(sorted(findings, key=lambda finding: not finding.is_error))
     if any(finding.is_error for finding in ordered) or parameters is None or model is None:
         return Preparation(None, ordered)
     return Preparation(_experiment(loaded, parameters, plugins, events, model, columns), ordered)
+
+
+def _grown(
+    loaded: LoadedConfig, parameters: Parameters | None, model: RunTableModel | None, findings: list[Finding]
+) -> RunTableModel | None:
+    """Return the design with the batches that were added to it; none, with findings, where the config lacks a part."""
+    if parameters is None or model is None:
+        return model
+    try:
+        return grown_model(model, experiment_folder(parameters, loaded))
+    except (DesignError, StorageError) as error:
+        findings += error.findings
+    except (OSError, RuntimeError):  # found by the check of the path
+        return model
+    return None
+
+
+def _with_all_factors(model: RunTableModel | None) -> RunTableModel | None:
+    """Return the design that plugins are looked at with: one with a factor that only the config has so far."""
+    own = model.as_configured if isinstance(model, GrownRunTableModel) else model
+    known = {factor.name for factor in model.factors} if model else set()
+    return own if own and any(factor.name not in known for factor in own.factors) else model
 
 
 def _name_findings(loaded: LoadedConfig) -> list[Finding]:
@@ -136,6 +166,7 @@ def _check_machine(
         yield from check_robot(loaded, parameters, plugins)
         if model is not None:
             yield from maker_findings(model.factors, experiment_folder(parameters, loaded))
+        yield from check_notify(f"{loaded.where}.notify", parameters.notify)
         yield from check_results_path(loaded, parameters)
         yield from check_disk_space(loaded, parameters, plugins, runs)
 
@@ -166,9 +197,13 @@ def _columns(
     model: RunTableModel | None, plugins: tuple[Plugin, ...], parameters: Parameters | None, findings: list[Finding]
 ) -> MeasureColumns:
     phases = parameters.phases if parameters is not None else ()
+    steps = parameters.operator_steps if parameters is not None else ()
     measures = {plugin.name: with_phases(plugin.measures, phases) for plugin in plugins}
+    if answers := operator_measures(steps):
+        measures[OPERATOR_OWNER] = answers
     columns, column_findings = resolve_columns(model.data_columns if model else None, measures)
     findings += column_findings
+    columns = columns.with_all_of(OPERATOR_OWNER)
     return columns.with_quality() if parameters is not None and parameters.quality_columns else columns
 
 
@@ -193,4 +228,5 @@ def _experiment(
         local_modules=loaded.local_modules,
         folder=experiment_folder(parameters, loaded),
         spelling=loaded.spelling,
+        kept=loaded.kept,
     )

@@ -11,15 +11,18 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 __all__ = [
+    "BATCH",
     "EXCLUDED",
     "REPETITION",
     "RUN_ID",
     "STAMP_COLUMNS",
     "STATUS",
+    "WARM_UP",
     "NamedColumn",
     "column_name",
     "name_findings",
     "numbered_run_id",
+    "numbered_warm_up_id",
     "reserved_names",
 ]
 
@@ -37,6 +40,10 @@ STATUS = "status"
 #: Why a run is left out of the analysis; there once a run was ever excluded.
 EXCLUDED = "excluded"
 REPETITION = "Repetition"
+#: In which batch of runs a run was planned: there once an experiment was extended.
+BATCH = "batch"
+#: Whether a run only warms up: there where a design has such runs.
+WARM_UP = "warm_up"
 
 #: When each event of a run was emitted, in the order of the events (paper, Fig. 2 and 3).
 STAMP_COLUMNS = (
@@ -66,18 +73,24 @@ def numbered_run_id(number: int) -> str:
     return f"r_{number}"
 
 
-def reserved_names(repetitions: int) -> tuple[str, ...]:
+def numbered_warm_up_id(number: int) -> str:
+    """Return the id of this warm-up run (from 1) of an experiment."""
+    return f"w_{number}"
+
+
+def reserved_names(repetitions: int, *, warms_up: bool = False) -> tuple[str, ...]:
     """Return the column names that no factor and no measure may have, whatever the case of their letters."""
-    return (*_TAKEN, REPETITION) if repetitions > 1 else _TAKEN
+    return (*_TAKEN, *([REPETITION] if repetitions > 1 else []), *([WARM_UP] if warms_up else []))
 
 
-def name_findings(name: object, *, kind: str, repetitions: int = 1) -> Iterator[Finding]:
+def name_findings(name: object, *, kind: str, repetitions: int = 1, warms_up: bool = False) -> Iterator[Finding]:
     """Say what keeps `name` from heading a column.
 
     Args:
         name: what was given as the name.
         kind: what it is the name of, as in `factor`.
         repetitions: how often each combination is repeated; from two on, `Repetition` is taken.
+        warms_up: whether there are warm-up runs; then `warm_up` is taken.
 
     Yields:
         An error finding for each problem.
@@ -91,7 +104,7 @@ def name_findings(name: object, *, kind: str, repetitions: int = 1) -> Iterator[
         yield Finding.error(where, "the name begins or ends with a blank", f"Write {name.strip()!r}.")
     elif odd := [character for character in name if unicodedata.category(character) in _UNFIT_CATEGORIES]:
         yield Finding.error(where, f"the name holds {odd[0]!r}, which no heading can hold", "Leave it out.")
-    elif name.casefold() in {taken.casefold() for taken in reserved_names(repetitions)}:
+    elif name.casefold() in {taken.casefold() for taken in reserved_names(repetitions, warms_up=warms_up)}:
         yield Finding.error(where, "the run table has a column of that name already", _other_name(name))
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from robot_runner.core.design.columns import NamedColumn
     from robot_runner.core.design.factor import Factor
 
-__all__ = ["ListedRun", "ListedRunTableModel"]
+__all__ = ["ListedRun", "ListedRunTableModel", "run_findings"]
 
 _RUN_ID = re.compile(r"\w[\w.-]{0,59}")  # it names the run's folder
 
@@ -75,7 +75,7 @@ class ListedRunTableModel(RunTableModel):
         Raises:
             DesignError: it cannot be; `findings` lists everything that was found.
         """
-        findings = [*_run_findings(runs), *_column_findings(factors, data_columns)]
+        findings = [*run_findings([run.run_id for run in runs]), *_column_findings(factors, data_columns)]
         if findings:
             raise DesignError.of_findings(findings)
         # Not by the factorial's own way of making them, which lists every combination there could be.
@@ -114,16 +114,21 @@ def _own(factor: Factor, value: Any) -> Any:
     return factor.treatments[place]
 
 
-def _run_findings(runs: Sequence[ListedRun]) -> Iterator[Finding]:
-    if not runs:
+def run_findings(run_ids: Sequence[str]) -> Iterator[Finding]:
+    """Say which ids cannot be those of the runs of one experiment.
+
+    Yields:
+        An error finding for each problem.
+    """
+    if not run_ids:
         yield Finding.error("run table", "the run table has no runs", "List at least one, or exclude fewer.")
-    for run_id, count in Counter(run.run_id.casefold() for run in runs).items():
+    for run_id, count in Counter(run_id.casefold() for run_id in run_ids).items():
         if count > 1:
             yield Finding.error("run table", f"{count} runs have the id {run_id!r}", "Give each an id of its own.")
-    for run in runs:
-        if not _RUN_ID.fullmatch(run.run_id):
+    for run_id in run_ids:
+        if not _RUN_ID.fullmatch(run_id):
             fix = "Use letters, digits, '_', '-' and '.' (60 at most): it names the run's folder."
-            yield Finding.error("run table", f"a run cannot have the id {run.run_id!r}", fix)
+            yield Finding.error("run table", f"a run cannot have the id {run_id!r}", fix)
 
 
 def _column_findings(factors: Sequence[Factor], data_columns: Sequence[NamedColumn]) -> Iterator[Finding]:

@@ -91,8 +91,9 @@ class PlannedRun(NamedTuple):
         run_id: names the run in the table and its folder.
         number: the place in the order of execution, from 1.
         combination: the treatment of each factor, by the factor's name.
-        repetition: which repetition of the combination it is, from 1.
+        repetition: which repetition of the combination it is, from 1; 0 for a warm-up run.
         block: which block it belongs to, from 1; None where the design has no blocks.
+        batch: in which batch it was planned, from 1: an experiment that is extended gets further ones.
 
     Example:
         >>> from robot_runner.core.design.factor import Combination
@@ -105,6 +106,12 @@ class PlannedRun(NamedTuple):
     combination: Combination
     repetition: int
     block: int | None = None
+    batch: int = 1
+
+    @property
+    def is_warm_up(self) -> bool:
+        """Whether it only warms up: executed and kept, but not analysed. It is no repetition of its combination."""
+        return self.repetition == 0  # no field of its own, as there may be millions of runs
 
 
 def planned_runs(

@@ -2,160 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from math import prod
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, overload
 
-from robot_runner.core.design.columns import REPETITION, column_name, name_findings
+from robot_runner.core.design.columns import REPETITION
+from robot_runner.core.design.design_findings import design_findings, order_findings, size_findings
 from robot_runner.core.design.exclusions import apply_exclusions
 from robot_runner.core.design.factor import Factor, full_factorial
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, garbage_collection_paused, planned_runs
-from robot_runner.core.errors import DesignError, Finding, did_you_mean
+from robot_runner.core.design.warm_up import WarmUp, warm_up_of, with_warm_ups
+from robot_runner.core.errors import DesignError, Finding
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from robot_runner.core.design.batches import Batch
     from robot_runner.core.design.columns import NamedColumn
     from robot_runner.core.design.exclusions import Exclusion, Exclusions
     from robot_runner.core.design.factor import Combination
 
-__all__ = ["MAX_RUNS", "RunTable", "RunTableModel", "design_findings", "listed_elsewhere", "order_findings"]
-
-
-#: Whether the runs of a design that is too large are listed in a table.
-_ARE_LISTED: ContextVar[bool] = ContextVar("_ARE_LISTED", default=False)
-
-
-@contextmanager
-def listed_elsewhere() -> Iterator[None]:
-    """While this lasts, designs of too many runs are taken: a table lists those that are to be executed.
-
-    See `RunTableModel.take_runs`. A config makes its model itself, so that nothing can be handed to it.
-    """
-    token = _ARE_LISTED.set(True)
-    try:
-        yield
-    finally:
-        _ARE_LISTED.reset(token)
-
-
-# What keeps factors, repetitions, columns and order from making a design: each check lists all that it finds.
-
-#: More runs than this are taken for a slip: at one second a run they would take four months.
-MAX_RUNS = 10_000_000
-
-
-def design_findings(
-    factors: object, repetitions: object, data_columns: object, shuffle: object, seed: object, blocks: object
-) -> Iterator[Finding]:
-    """Say everything that is wrong with a design, its exclusions left aside.
-
-    Args:
-        factors: what is to be a sequence of factors.
-        repetitions: what is to be how often each combination is executed.
-        data_columns: what is to be the names of the measures' columns, or None.
-        shuffle: what is to be whether the order is randomised.
-        seed: what is to be the seed, or None.
-        blocks: what is to be what runs are kept together by, or None.
-
-    Yields:
-        An error finding for each problem.
-    """
-    known = tuple(factor for factor in factors if isinstance(factor, Factor)) if isinstance(factors, Sequence) else ()
-    repeated = repetitions if isinstance(repetitions, int) else 1
-    yield from _factor_findings(factors)
-    yield from _repetition_findings(repetitions, known)
-    yield from _data_column_findings(data_columns, known, repeated)
-    if not isinstance(shuffle, bool):
-        problem = f"{shuffle!r} is of type {type(shuffle).__name__}"
-        yield Finding.error("shuffle", problem, "Give True or False.")
-    yield from order_findings(seed, blocks, known, repeated)
-    if not _ARE_LISTED.get():
-        yield from _size_findings(known, repeated)
-
-
-def _factor_findings(factors: object) -> Iterator[Finding]:
-    kind = type(factors).__name__
-    if not isinstance(factors, Sequence):
-        yield Finding.error("factors", f"{factors!r} is of type {kind}", "Give a list of Factor(...).")
-        return
-    if not factors:
-        yield Finding.error("factors", "there are none", "Give at least one Factor(...).")
-    seen: set[str] = set()
-    for place, factor in enumerate(factors):
-        if not isinstance(factor, Factor):
-            problem = f"{factor!r} is of type {type(factor).__name__}"
-            yield Finding.error(f"factors[{place}]", problem, "Give a Factor(name, treatments).")
-        elif factor.name in seen:
-            yield Finding.error(f"factors[{place}]", f"factor {factor.name!r} is given twice", "Rename or remove it.")
-        else:
-            seen.add(factor.name)
-
-
-def _repetition_findings(repetitions: object, factors: Sequence[Factor]) -> Iterator[Finding]:
-    if isinstance(repetitions, bool) or not isinstance(repetitions, int):
-        problem = f"{repetitions!r} is of type {type(repetitions).__name__}"
-        yield Finding.error("repetitions", problem, "Give a whole number from 1.")
-    elif repetitions < 1:
-        yield Finding.error("repetitions", f"{repetitions} is less than 1", "Give a whole number from 1.")
-    else:
-        for factor in factors:
-            yield from name_findings(factor.name, kind="factor", repetitions=repetitions)
-
-
-def _data_column_findings(columns: object, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
-    if columns is None:
-        return
-    if not isinstance(columns, Sequence) or isinstance(columns, str | bytes):
-        problem = f"{columns!r} is of type {type(columns).__name__}"
-        yield Finding.error("data_columns", problem, "Give a list of names, or leave it out for all measures.")
-        return
-    names_of_factors = {factor.name for factor in factors}
-    seen = set()
-    for place, column in enumerate(columns):
-        where = f"data_columns[{place}]"
-        name = column_name(column)
-        yield from name_findings(name, kind="data column", repetitions=repetitions)
-        if not isinstance(name, str):
-            continue
-        if name in seen:
-            yield Finding.error(where, f"column {name!r} is given twice", "Remove one.")
-        if name in names_of_factors:
-            yield Finding.error(where, f"{name!r} is the name of a factor", "Rename the factor or the measure.")
-        seen.add(name)
-
-
-def order_findings(seed: object, blocks: object, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
-    """Say what is wrong with the seed and the blocks."""
-    is_seed = seed is None or (isinstance(seed, int) and not isinstance(seed, bool) and seed >= 0)
-    if not is_seed:  # random.Random takes -1 for 1, so that two seeds would give one order
-        problem = f"{seed!r} is of type {type(seed).__name__}"
-        yield Finding.error("seed", problem, "Give a whole number from 0, or leave it out.")
-    if blocks is None:
-        return
-    known = [factor.name for factor in factors]
-    if repetitions > 1:
-        known.append(REPETITION)
-    name = blocks.name if isinstance(blocks, Factor) else blocks
-    if name not in known:
-        yield Finding.error("blocks", f"there is nothing called {name!r} to make blocks of", _blocks_fix(name, known))
-
-
-def _size_findings(factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
-    runs = prod(len(factor.treatments) for factor in factors) * repetitions
-    if runs > MAX_RUNS:
-        problem = f"the design has {runs:,} runs before exclusions; {MAX_RUNS:,} is the most"
-        yield Finding.error("factors", problem, "Give fewer treatments or repetitions.")
-
-
-def _blocks_fix(name: object, known: Iterable[str]) -> str:
-    if name == REPETITION:
-        return "Give repetitions=2 or more, or name a factor."
-    return did_you_mean(str(name), known)
+__all__ = ["RunTable", "RunTableModel"]
 
 
 class RunTable(Sequence[PlannedRun]):
@@ -213,6 +82,9 @@ class RunTableModel:
         repetitions: how often each combination is executed; from two on the table has a column `Repetition`.
         data_columns: the measures that the run table has columns for, by name, or as a `Measure` where it is the
             config's own; None stands for all measures of all plugins.
+        warm_up: how the experiment warms up; None where it does not.
+        batches: how the runs of an experiment that was extended were planned, batch by batch; empty for all others.
+        defaults: which treatment runs count as having had that were planned before their factor was added, by factor.
         warnings: findings that do not refuse the design, as on exclusions that remove nothing.
 
     Example:
@@ -226,6 +98,12 @@ class RunTableModel:
         15
     """
 
+    warm_up: WarmUp | None = None
+    batches: tuple[Batch, ...] = ()
+    defaults: Mapping[str, Any] = MappingProxyType({})
+    _too_large: Finding | None = None
+    _listed_runs: tuple[PlannedRun, ...] | None = None
+
     def __init__(
         self,
         factors: Iterable[Factor],
@@ -235,6 +113,7 @@ class RunTableModel:
         shuffle: bool = False,
         seed: int | None = None,
         blocks: str | Factor | None = None,
+        warm_up: int | WarmUp | None = None,
     ) -> None:
         """Check the whole design.
 
@@ -242,10 +121,10 @@ class RunTableModel:
             DesignError: it cannot be; `findings` lists everything that was found.
         """
         listed = _as_tuple(factors)
-        findings = list(design_findings(listed, repetitions, data_columns, shuffle, seed, blocks))
+        findings = list(design_findings(listed, repetitions, data_columns, shuffle, seed, blocks, warm_up))
         if any(finding.where.startswith("factors") for finding in findings):
             raise DesignError.of_findings(findings)  # without factors there is nothing to exclude from
-        too_large = next(_size_findings(listed, repetitions if isinstance(repetitions, int) else 1), None)
+        too_large = next(size_findings(listed, repetitions if isinstance(repetitions, int) else 1), None)
         exclusions = None if too_large else _applied(listed, exclude_combinations)
         findings += exclusions.errors if exclusions else ()
         if findings:
@@ -253,12 +132,13 @@ class RunTableModel:
         self.factors: Final = listed
         self.repetitions: Final = repetitions
         self.data_columns: Final = None if data_columns is None else tuple(data_columns)
+        self.warm_up = warm_up_of(warm_up)
         self.warnings: Final[tuple[Finding, ...]] = exclusions.warnings if exclusions else ()
+        self._exclusions = exclude_combinations
         self._kept = exclusions.kept if exclusions else None
         self._order = _ordered(RunOrder(shuffle=shuffle), seed, blocks)
         self._planned: RunTable | None = None
         self._too_large = too_large
-        self._listed_runs: tuple[PlannedRun, ...] | None = None
 
     @property
     def shuffle(self) -> bool:
@@ -279,6 +159,19 @@ class RunTableModel:
     def blocks(self) -> str | None:
         """What runs are kept together by: `Repetition`, the name of a factor, or None."""
         return self._order.blocks
+
+    def combinations_of(self, factors: Sequence[Factor]) -> list[Combination]:
+        """Return the combinations of other factors that the design's exclusions leave, in order.
+
+        Raises:
+            DesignError: an exclusion does not fit these factors.
+        """
+        exclusions = _applied(factors, self._exclusions)
+        if exclusions is None:
+            return full_factorial(factors)
+        if exclusions.errors:
+            raise DesignError.of_findings(exclusions.errors) from exclusions.cause
+        return exclusions.kept
 
     def create_experiment_run_table(self) -> RunTable:
         """Make the run table in the present order (the paper's call; returning the model itself does the same)."""
@@ -331,7 +224,8 @@ class RunTableModel:
         return self._planned
 
     def _arranged(self, order: RunOrder) -> Sequence[PlannedRun]:
-        return planned_runs(self._combinations, self.repetitions, self._block_of(order.blocks), order)
+        runs = planned_runs(self._combinations, self.repetitions, self._block_of(order.blocks), order)
+        return with_warm_ups(runs, self.warm_up)
 
     @cached_property
     def _combinations(self) -> list[Combination]:

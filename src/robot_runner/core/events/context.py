@@ -3,33 +3,33 @@
 from __future__ import annotations
 
 import time
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast, runtime_checkable
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol, runtime_checkable
 
-from robot_runner.core.errors import PluginError
+from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.early_end import EndingInPlace
-from robot_runner.core.events.host_access import NoHosts
 from robot_runner.core.events.measure import MeasureValue, Origin, PublishedMeasure
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.outliving import program_name, spare
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from contextlib import AbstractContextManager
     from pathlib import Path
 
     from robot_runner.core.errors import Finding
     from robot_runner.core.events.early_end import Ending
-    from robot_runner.core.events.host_access import HostAccess, HostDoor
+    from robot_runner.core.events.host_access import HostAccess
+    from robot_runner.core.events.outlook import ExperimentEnd, NextRun
+    from robot_runner.core.events.resources import Resources
     from robot_runner.core.events.window import MissionTimes, Phase, Window
 
 __all__ = [
     "Clock",
-    "Closable",
     "ExperimentContext",
-    "Resources",
+    "HostDoor",
+    "NoHosts",
     "RobotRunnerContext",
     "RunBroker",
     "StartedProgram",
@@ -64,52 +64,6 @@ class SystemClock:
         """Block the calling thread for this many real seconds."""
         if seconds > 0:
             time.sleep(seconds)
-
-
-# What several plugins of one run share: opened once, closed in reverse order when the run ends.
-
-
-class Closable(Protocol):
-    """Anything that is closed once it is no longer needed."""
-
-    def close(self) -> None:
-        """Let go of what is held."""
-        ...
-
-
-R = TypeVar("R", bound=Closable)
-
-
-class Resources:
-    """The links and devices that a run has opened, by key.
-
-    Example:
-        >>> class Line:
-        ...     def close(self) -> None:
-        ...         print("closed")
-        >>> with_line = Resources()
-        >>> with_line.open("serial", Line) is with_line.open("serial", Line)
-        True
-        >>> with_line.close()
-        closed
-    """
-
-    def __init__(self) -> None:
-        self._opened: dict[str, Closable] = {}
-        self._closing = ExitStack()
-
-    def open(self, key: str, opener: Callable[[], R]) -> R:
-        """Return what was opened under `key`, opening it first if it was not; it is closed with the run."""
-        if key not in self._opened:
-            opened = opener()
-            self._opened[key] = opened
-            self._closing.callback(opened.close)
-        return cast("R", self._opened[key])
-
-    def close(self) -> None:
-        """Close everything in reverse order; what one of them raises is raised after all were closed."""
-        self._opened.clear()
-        self._closing.close()
 
 
 class StartedProgram(Protocol):
@@ -164,6 +118,29 @@ class RunBroker(Protocol):
         ...
 
 
+class HostDoor(Protocol):
+    """What a context opens hosts by."""
+
+    def open(self, name: str, context: RobotRunnerContext) -> HostAccess:
+        """Return the host of this name; its connection is kept until the run ends."""
+        ...
+
+
+class NoHosts:
+    """The hosts of a config that names none."""
+
+    def open(self, name: str, context: RobotRunnerContext) -> NoReturn:
+        """Refuse.
+
+        Raises:
+            LinkError: always.
+        """
+        del context
+        raise LinkError(
+            f"there is no host {name!r}", where="hosts", fix=f"Name it in the config: hosts = {{{name!r}: 'pi@robot'}}."
+        )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExperimentContext:
     """What the callbacks of `before_experiment` and `after_experiment` are told.
@@ -173,12 +150,14 @@ class ExperimentContext:
         experiment_folder: where everything of this experiment is kept.
         robot: how the robot is reached (`"simulated"`, ...), or None where the config names none.
         seed: the seed of the experiment, from which the runs' order and the runs' own seeds come.
+        ended: how the experiment ended, in `after_experiment`; None before.
     """
 
     experiment_name: str
     experiment_folder: Path
     robot: str | None = None
     seed: int = 0
+    ended: ExperimentEnd | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,7 +171,7 @@ class RobotRunnerContext(ExperimentContext):
         attempt: how often this run has been tried, this time included, from 1.
         attempts_left: how often it is tried again where this attempt fails.
         combination: the treatment of each factor, by the factor's name.
-        repetition: which repetition of the combination this is, from 1.
+        repetition: which repetition of the combination this is, from 1; 0 for a warm-up run.
         run_seed: a seed for this run alone, the same each time that it is executed.
         clock: the clock to sleep on; on a simulated robot it is the simulation's.
         resources: links and devices that the run's plugins share.
@@ -201,6 +180,7 @@ class RobotRunnerContext(ExperimentContext):
         ending: what ends the run or its mission; ask for it through `fail` and `stop_mission`.
         hosts: what opens the hosts of the config; ask for one through `host`.
         run_path: where the run's folder is once something is kept in it; ask for `run_folder` to keep something.
+        next_run: in `continue_experiment`, the run that comes next; all else there is about the run that is over.
     """
 
     run_id: str
@@ -219,6 +199,12 @@ class RobotRunnerContext(ExperimentContext):
     attempts_left: int = 0
     ending: Ending = field(default_factory=EndingInPlace, repr=False)
     hosts: HostDoor = field(default_factory=NoHosts, repr=False)
+    next_run: NextRun | None = None
+
+    @property
+    def is_warm_up(self) -> bool:
+        """Whether the run only warms up: it is executed and kept like any other, and not analysed."""
+        return self.repetition == 0
 
     @property
     def run_folder(self) -> Path:

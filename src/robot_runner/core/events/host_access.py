@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NoReturn, Protocol
-
-from robot_runner.core.errors import LinkError
+from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from robot_runner.core.events.context import RobotRunnerContext
-
-__all__ = ["CommandResult", "HostAccess", "HostDoor", "NoHosts"]
+__all__ = ["CommandResult", "HostAccess"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,26 +87,3 @@ class HostAccess(Protocol):
             LinkError: the host cannot be reached.
         """
         ...
-
-
-class HostDoor(Protocol):
-    """What a context opens hosts by."""
-
-    def open(self, name: str, context: RobotRunnerContext) -> HostAccess:
-        """Return the host of this name; its connection is kept until the run ends."""
-        ...
-
-
-class NoHosts:
-    """The hosts of a config that names none."""
-
-    def open(self, name: str, context: RobotRunnerContext) -> NoReturn:
-        """Refuse.
-
-        Raises:
-            LinkError: always.
-        """
-        del context
-        raise LinkError(
-            f"there is no host {name!r}", where="hosts", fix=f"Name it in the config: hosts = {{{name!r}: 'pi@robot'}}."
-        )

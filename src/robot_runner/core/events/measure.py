@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CONFIG_OWNER",
+    "OPERATOR_OWNER",
     "QUALITY_SUFFIX",
     "Measure",
     "MeasureColumn",
@@ -48,6 +49,7 @@ class Origin(Enum):
     MEASURED = "measured"
     SIMULATED = "simulated"
     ESTIMATED = "estimated"
+    ENTERED = "entered by hand"
 
 
 class Over(Enum):
@@ -235,6 +237,8 @@ def _bounded(name: str, number: int, where: str) -> int:
 # Which measures the run table has a column for, and who may publish what.
 
 CONFIG_OWNER = "config"
+#: Owns the answers of the person who takes part.
+OPERATOR_OWNER = "operator"
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,6 +299,13 @@ class MeasureColumns:
             )
         ]
         return MeasureColumns(tuple(in_table), (*self.declared, *(each for each in in_table if each.tells_of)))
+
+    def with_all_of(self, owner: str) -> MeasureColumns:
+        """Return the same columns, with one in the run table for each measure of this owner."""
+        declared = tuple(replace(each, is_in_table=True) if each.owner == owner else each for each in self.declared)
+        there = set(self.names)
+        added = (each for each in declared if each.owner == owner and each.name not in there)
+        return MeasureColumns((*self.in_table, *added), declared)
 
     def prepare(self) -> None:
         """Look everything up that looking up a column needs, so that a run that is forked finds it done."""

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, MeasureError
-from robot_runner.core.events.measure import PublishedMeasure, as_measure_value
+from robot_runner.core.events.measure import OPERATOR_OWNER, Origin, PublishedMeasure, as_measure_value
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from robot_runner.core.events.measure import MeasureColumns, Origin
+    from robot_runner.core.events.measure import MeasureColumns, MeasureValue
 
 __all__ = ["MeasureBroker", "ReportRecord"]
 
@@ -23,15 +24,25 @@ ReportRecord = Callable[[str, dict[str, Any]], None]
 class MeasureBroker:
     """Takes what is published in one run, refuses what was not declared, and reports the rest at once.
 
-    Plugins may publish from threads of their own.
+    Plugins may publish from threads of their own. What a person entered before the run (`entered`, by column) is there
+    from the beginning, and was reported elsewhere.
     """
 
-    def __init__(self, run_id: str, columns: MeasureColumns, report: ReportRecord) -> None:
+    def __init__(
+        self,
+        run_id: str,
+        columns: MeasureColumns,
+        report: ReportRecord,
+        entered: Mapping[str, MeasureValue] = MappingProxyType({}),
+    ) -> None:
         self._run_id = run_id
         self._columns = columns
         self._report = report
         self._lock = threading.Lock()
-        self._measures: dict[str, PublishedMeasure] = {}
+        self._measures = {
+            name: PublishedMeasure(name, value, OPERATOR_OWNER, origin=Origin.ENTERED)
+            for name, value in entered.items()
+        }
         self._shared: dict[str, dict[str, object]] = {}
         self._findings: list[Finding] = []
 

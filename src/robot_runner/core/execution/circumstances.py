@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
@@ -22,9 +22,19 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.plugin import Plugin
 
-__all__ = ["RestoredManifest", "keep_config", "manifest_of", "note_clock", "restored_manifest", "resumed_manifest"]
+__all__ = [
+    "RestoredManifest",
+    "described_design",
+    "keep_config",
+    "keep_config_files",
+    "manifest_of",
+    "note_clock",
+    "restored_manifest",
+    "resumed_manifest",
+]
 
 
 # What is written down beside the results, so that others can judge and repeat them.
@@ -37,17 +47,16 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
     return {
         **described_circumstances(),  # first, so that none of them takes the place of what follows
         "experiment_name": experiment.parameters.experiment_name,
-        "config": {"file": experiment.config_path.name, "class": experiment.class_name},
+        "config": {
+            "file": experiment.config_path.name,
+            "class": experiment.class_name,
+            # A class from a notebook has no file of its own: what was kept of it is said.
+            **({} if experiment.kept == "file" else {"kept": experiment.kept}),
+        },
         # What was set from outside the config file: a replication has to know.
         "deviations": dict(experiment.overrides),
         "robot": experiment.parameters.robot,
-        "design": {
-            "source": "run_table.csv" if by_hand else "config",
-            "factors": {factor.name: list(factor.texts) for factor in model.factors},
-            "repetitions": model.repetitions,
-            "shuffle": model.shuffle,
-            "blocks": model.blocks,
-        },
+        "design": {"source": "run_table.csv" if by_hand else "config", **described_design(model)},
         "seed": model.seed,
         "seed_is_given": model.seed_is_given,
         # What was fixed for the analysis before the first run: statistics tell it from what is exploratory.
@@ -64,6 +73,21 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
     }
 
 
+def described_design(model: RunTableModel) -> dict[str, Any]:
+    """Return what the manifest says of a design: factors, repetitions, order, warm-up runs, batches."""
+    design: dict[str, Any] = {
+        "factors": {factor.name: list(factor.texts) for factor in model.factors},
+        "repetitions": model.repetitions,
+        "shuffle": model.shuffle,
+        "blocks": model.blocks,
+    }
+    if model.warm_up is not None:
+        design["warm_up"] = asdict(model.warm_up)
+    if model.batches:
+        design["batches"] = [batch.summary() for batch in model.batches]
+    return design
+
+
 def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[str, Any]:
     """Return the manifest of an experiment that goes on.
 
@@ -77,6 +101,8 @@ def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[s
             fix="Choose another experiment_name or results_output_path.",
         )
     manifest["executions"].append(_execution(experiment))
+    if experiment.model.batches:  # the journal has them, and an extension that broke off left the manifest behind
+        manifest["design"] |= described_design(experiment.model)
     if _analysis(experiment) != manifest.get("analysis"):
         manifest.setdefault("analysis_changes", []).append({"at": utc_now(), "analysis": _analysis(experiment)})
     return manifest
@@ -116,6 +142,8 @@ def restored_manifest(experiment: Experiment) -> RestoredManifest | None:
     manifest = manifest_of(experiment)
     manifest["seed"] = started["seed"]
     manifest["design"]["source"] = started.get("design", "config")
+    if not experiment.model.batches:  # the config may have changed since
+        manifest["design"] |= {name: started[name] for name in ("factors", "repetitions") if name in started}
     manifest["restored_at"] = utc_now()
     deviations = [
         {name: record[name] for name in ("at", "run", "column", "was", "is")}
@@ -129,10 +157,24 @@ def restored_manifest(experiment: Experiment) -> RestoredManifest | None:
 
 
 def keep_config(experiment: Experiment, manifest: dict[str, Any]) -> None:
-    """Copy the config file and the local modules that it imported, as executed; changed ones replace earlier copies.
+    """Copy the config file and the local modules that it imported, as executed, as `keep_config_files` does.
 
-    Earlier copies are kept beside, numbered in the order in which they were executed. What was not committed to the
-    repository of the config is kept as well, and the manifest says where.
+    What was not committed to the repository of the config is kept as well, and the manifest says where.
+
+    Raises:
+        StorageError: the copy cannot be written.
+    """
+    keep_config_files(experiment)
+    try:
+        _keep_uncommitted(experiment, manifest)
+    except OSError as error:
+        raise storage_error(experiment.folder.config, "written", error) from error
+
+
+def keep_config_files(experiment: Experiment) -> None:
+    """Copy the config file and the local modules that it imported; changed ones replace earlier copies.
+
+    Earlier copies are kept beside, numbered in the order in which they were executed.
 
     Raises:
         StorageError: the copy cannot be written.
@@ -146,7 +188,6 @@ def keep_config(experiment: Experiment, manifest: dict[str, Any]) -> None:
             for source, target in files.items():
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(source, target)
-        _keep_uncommitted(experiment, manifest)
     except OSError as error:
         raise storage_error(kept, "written", error) from error
 

@@ -44,10 +44,10 @@ class Watch:
     """
 
     interruption: Interruption
-    report: Report
-    refresh: Callable[[], None]
-    refresh_interval: float | None
-    noticed_interruption: Callable[[], None]
+    report: Report = lambda _kind, _fields: None
+    refresh: Callable[[], None] = lambda: None
+    refresh_interval: float | None = None
+    noticed_interruption: Callable[[], None] = lambda: None
     tend: Callable[[], float | None] = lambda: None
 
 

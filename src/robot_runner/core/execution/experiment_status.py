@@ -62,6 +62,8 @@ class ExperimentStatus:
     Attributes:
         holder: who executes it at this moment, or None.
         is_waiting_for_user: whether it waits for `robot-runner continue`.
+        waiting_for: what it waits for then: `next_run`, `step` (empty where it only asks whether the run may start),
+            and `questions` as plain data; None while it does not wait.
         current_run, current_event: what is being executed, or None.
         failures: why each failed run failed, one line each.
         findings: what looked odd.
@@ -75,6 +77,9 @@ class ExperimentStatus:
             `at` (at most a minute ago), and for how many `seconds` it had been awaited then.
         gate_seconds: how long gates were awaited in all, s of their clocks.
         bad_values: the runs that are done whose values are not good, by measure and quality.
+        warm_ups: how many of the runs only warm up.
+        warm_ups_done: how many of these are done.
+        batches: how many runs each batch has, in order, where the experiment was extended; warm-up runs left out.
         sessions: all its executions, the first one first.
         excluded: why runs are left out, by id.
         is_paused: whether somebody paused it; `robot-runner continue` goes on.
@@ -100,6 +105,9 @@ class ExperimentStatus:
     seconds_left: float | None = None
     left_is_least: bool = False
     bad_values: Mapping[str, Mapping[str, Sequence[str]]] = field(default_factory=lambda: MappingProxyType({}))
+    warm_ups: int = 0
+    warm_ups_done: int = 0
+    batches: tuple[int, ...] = ()
     sessions: tuple[Session, ...] = ()
     excluded: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     is_paused: bool = False
@@ -108,6 +116,7 @@ class ExperimentStatus:
     order: str = ""
     gate: Mapping[str, Any] | None = None
     gate_seconds: float = 0.0
+    waiting_for: Mapping[str, Any] | None = None
 
 
 def read_status(folder: Path) -> ExperimentStatus:
@@ -130,7 +139,7 @@ def read_status(folder: Path) -> ExperimentStatus:
         experiment_name=manifest["experiment_name"],
         folder=folder,
         holder=holder,
-        is_waiting_for_user=holder is not None and history.is_waiting,
+        is_waiting_for_user=holder is not None and history.waiting_for is not None,
         run_count=len(statuses),
         done=_count(statuses, RunStatus.DONE),
         failed=_count(counting, RunStatus.FAILED),
@@ -146,6 +155,10 @@ def read_status(folder: Path) -> ExperimentStatus:
         seconds_left=left.after(history.since_left if holder else 0.0) if left is not None else None,
         left_is_least=left is not None and left.is_least,
         bad_values=history.bad_values,
+        waiting_for=history.waiting_for if holder else None,
+        warm_ups=len(history.warm_ups),
+        warm_ups_done=sum(statuses.get(run) is RunStatus.DONE for run in history.warm_ups),
+        batches=tuple(int(each["runs"]) for each in manifest.get("design", {}).get("batches", ())),
         sessions=tuple(history.sessions),
         excluded=out,
         is_paused=holder is not None and history.is_paused,
@@ -207,7 +220,9 @@ class _History:
         self.statuses: dict[str, RunStatus] = {}
         self.failures: dict[str, str] = {}
         self.findings: list[Finding] = []
-        self.is_waiting = self.is_paused = False
+        self.waiting_for: dict[str, Any] | None = None
+        self.warm_ups: set[str] = set()
+        self.is_paused = False
         self.sessions: list[Session] = []
         self._begun: dict[str, None] = {}
         self._excluded = ExcludedRuns()
@@ -239,6 +254,7 @@ class _History:
             self._measures = layout.measures
             rows = read_run_table(files.run_table, layout)
             self.statuses = {rows.run_id(place): rows.status(place) for place in range(len(rows))}
+            self.warm_ups = {run.run_id for run in rows.planned if run.is_warm_up}
             self.combinations = {run.run_id: run.combination for run in rows.planned}
             if not layout.spelling.tells_apart(RunStatus.TODO, RunStatus.FAILED):
                 todo = {run for run, status in self.statuses.items() if status is RunStatus.TODO}
@@ -271,8 +287,8 @@ class _History:
     def _take_experiment_started(self, record: Mapping[str, Any]) -> None:
         self.started_at = record["at"]
         self.finished_at = None
-        self.gate = None
-        self.is_waiting = self.is_paused = False
+        self.gate = self.waiting_for = None
+        self.is_paused = False
         self.sessions.append(Session(record["at"], record["at"], selection=record.get("selection", {})))
 
     def _take_experiment_finished(self, record: Mapping[str, Any]) -> None:
@@ -282,14 +298,16 @@ class _History:
     def _take_attempt_started(self, record: Mapping[str, Any]) -> None:
         self.current_run, self.current_event = record["run"], None
         self._take_left(record)
-        self._begun.pop(record["run"], None)
-        self._begun[record["run"]] = None
+        if record.get("repetition") != 0:  # a warm-up run comes before each session, whatever the table's order
+            self._begun.pop(record["run"], None)
+            self._begun[record["run"]] = None
 
     def _take_event(self, record: Mapping[str, Any]) -> None:
         self.current_event = record["event"]
 
     def _take_attempt_finished(self, record: Mapping[str, Any]) -> None:
         ends = {"done": RunStatus.DONE, "failed": RunStatus.FAILED}
+        self.waiting_for = None
         self._ends[record["run"]] = self._since_table[record["run"]] = ends.get(record["status"], RunStatus.TODO)
         self.failures[record["run"]] = record["failure"] or ""
         told = {
@@ -324,12 +342,21 @@ class _History:
             self.gate_seconds += record["seconds"]
 
     def _take_waiting(self, record: Mapping[str, Any]) -> None:
+        if "next_run" in record:
+            asked = record.get("questions", ())
+            self.waiting_for = {"next_run": record["next_run"], "step": record.get("step", ""), "questions": asked}
+
+    def _take_asked(self, record: Mapping[str, Any]) -> None:
+        self.waiting_for = {"next_run": record["run"], "step": record["step"], "questions": ()}
+
+    def _take_answered(self, record: Mapping[str, Any]) -> None:
         del record
-        self.is_waiting = True
+        self.waiting_for = None
 
     def _take_continued(self, record: Mapping[str, Any]) -> None:
         del record
-        self.is_waiting = self.is_paused = False
+        self.waiting_for = None
+        self.is_paused = False
 
     def _take_paused(self, record: Mapping[str, Any]) -> None:
         del record

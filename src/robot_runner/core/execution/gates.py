@@ -8,19 +8,15 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.gate_parameters import GatePolicy
-from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.errors import ConditionTimeout, Finding, RobotRunnerError
-from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER
-from robot_runner.core.execution.executor import Watch, executor_for
+from robot_runner.core.execution.aside import execute_aside
+from robot_runner.core.execution.executor import Watch
 from robot_runner.core.execution.notices import FindingsNoticed, GatePassed, GateWaiting
-from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder
-from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.words import shown_duration
 
 if TYPE_CHECKING:
@@ -29,8 +25,8 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.config.gate_parameters import Gate
     from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.execution.between_runs import Patience
     from robot_runner.core.execution.notices import Notice
+    from robot_runner.core.execution.patience import Patience
     from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
     from robot_runner.core.execution.task import Report, RunOutcome, RunTask
 
@@ -105,16 +101,15 @@ class Gates:
         return wait.passage()
 
     def _awaited(self, task: RunTask, take: Report) -> RunOutcome:
-        with TemporaryDirectory(prefix="robot-runner-gate-", ignore_cleanup_errors=True) as folder:
-            trial = _trial_of(self._experiment, self._gates, Path(folder))
-            watch = Watch(
-                interruption=self._patience.interruption,
-                report=take,
-                refresh=self._patience.refresh,
-                refresh_interval=self._patience.refresh_interval,
-                noticed_interruption=lambda: None,
-            )
-            return executor_for(trial).execute(task, OutcomeBuilder(task.run_id, trial.columns), watch)
+        gates, patience = self._gates, self._patience
+        seconds = sum(gate.patience_s for gate in gates) + _MARGIN
+        return execute_aside(
+            self._experiment,
+            task,
+            lambda context: _await_gates(gates, context),
+            Watch(patience.interruption, take, patience.refresh, patience.refresh_interval),
+            deadline_s=seconds if math.isfinite(seconds) else None,
+        )
 
 
 class _Wait:
@@ -214,31 +209,6 @@ class _Wait:
             seen=self._seen,
             **({"problem": problem} if problem else {}),
         )
-
-
-def _trial_of(experiment: Experiment, gates: Sequence[Gate], folder: Path) -> Experiment:
-    """Return an experiment of no plugins, whose mission is to await the gates."""
-    patience = sum(gate.patience_s for gate in gates) + _MARGIN
-    changed = {
-        "phases": (),
-        "run_deadline_in_s": None,
-        "event_deadline_in_s": patience if math.isfinite(patience) else None,
-        "run_process": RunProcess.FORK,  # always: what a condition leaves open must not stay in this process
-    }
-    events = EventManager()
-    events.subscribe(
-        RobotRunnerEvents.LAUNCH_MISSION,
-        lambda context: _await_gates(gates, context),
-        owner=CONFIG_OWNER,
-        kind=OwnerKind.CONFIG,
-    )
-    return replace(
-        experiment,
-        parameters=Parameters(**{**vars(experiment.parameters), **changed}),
-        plugins=(),
-        events=events,
-        folder=ExperimentFolder(folder),
-    )
 
 
 def _await_gates(gates: Sequence[Gate], context: RobotRunnerContext) -> None:

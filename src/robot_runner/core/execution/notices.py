@@ -9,11 +9,13 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from robot_runner.core.config.operator_steps import Question
     from robot_runner.core.errors import Finding
     from robot_runner.core.execution.durations import TimeLeft
     from robot_runner.core.execution.task import RunOutcome, RunTask
 
 __all__ = [
+    "AnswersRefused",
     "AttemptFinished",
     "AttemptStarted",
     "ExperimentFinished",
@@ -28,8 +30,10 @@ __all__ = [
     "Paused",
     "PreparationStarted",
     "ProbeStarted",
+    "QuestionAsked",
     "RunRecord",
     "SilentObserver",
+    "UserHasContinued",
     "WaitingForUser",
 ]
 
@@ -105,11 +109,50 @@ class FindingsNoticed:
 
 @dataclass(frozen=True, slots=True)
 class WaitingForUser:
-    """SEMI: the next run starts once the user says so."""
+    """The next run starts once the user says so (SEMI), or says that a step is done.
+
+    Attributes:
+        run_id, combination, repetition: of the next run.
+        step: what the user is to do; empty where they are only asked whether the run may start.
+        questions: what they are asked then.
+        runs_left: how many runs are to come in this session, the next one included; None where that is not known.
+        left: how long these will take; None where that is not known.
+    """
 
     folder: Path
     next_run_number: int
     run_count: int
+    run_id: str = ""
+    combination: Mapping[str, Any] = field(default_factory=dict)
+    repetition: int = 1
+    step: str = ""
+    questions: Sequence[Question] = ()
+    runs_left: int | None = None
+    left: TimeLeft | None = None
+
+    @property
+    def is_warm_up(self) -> bool:
+        """Whether the next run is a warm-up run."""
+        return self.repetition == 0
+
+
+@dataclass(frozen=True, slots=True)
+class QuestionAsked:
+    """Somebody at the keyboard is to answer this next."""
+
+    question: Question
+
+
+@dataclass(frozen=True, slots=True)
+class AnswersRefused:
+    """What was answered is not taken, and asked for again."""
+
+    findings: Sequence[Finding]
+
+
+@dataclass(frozen=True, slots=True)
+class UserHasContinued:
+    """The user has said to go on, or has interrupted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,6 +259,9 @@ Notice = (
     | WaitingForUser
     | HostRestarts
     | Paused
+    | QuestionAsked
+    | AnswersRefused
+    | UserHasContinued
     | GateWaiting
     | GatePassed
     | InterruptionNoticed
@@ -233,7 +279,7 @@ class Observer(Protocol):
 
     @property
     def user_input(self) -> int | None:
-        """The descriptor on which the user says to go on by a line (SEMI), or None where nobody sits there."""
+        """The descriptor on which the user answers, or says to go on, by lines; None where nobody sits there."""
         ...
 
     def notice(self, notice: Notice) -> None:

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.config.gate_parameters import GuardAction
 from robot_runner.core.config.parameters import FailurePolicy
-from robot_runner.core.errors import Finding, StorageError
+from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, StorageError
 from robot_runner.core.events.manager import RobotRunnerEvents
-from robot_runner.core.execution.between_runs import BetweenRuns, Patience
+from robot_runner.core.events.outlook import ExperimentEnd
+from robot_runner.core.execution.between_runs import BetweenRuns
 from robot_runner.core.execution.executor import Watch, executor_for
 from robot_runner.core.execution.gates import Gates, Passage
 from robot_runner.core.execution.interruption import Interruption
@@ -30,7 +31,10 @@ from robot_runner.core.execution.notices import (
     ProbeStarted,
     RunRecord,
 )
+from robot_runner.core.execution.notifications import Notifications
+from robot_runner.core.execution.operator import Operator
 from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
+from robot_runner.core.execution.patience import Patience
 from robot_runner.core.execution.prepared_treatments import prepared_treatments
 from robot_runner.core.execution.probe import Probe, probe_profilers, probed_profilers
 from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
@@ -100,6 +104,12 @@ def execute_experiment(
         return _Orchestrator(experiment, progress, interruption, observer).execute(findings)
 
 
+def _findings_of(error: BaseException) -> Sequence[Finding]:
+    if isinstance(error, RobotRunnerError):
+        return error.findings
+    return (Finding.error("", f"{type(error).__name__}: {error}", ""),)
+
+
 def _tell(observer: Observer, notice: Notice) -> None:
     try:
         observer.notice(notice)
@@ -121,10 +131,14 @@ class _Orchestrator:
         self._interruption = interruption
         self._observer = observer
         self._executor = executor_for(experiment)
-        self._events = OrchestratorEvents(experiment, progress, interruption)
         patience = Patience(interruption, self._while_waiting, observer.refresh_interval or _LOOK_AT_TABLE)
-        self._between_runs = BetweenRuns(experiment, progress, self._events, observer, self._notice, patience)
+        self._events = OrchestratorEvents(experiment, progress, patience)
+        self._operator = Operator(experiment, progress, observer.user_input, self._notice, patience)
+        self._between_runs = BetweenRuns(
+            experiment, progress, self._events, self._operator, observer, self._notice, patience
+        )
         self._gates = Gates(experiment, progress, self._notice, patience)
+        self._notifications = Notifications(experiment, progress.note)
         self._started = time.monotonic()
         self._stopped_by = ""
 
@@ -132,24 +146,63 @@ class _Orchestrator:
         """Execute the runs between `before_experiment` and `after_experiment`; the latter comes whatever happens."""
         self._notice(self._start_notice(findings))
         try:
-            self._events.emit_to_experiment(RobotRunnerEvents.BEFORE_EXPERIMENT)
-            self._execute_runs()
-        finally:
-            with suppress(StorageError):  # said again when everything is brought up to date
-                self._progress.bring_table_up_to_date()
-            self._events.emit_to_experiment(RobotRunnerEvents.AFTER_EXPERIMENT)
+            self._execute_between_events(findings)
+        except BaseException as error:
+            self._notifications.tell_failure(_findings_of(error)[0])
+            self._notifications.findings(self._interruption)
+            raise
         finished = self._finish_notice(findings)
         self._progress.finish(interrupted=finished.interrupted)
+        self._notifications.take(finished)
+        untold = self._notifications.findings(self._interruption)
+        finished = replace(finished, findings=(*finished.findings, *untold))
         self._notice(finished)
         return finished
 
-    def _execute_runs(self) -> None:
+    def _execute_between_events(self, findings: Sequence[Finding]) -> None:
+        try:
+            returned = self._events.emit_to_experiment(RobotRunnerEvents.BEFORE_EXPERIMENT)
+            self._execute_runs(is_cleared=any(value is True for value in returned))
+        except BaseException as error:
+            self._end_after(error, findings)
+            raise
+        self._end_events(findings)
+
+    def _end_after(self, error: BaseException, findings: Sequence[Finding]) -> None:
+        """Emit `after_experiment` after what ended the experiment; where that raises as well, both are told.
+
+        Raises:
+            ExecutionError: both raised.
+        """
+        found = _findings_of(error)
+        try:
+            self._end_events(findings, failure=str(found[0]))
+        except ExecutionError as later:
+            raise ExecutionError.of_findings([*found, *later.findings]) from error
+
+    def _end_events(self, findings: Sequence[Finding], *, failure: str = "") -> None:
+        with suppress(StorageError):  # said again when everything is brought up to date
+            self._progress.bring_table_up_to_date()
+        finished = self._finish_notice(findings)
+        ended = ExperimentEnd(
+            done=finished.done_count,
+            failed=finished.failed_count,
+            todo=finished.todo_count,
+            is_interrupted=finished.interrupted,
+            is_stopped_by_policy=finished.stopped_by_policy,
+            failure=failure,
+            failures=finished.failures,
+            findings=finished.findings,
+        )
+        self._events.emit_to_experiment(RobotRunnerEvents.AFTER_EXPERIMENT, ended)
+
+    def _execute_runs(self, *, is_cleared: bool) -> None:
         gc.collect()
         gc.freeze()  # what a forked run does not collect it does not have to copy
         try:
             finished = None
             for run in self._progress.pending():
-                self._between_runs.prepare(run, finished)
+                self._between_runs.prepare(run, finished, is_cleared=is_cleared and finished is None)
                 if self._interruption.is_requested or not self._execute_run(run):
                     return
                 finished = run
@@ -159,10 +212,13 @@ class _Orchestrator:
     def _execute_run(self, run: PendingRun) -> bool:
         """Try to execute a run as often as the config allows; return whether the experiment goes on."""
         for attempts_left in reversed(range(self._parameters.attempts)):
-            passage = self._gates.pass_before(run)
+            if attempts_left < self._parameters.attempts - 1:
+                self._between_runs.prepare_again(run)
+            passage = Passage() if self._interruption.is_requested else self._gates.pass_before(run)
             if self._interruption.is_requested or self._is_stopped_by(passage.stop, run):
                 return False
-            task = replace(self._progress.begin(run), attempts_left=attempts_left)
+            entered = self._operator.answers(run.run_id)
+            task = replace(self._progress.begin(run), attempts_left=attempts_left, entered=entered)
             self._notice(AttemptStarted(task, self._progress.time_left))
             outcome = self._attempt(task, passage, has_attempts_left=attempts_left > 0)
             is_last = attempts_left == 0 or outcome.status is not AttemptStatus.FAILED or bool(self._stopped_by)
@@ -202,6 +258,7 @@ class _Orchestrator:
             builder.take(kind, fields)
             report(kind, fields)
 
+        self._operator.hand_over(task, report_own)
         passage.report_to(report_own, [column.name for column in self._experiment.columns.declared])
         self._bind_plugins(task, report_own)
         if not builder.has_failed:
@@ -266,6 +323,8 @@ class _Orchestrator:
 
     def _notice(self, notice: Notice) -> None:
         _tell(self._observer, notice)
+        if not isinstance(notice, ExperimentFinished):  # which is told once everything is on the disk
+            self._notifications.take(notice)
 
     def _while_waiting(self) -> None:
         if self._observer.refresh_interval is not None:

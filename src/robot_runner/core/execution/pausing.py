@@ -11,8 +11,8 @@ from robot_runner.core.storage.lock import forget_pause, pause_is_requested
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from robot_runner.core.execution.between_runs import Patience
     from robot_runner.core.execution.notices import Notice
+    from robot_runner.core.execution.patience import Patience
     from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
     from robot_runner.core.storage.layout import ExperimentFolder
 

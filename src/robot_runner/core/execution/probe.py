@@ -5,20 +5,16 @@ from __future__ import annotations
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.errors import ExecutionError, Finding
-from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents, methods_of
-from robot_runner.core.events.measure import CONFIG_OWNER
-from robot_runner.core.execution.executor import Watch, executor_for
+from robot_runner.core.events.manager import EventManager, RobotRunnerEvents
+from robot_runner.core.execution.aside import execute_aside
+from robot_runner.core.execution.executor import Watch
 from robot_runner.core.execution.interruption import Interruption
-from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder, RunTask, seed_of_run
+from robot_runner.core.execution.task import AttemptStatus, RunTask, seed_of_run
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.plugin import Profiler
-from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import ExperimentLock
 from robot_runner.core.treatments import built_with, factors_of
 from robot_runner.core.words import enumerated
@@ -237,39 +233,12 @@ def _probed(profiler: Profiler, experiment: Experiment, outcome: RunOutcome) -> 
 def _tried(
     experiment: Experiment, profilers: Sequence[Profiler], window: float, task: RunTask, interruption: Interruption
 ) -> RunOutcome:
-    with TemporaryDirectory(prefix="robot-runner-probe-", ignore_cleanup_errors=True) as folder:
-        trial = _trial_of(experiment, profilers, window, Path(folder))
-        watch = Watch(
-            interruption=interruption,
-            report=lambda _kind, _fields: None,
-            refresh=lambda: None,
-            refresh_interval=None,
-            noticed_interruption=lambda: None,
-        )
-        builder = OutcomeBuilder(_RUN, trial.columns)
-        return executor_for(trial).execute(replace(task, run_id=_RUN), builder, watch)
-
-
-def _trial_of(experiment: Experiment, profilers: Sequence[Profiler], window: float, folder: Path) -> Experiment:
-    """Return an experiment of these profilers alone, whose mission is that so much real time goes by."""
-    changed = {
-        "phases": (),
-        "run_deadline_in_s": None,
-        "event_deadline_in_s": window + _PATIENCE,
-        "run_process": RunProcess.FORK,  # always: what a profiler leaves open or broken must not stay in this process
-    }
-    events = EventManager()
-    for profiler in profilers:
-        for event, callback in methods_of(profiler):
-            if event in _PROBED:
-                events.subscribe(event, callback, owner=profiler.name, kind=OwnerKind.PROFILER)
-    events.subscribe(
-        RobotRunnerEvents.LAUNCH_MISSION, lambda: time.sleep(window), owner=CONFIG_OWNER, kind=OwnerKind.CONFIG
-    )
-    return replace(
+    return execute_aside(
         experiment,
-        parameters=Parameters(**{**vars(experiment.parameters), **changed}),
-        plugins=tuple(profilers),
-        events=events,
-        folder=ExperimentFolder(folder),
+        replace(task, run_id=_RUN),
+        lambda: time.sleep(window),
+        Watch(interruption),
+        deadline_s=window + _PATIENCE,
+        profilers=profilers,
+        events=_PROBED,
     )

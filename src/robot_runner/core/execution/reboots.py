@@ -5,30 +5,26 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import dataclass, replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.errors import CommandError, ExecutionError, Finding, LinkError
-from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER
-from robot_runner.core.execution.executor import Watch, executor_for
+from robot_runner.core.execution.aside import execute_aside
+from robot_runner.core.execution.executor import Watch
 from robot_runner.core.execution.notices import FindingsNoticed, HostRestarts
-from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder
+from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.links.declared_host import Reboot
 from robot_runner.core.links.host_commands import DeclaredHosts
-from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.execution.between_runs import Patience
     from robot_runner.core.execution.notices import Notice
+    from robot_runner.core.execution.patience import Patience
     from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
     from robot_runner.core.execution.task import RunTask
     from robot_runner.core.links.declared_host import Host
@@ -109,19 +105,19 @@ class Reboots:
             elif kind == "waited":
                 self.progress.note(kind, host=name, next_run=task.run_id, **fields)
 
-        watch = Watch(
-            interruption=self.patience.interruption,
-            report=report,
-            refresh=self.patience.refresh,
-            refresh_interval=self.patience.refresh_interval,
-            noticed_interruption=lambda: None,
+        def launch_mission(context: RobotRunnerContext) -> None:
+            context.broker.note(CONFIG_OWNER, "host_restarted", restart(name, host, context))
+
+        started, patience = time.monotonic(), self.patience
+        robot = self.experiment.parameters.robot
+        outcome = execute_aside(
+            self.experiment,
+            replace(task, run_id=_RUN),
+            launch_mission,
+            Watch(patience.interruption, report, patience.refresh, patience.refresh_interval),
+            deadline_s=2 * host.back_within_s + _PATIENCE,
+            robot=None if is_simulated(robot) else robot,  # hosts live by this machine's clock
         )
-        started = time.monotonic()
-        with TemporaryDirectory(prefix="robot-runner-reboot-", ignore_cleanup_errors=True) as folder:
-            trial = _trial_of(self.experiment, name, host, Path(folder))
-            outcome = executor_for(trial).execute(
-                replace(task, run_id=_RUN), OutcomeBuilder(_RUN, trial.columns), watch
-            )
         seconds = round(time.monotonic() - started, 3)
         failure = "" if outcome.failure is None else outcome.failure.problem
         if outcome.status is AttemptStatus.INTERRUPTED:
@@ -137,31 +133,6 @@ class Reboots:
                 where=f"hosts[{name!r}]",
                 fix="Then start the experiment again: it resumes.",
             )
-
-
-def _trial_of(experiment: Experiment, name: str, host: Host, folder: Path) -> Experiment:
-    """Return an experiment without plugins whose mission is to start a host anew."""
-    robot = experiment.parameters.robot
-    changed = {
-        "phases": (),
-        "run_deadline_in_s": None,
-        "event_deadline_in_s": 2 * host.back_within_s + _PATIENCE,
-        "run_process": RunProcess.FORK,  # always: what a condition leaves open must not stay in this process
-        "robot": None if is_simulated(robot) else robot,  # hosts live by this machine's clock
-    }
-    events = EventManager()
-
-    def launch_mission(context: RobotRunnerContext) -> None:
-        context.broker.note(CONFIG_OWNER, "host_restarted", restart(name, host, context))
-
-    events.subscribe(RobotRunnerEvents.LAUNCH_MISSION, launch_mission, owner=CONFIG_OWNER, kind=OwnerKind.CONFIG)
-    return replace(
-        experiment,
-        parameters=Parameters(**{**vars(experiment.parameters), **changed}),
-        plugins=(),
-        events=events,
-        folder=ExperimentFolder(folder),
-    )
 
 
 def restart(name: str, host: Host, context: RobotRunnerContext) -> dict[str, Any]:

@@ -7,20 +7,22 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.errors import Finding
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.table_columns import ColumnRole
 from robot_runner.core.storage.table_schema import ColumnDescription, describe_columns, write_schema
+from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.errors import Finding
+    from robot_runner.core.design.run_table_model import RunTable
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
-__all__ = ["ENDS", "Deviation", "RecoveredTable"]
+__all__ = ["ENDS", "Deviation", "RecoveredTable", "lacks_runs", "with_later_batches"]
 
 #: The status in the run table of a run whose attempt ended in this way.
 ENDS = {AttemptStatus.DONE.value: RunStatus.DONE, AttemptStatus.FAILED.value: RunStatus.FAILED}
@@ -41,6 +43,30 @@ class Deviation:
     column: str
     was: str
     is_now: str
+
+
+def with_later_batches(path: Path, plan: RunTable, rows: RunTableRows) -> tuple[RunTableRows, tuple[Finding, ...]]:
+    """Return rows with the batches of which the file has no run, as it is older, and a finding that says so.
+
+    Args:
+        path: the file that the rows were read from.
+        plan: the runs by the journal.
+        rows: as the file has them.
+    """
+    there = {run.batch for run in rows.planned} if plan.model.batches else set()
+    numbers = [batch.number for batch in plan.model.batches if batch.number not in there]
+    if not numbers:
+        return rows, ()
+    missing = [run for run in plan if run.batch in numbers]
+    older = f"the run table is older than batch {enumerated(map(str, numbers))}"
+    problem = f"{older}: {counted(len(missing), 'run')} taken from the journal"
+    grown = rows.with_plan([*rows.planned, *missing], rows.layout)
+    return grown, (Finding.warning(str(path), problem),)
+
+
+def lacks_runs(plan: RunTable, rows: RunTableRows) -> bool:
+    """Return whether a table has not all runs of a plan."""
+    return any(rows.place_of(run.run_id) is None for run in plan)
 
 
 @dataclass(slots=True)

@@ -6,22 +6,25 @@ import ast
 import difflib
 from dataclasses import dataclass
 from enum import Enum
+from itertools import repeat
 from operator import is_
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.columns import REPETITION
+from robot_runner.core.design.columns import BATCH, EXCLUDED, REPETITION, STATUS, WARM_UP
 from robot_runner.core.design.selection import Chosen, RunChooser
+from robot_runner.core.design.warm_up import with_warm_ups_again
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.manifest import is_damaged, read_manifest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Collection, Iterable, Iterator, Mapping
     from pathlib import Path
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.design.run_table_model import RunTable
+    from robot_runner.core.design.warm_up import WarmUp
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
 __all__ = [
@@ -92,14 +95,20 @@ class Resumption:
         return {name: list(given) for name, given in asked.items() if given}
 
 
-def selected_places(rows: RunTableRows, resumption: Resumption) -> list[int]:
+def selected_places(rows: RunTableRows, resumption: Resumption, warm_up: WarmUp | None = None) -> list[int]:
     """Return the places of the runs that are to be executed, in the order in which they are.
+
+    Args:
+        rows: the run table.
+        resumption: what was chosen.
+        warm_up: how the experiment warms up, which may have runs executed again.
 
     Raises:
         ExecutionError: what was named is not in the table, or cannot be executed; everything is listed.
     """
+    left = _left(rows)
     if not resumption.selection:
-        return [place for place in range(len(rows)) if _is_left(rows, place)]
+        return _with_warm_ups(rows, left, warm_up)
     chooser = RunChooser(rows.planned, has_repetition=rows.layout.has_repetition)
     redo, only, skip, first = (
         chooser.choose(f"--{option}", getattr(resumption, option)) for option in ("redo", "only", "skip", "first")
@@ -107,18 +116,29 @@ def selected_places(rows: RunTableRows, resumption: Resumption) -> list[int]:
     again, skipped = set(redo.places), set(skip.places)
     chooser.findings += _contradictions(rows, again, skipped, {"--only": only, "--first": first, "--redo": redo})
     chooser.refuse()
-    alone = {*only.places, *again} if resumption.only else set(range(len(rows)))
-    wanted = [
-        place
-        for place in range(len(rows))
-        if (_is_left(rows, place) or place in again) and place in alone and place not in skipped
-    ]
-    ahead = [place for place in first.places if place in set(wanted)]
-    return [*ahead, *(place for place in wanted if place not in set(ahead))]
+    wanted = {*left, *again} - skipped
+    if resumption.only:
+        wanted &= {*only.places, *again}
+    ahead = [place for place in first.places if place in wanted]
+    return _with_warm_ups(rows, [*ahead, *sorted(wanted.difference(ahead))], warm_up, skipped)
 
 
-def _is_left(rows: RunTableRows, place: int) -> bool:
-    return rows.status(place) is not RunStatus.DONE and rows.excluded(place) is None
+def _with_warm_ups(
+    rows: RunTableRows, selected: list[int], warm_up: WarmUp | None, skipped: Collection[int] = ()
+) -> list[int]:
+    """Return these places with those of warm-up runs that are done, where each session warms up again."""
+    if warm_up is None or not warm_up.each_session:
+        return selected
+    places = (place for place in range(len(rows)) if rows.excluded(place) is None and place not in skipped)
+    done = [place for place in places if rows.status(place) is RunStatus.DONE]
+    return with_warm_ups_again(list(rows.planned), selected, done, warm_up)
+
+
+def _left(rows: RunTableRows) -> list[int]:
+    """Return the places of the runs that are neither done nor left out."""
+    reasons = rows.values(EXCLUDED) if rows.layout.has_exclusions else repeat(None)
+    states = zip(rows.values(STATUS), reasons, strict=False)
+    return [place for place, (status, reason) in enumerate(states) if status is not RunStatus.DONE and reason is None]
 
 
 def _contradictions(
@@ -151,10 +171,15 @@ def config_files(experiment: Experiment) -> dict[Path, Path]:
     return {source: experiment.folder.config / source.relative_to(root) for source in sources}
 
 
-def config_changes(experiment: Experiment) -> list[Finding]:
+def config_changes(experiment: Experiment, *, of_design: bool = True, of_settings: bool = True) -> list[Finding]:
     """Return how the config differs from what was executed before, line by line; nothing where it is new or the same.
 
     Comments and blank lines are no difference.
+
+    Args:
+        experiment: as it is now.
+        of_design: whether what makes the run table counts, too.
+        of_settings: whether what is set from outside counts, too.
 
     Raises:
         StorageError: the experiment's manifest cannot be read.
@@ -163,13 +188,16 @@ def config_changes(experiment: Experiment) -> list[Finding]:
     if not folder.manifest.exists() or is_damaged(folder.manifest):
         return []
     manifest = read_manifest(folder.manifest)
+    ignored = frozenset() if of_design else _DESIGN
     findings = [
         finding
         for source, kept in config_files(experiment).items()
         if kept.exists()
-        for finding in _changed_lines(source, kept.read_text("utf-8"), source.read_text("utf-8"))
+        for finding in _changed_lines(source, kept.read_text("utf-8"), source.read_text("utf-8"), ignored)
     ]
-    return [*findings, *_changed_settings(_last_settings(manifest), experiment.overrides)]
+    if of_settings:
+        findings += _changed_settings(_last_settings(manifest), experiment.overrides)
+    return findings
 
 
 def table_differences(path: Path, plan: RunTable, rows: RunTableRows) -> Iterator[Finding]:
@@ -191,14 +219,19 @@ def _different_cells(path: Path, run: PlannedRun, found: PlannedRun, *, has_repe
     pairs = [(name, found.combination[name], value) for name, value in run.combination.items()]
     if has_repetition:
         pairs.append((REPETITION, found.repetition, run.repetition))
+    pairs += [(BATCH, found.batch, run.batch), (WARM_UP, found.is_warm_up, run.is_warm_up)]
     for name, is_now, value in pairs:
         if is_now is not value and str(is_now) != str(value):
             where = f"{path}, run {run.run_id}, column {name!r}"
             yield Finding.error(where, f"the table has {is_now!r}, the plan {value!r}", _TABLE_FIX)
 
 
-def _changed_lines(source: Path, before: str, now: str) -> Iterator[Finding]:
-    if before == now or _means_the_same(before, now):
+#: The method of a config that makes its design; that of the earlier tools, too.
+_DESIGN = frozenset({"create_run_table", "create_run_table_model"})
+
+
+def _changed_lines(source: Path, before: str, now: str, ignored: frozenset[str]) -> Iterator[Finding]:
+    if before == now or _means_the_same(before, now, ignored):
         return
     old, new = before.splitlines(), now.splitlines()
     for tag, old_start, old_end, new_start, new_end in difflib.SequenceMatcher(None, old, new).get_opcodes():
@@ -208,11 +241,16 @@ def _changed_lines(source: Path, before: str, now: str) -> Iterator[Finding]:
             yield Finding.error(f"{source}:{new_start + 1}", f"the line was {was!r} and is {is_now!r}", _CONFIG_FIX)
 
 
-def _means_the_same(before: str, now: str) -> bool:
+def _means_the_same(before: str, now: str, ignored: frozenset[str]) -> bool:
+    """Return whether two versions of a file are the same program, functions of these names left aside."""
     try:
-        return ast.dump(ast.parse(before)) == ast.dump(ast.parse(now))
+        trees = ast.parse(before), ast.parse(now)
     except SyntaxError:  # a local module may be of any kind
         return False
+    for function in (each for tree in trees for each in ast.walk(tree) if isinstance(each, ast.FunctionDef)):
+        if function.name in ignored:
+            function.body = []
+    return ast.dump(trees[0]) == ast.dump(trees[1])
 
 
 def _last_settings(manifest: Mapping[str, Any]) -> Mapping[str, str]:

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.watched_combination import WatchedCombination
 from robot_runner.core.errors import MeasureError, did_you_mean
-from robot_runner.core.events.context import Resources, RobotRunnerContext
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.early_end import EndingInPlace, MissionStopped, RunInterrupted
 from robot_runner.core.events.manager import CLOSED_BY, CallbackFailure, Emission, RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER, Origin
 from robot_runner.core.events.measure_broker import MeasureBroker
+from robot_runner.core.events.resources import Resources
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.run_ending import RunEnding
@@ -57,7 +58,7 @@ def run_contexts(
         report: takes what happens.
         ending: ends the run from any thread; None where callbacks of the orchestrator prepare it: they end in place.
     """
-    broker = MeasureBroker(task.run_id, experiment.columns, report)
+    broker = MeasureBroker(task.run_id, experiment.columns, report, task.entered)
     times = MissionTimes(clock, report, experiment.parameters.phases)
     run_path = experiment.folder.run(task.run_id)
     hosts = DeclaredHosts(experiment.parameters.hosts)
@@ -247,9 +248,9 @@ def _refused(context: RobotRunnerContext, name: Any, value: object) -> MeasureEr
 def _origin_of_returned(context: RobotRunnerContext, name: object) -> Origin:
     """Return where a returned value comes from: what was computed from simulated samples does not pass for measured."""
     published = context.broker.measures
-    if isinstance(name, str) and name in published:
+    if isinstance(name, str) and name in published and published[name].origin is not Origin.ENTERED:
         return published[name].origin
     if is_simulated(context.robot):
         return Origin.SIMULATED
-    origins = {measure.origin for measure in published.values()}
+    origins = {measure.origin for measure in published.values()} - {Origin.ENTERED}
     return origins.pop() if len(origins) == 1 else Origin.MEASURED

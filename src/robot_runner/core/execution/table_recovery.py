@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID
 from robot_runner.core.errors import Finding, StorageError
-from robot_runner.core.execution.recovered_table import ENDS, Deviation, RecoveredTable
+from robot_runner.core.execution.recovered_table import ENDS, Deviation, RecoveredTable, lacks_runs, with_later_batches
 from robot_runner.core.execution.recovery import (
     TableChoice,
     TableDisagreementError,
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from robot_runner.core.storage.table_columns import TableLayout
     from robot_runner.core.storage.table_schema import ColumnDescription
 
-__all__ = ["recover_table"]
+__all__ = ["digest_of", "is_reordered", "recover_table", "texts_of"]
 
 _CHOOSE = (
     "Let what was executed count (--table journal), or let the file count (--table file): each change is recorded."
@@ -77,7 +77,9 @@ class _Recovery:
         self._plan: RunTable = experiment.model.plan(manifest["seed"])
         self._schema, self._schema_findings = _schema_of(folder.schema)
         self._history = TableHistory.of(folder.journal)
-        layout: TableLayout = experiment.table_layout({each.name: each.type for each in self._schema} or None)
+        layout: TableLayout = experiment.table_layout(
+            {each.name: each.type for each in self._schema} or None, warms_up=bool(manifest["design"].get("warm_up"))
+        )
         self._layout = replace(layout, has_exclusions=self._history.excluded.were_any)
         self._is_known_to_be_reordered = bool(manifest["design"].get("is_reordered"))
 
@@ -111,12 +113,14 @@ class _Recovery:
                 return self._rebuilt("the run table could not be read")
             findings = [*error.findings, Finding.error(str(self._path), "runs of the table were executed", _REBUILD)]
             raise TableDisagreementError.of_findings(findings) from error
+        rows, added = with_later_batches(self._path, self._plan, rows)
+        if not self._is_by_hand and self._choice is TableChoice.JOURNAL and lacks_runs(self._plan, rows):
+            return self._rebuilt("the run table lacked runs that are planned")
         if not self._is_by_hand and not self._accepts_changes and self._choice is not TableChoice.JOURNAL:
             refuse_differences(table_differences(self._path, self._plan, rows))
-        table = RecoveredTable(
-            self._experiment, rows, findings=rows.warnings, is_on_disk=rows.has_file and bool(self._schema)
-        )
-        if self._history.has_ends and _digest(self._path) != self._history.written:
+        is_on_disk = rows.has_file and bool(self._schema) and not added
+        table = RecoveredTable(self._experiment, rows, findings=(*rows.warnings, *added), is_on_disk=is_on_disk)
+        if self._history.has_ends and digest_of(self._path) != self._history.written:
             self._reconcile(table)
         else:
             self._leave_out(table)
@@ -191,6 +195,8 @@ class _Recovery:
             place = rows.place_of(record["run"])
             where = f"{self._path}, run {record['run']}"
             executed = record.get("combination")
+            if executed is not None and self._experiment.model.defaults:  # it may be older than a factor
+                executed = {**texts_of(self._experiment.model.defaults), **executed}
             if place is None:
                 yield Finding.error(where, "the run was executed, and the plan has no such run", fix)
             elif executed is not None and executed != texts_of(rows.combination(place)):
@@ -345,7 +351,12 @@ def _has_content(path: Path) -> bool:
         raise storage_error(path, "read", error) from error
 
 
-def _digest(path: Path) -> str:
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of a file, in hexadecimal digits.
+
+    Raises:
+        StorageError: it cannot be read.
+    """
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.parameters import BadValuePolicy
 from robot_runner.core.errors import Finding
-from robot_runner.core.events.measure import Origin, PublishedMeasure, quality_text
+from robot_runner.core.events.measure import OPERATOR_OWNER, Origin, PublishedMeasure, quality_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from robot_runner.core.events.measure import MeasureColumns
+    from robot_runner.core.events.measure import MeasureColumns, MeasureValue
 
 __all__ = [
     "FINISHED",
@@ -56,8 +56,10 @@ class RunTask:
         run_number: its place in the order of execution, from 1.
         combination: the treatment of each factor, by name.
         experiment_seed: the seed from which the run's own is derived.
+        repetition: which repetition of its combination it is, from 1; 0 for a warm-up run.
         run_seed: a seed for this run alone, the same each time that it is executed.
         attempts_left: how often it is tried again where this attempt fails.
+        entered: what a person answered about this run, by column.
     """
 
     run_id: str
@@ -69,6 +71,12 @@ class RunTask:
     experiment_seed: int
     run_seed: int
     attempts_left: int = 0
+    entered: Mapping[str, MeasureValue] = field(default_factory=dict)
+
+    @property
+    def is_warm_up(self) -> bool:
+        """Whether it only warms up, so that it is not analysed."""
+        return self.repetition == 0
 
 
 def seed_of_run(experiment_seed: int, run_id: str) -> int:
@@ -119,6 +127,26 @@ class RunOutcome:
     later_failures: tuple[RunFailure, ...] = ()
     readers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     seconds: float = 0.0
+
+    def fields(self) -> dict[str, Any]:
+        """Return the same as plain data, for the journal."""
+        measures = {
+            name: {
+                "value": measure.value,
+                "owner": measure.owner,
+                "origin": measure.origin.value,
+                **({"doubts": list(measure.doubts)} if measure.doubts else {}),
+            }
+            for name, measure in self.measures.items()
+        }
+        return {
+            "status": self.status.value,
+            "seconds": round(self.seconds, 6),
+            "stamps": dict(self.stamps),
+            "measures": measures,
+            "failure": str(self.failure) if self.failure else None,
+            "readers": dict(self.readers),
+        }
 
 
 # What a run reports while it is executed, on its way to the orchestrator: one JSON record a line through a pipe.
@@ -251,6 +279,14 @@ class OutcomeBuilder:
         elif kind == FINISHED:
             self.is_finished = True
 
+    def go_on_from(self, outcome: RunOutcome) -> None:
+        """Add what comes to what an attempt that has ended has yielded; its failures stay its own."""
+        self._stamps.update(outcome.stamps)
+        self._measures.update(outcome.measures)
+        self._findings += outcome.findings
+        for name, measure in outcome.measures.items():
+            self._doubts[name] += measure.doubts
+
     def outcome(self, *, ended_because: str = "", interrupted: bool = False) -> RunOutcome:
         """Return how the attempt went.
 
@@ -285,7 +321,7 @@ class OutcomeBuilder:
             published = measures.get(column.name)
             if published is not None:
                 implausible = column.measure.implausible(published.value)
-                doubts = (*dict.fromkeys(self._doubts[column.name]), *filter(None, [implausible]))
+                doubts = tuple(dict.fromkeys(filter(None, (*self._doubts[column.name], implausible))))
                 measures[column.name] = replace(published, doubts=doubts) if doubts else published
         for column in self._columns.in_table:
             told = measures.get(column.tells_of)
@@ -298,7 +334,7 @@ class OutcomeBuilder:
         """Yield a failure for each value of the run table that is missing, or not plausible."""
         for column in self._columns.in_table:
             published = measures.get(column.name)
-            if column.tells_of:
+            if column.tells_of or column.owner == OPERATOR_OWNER:
                 continue
             if published is None or published.value is None:
                 because = f": {'; '.join(published.doubts)}" if published is not None and published.doubts else ""

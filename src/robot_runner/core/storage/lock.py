@@ -1,4 +1,4 @@
-"""What a second terminal (or the dashboard) tells the orchestrator: one word in one file."""
+"""What a second terminal tells the orchestrator, a word and what goes with it in one file; and who executes it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import fcntl
 import json
 import os
 import socket
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, Self
 
@@ -16,6 +16,7 @@ from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
     from types import TracebackType
 
@@ -23,6 +24,7 @@ __all__ = [
     "Command",
     "ExperimentLock",
     "Holder",
+    "Request",
     "forget_command",
     "forget_pause",
     "holder_of",
@@ -30,6 +32,7 @@ __all__ = [
     "request_pause",
     "send_command",
     "take_command",
+    "take_request",
 ]
 
 
@@ -124,23 +127,48 @@ class Command(Enum):
     CONTINUE = "continue"
 
 
-def send_command(control: Path, command: Command) -> None:
-    """Leave a command for the orchestrator.
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A command, and the answers that go with it: texts by the names of the questions."""
+
+    command: Command
+    answers: Mapping[str, str] = field(default_factory=dict)
+
+
+#: A longer request is none of ours.
+_MOST_BYTES = 64 * 1024
+
+
+def send_command(control: Path, command: Command, answers: Mapping[str, str] | None = None) -> None:
+    """Leave a command for the orchestrator, with answers to what it asks.
 
     Raises:
         StorageError: the experiment's folder cannot be written.
     """
-    write_beside_and_rename(control, lambda file: file.write(command.value))
+    request = json.dumps({"command": command.value, "answers": dict(answers or {})})
+    write_beside_and_rename(control, lambda file: file.write(request))
 
 
 def take_command(control: Path) -> Command | None:
     """Return the command that was left, and remove it; None where there is none, or none that is known."""
+    request = take_request(control)
+    return request.command if request else None
+
+
+def take_request(control: Path) -> Request | None:
+    """Return the request that was left, and remove it; None where there is none, or none that can be understood."""
     try:
-        word = control.read_text(encoding="utf-8")
+        with control.open("rb") as file:
+            text = file.read(_MOST_BYTES)
     except OSError:
         return None
     forget_command(control)
-    return Command(word) if word in {known.value for known in Command} else None
+    try:
+        said = json.loads(text)
+        answers = {str(name): str(answer) for name, answer in said.get("answers", {}).items()}
+        return Request(Command(said["command"]), answers)
+    except (ValueError, KeyError, AttributeError, RecursionError):
+        return None
 
 
 def forget_command(control: Path) -> None:

@@ -7,17 +7,20 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain, islice, repeat
 from operator import is_
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
-from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STATUS, numbered_run_id
+from robot_runner.core.design.columns import BATCH, EXCLUDED, REPETITION, RUN_ID, STATUS, WARM_UP, numbered_run_id
 from robot_runner.core.design.factor import Combination, factor_places
 from robot_runner.core.design.planned_runs import PlannedRun, garbage_collection_paused
 from robot_runner.core.errors import StorageError, nearest
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.run_table_rows import RunRow, RunTableRows
 from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.table_columns import MARKS
 from robot_runner.core.storage.table_decoders import (
     FactorDecoder,
+    MarkDecoder,
     MeasureDecoder,
     RepetitionDecoder,
     RowChunk,
@@ -104,7 +107,7 @@ def match_headings(cells: Sequence[str], layout: TableLayout, findings: TableFin
         else:
             places[name] = place
     extras = tuple(name for name in places if name not in layout.columns or name in layout.extras)
-    for name in layout.factor_names:
+    for name in (column.name for column in layout.factors if not column.has_default):
         if name not in places:
             near = nearest(name, extras)
             fix = f"Rename {near!r}." if near else f"Add a column {name!r}."
@@ -126,6 +129,7 @@ def _names(trimmed: Sequence[str], layout: TableLayout) -> list[str]:
 
 
 _ROWS_AT_ONCE = 500  # what fits into a processor's cache; ten times as many take twice as long
+_NO_DEFAULTS: Mapping[str, Any] = MappingProxyType({})
 _LONGEST_CELL = 1 << 27  # the module's own limit of 128 KiB is less than what we write
 
 
@@ -175,7 +179,7 @@ class _Reading:
         self._places = factor_places(layout.factor_names)
         self._findings = findings
         self._run_ids = RunIdDecoder(findings)
-        self._repetitions = RepetitionDecoder(findings)
+        self._repetitions = RepetitionDecoder(findings, least=0 if WARM_UP in layout.marks else 1)
         self._factors = [
             FactorDecoder(
                 each,
@@ -192,6 +196,7 @@ class _Reading:
             STATUS: StatusDecoder(findings),
             **{name: TextDecoder(name, findings, is_stamp=False) for name in layout.exclusion},
             **({REPETITION: self._repetitions} if layout.has_repetition else {}),
+            **{name: MarkDecoder(MARKS[name], findings) for name in layout.marks},
             **{name: TextDecoder(name, findings, is_stamp=True) for name in layout.stamps},
             **dict(zip(layout.factor_names, self._factors, strict=True)),
             **{
@@ -235,19 +240,25 @@ class _Reading:
         # In the order of the file, as its findings are.
         found = {name: self._decoders[name].read(cells[place], chunk) for name, place in headings.places.items()}
 
-        def combined(names: Sequence[str]) -> list[tuple[Any, ...]]:
-            columns = [found.get(name) or [None] * count for name in names]
+        def combined(names: Sequence[str], defaults: Mapping[str, Any] = _NO_DEFAULTS) -> list[tuple[Any, ...]]:
+            columns = [found.get(name) or [defaults.get(name)] * count for name in names]
             return list(zip(*columns, strict=True)) if columns else [()] * count
 
         numbers = range(first, first + count)
-        treatments = combined(self._layout.factor_names)
+        defaults = {column.name: column.default for column in self._layout.factors if column.has_default}
+        treatments = combined(self._layout.factor_names, defaults)
         run_ids = found.get(RUN_ID) or list(map(numbered_run_id, numbers))
         repetitions = self._repetitions_of(found, treatments)
+        marks = {name: found[name] for name in self._layout.marks if name in found}
+        batches = marks.get(BATCH) or [1] * count
+        if WARM_UP in marks:
+            pairs = zip(repetitions, marks[WARM_UP], strict=True)
+            repetitions = [0 if is_warm_up else max(1, number) for number, is_warm_up in pairs]
         planned = self._planned[first - 1 : first - 1 + count]
         runs: Iterable[PlannedRun] = planned
-        if not _are_as_planned(planned, run_ids, treatments, repetitions):
+        if not _are_as_planned(planned, run_ids, treatments, zip(repetitions, batches, strict=True)):
             combinations = map(Combination, repeat(self._places), treatments)
-            runs = map(PlannedRun, run_ids, numbers, combinations, repetitions)
+            runs = map(PlannedRun, run_ids, numbers, combinations, repetitions, repeat(None), batches)
         return map(
             RunRow,
             runs,
@@ -335,9 +346,12 @@ def _are_as_planned(
     runs: Sequence[PlannedRun],
     run_ids: Sequence[str],
     treatments: Sequence[tuple[Any, ...]],
-    repetitions: Sequence[int],
+    marks: Iterable[tuple[int, int]],
 ) -> bool:
-    if [run.run_id for run in runs] != list(run_ids) or [run.repetition for run in runs] != list(repetitions):
+    """Return whether runs are as they were planned; `marks` are repetition and batch."""
+    if [run.run_id for run in runs] != list(run_ids):
+        return False
+    if [(run.repetition, run.batch) for run in runs] != list(marks):
         return False
     # By identity, as rows hold the factors' own treatments, some of which have no equality.
     planned = chain.from_iterable(run.combination.treatments for run in runs)

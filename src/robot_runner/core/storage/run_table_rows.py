@@ -10,7 +10,7 @@ from itertools import repeat
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, TextIO
 
-from robot_runner.core.design.columns import RUN_ID, STATUS
+from robot_runner.core.design.columns import BATCH, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.design.planned_runs import garbage_collection_paused
 from robot_runner.core.errors import MeasureError, StorageError, did_you_mean
 from robot_runner.core.storage.cells import RunStatus, checked_measure, csv_text
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 __all__ = ["RunRow", "RunTableRows", "table_text", "write_run_table"]
 
 _ROWS_AT_ONCE = 500  # what fits into a processor's cache
+#: Where a row has what the columns of `MARKS` hold.
+_MARKS = {BATCH: "run.batch", WARM_UP: "run.is_warm_up"}
 _NUMBERED = re.compile(r"r_([1-9][0-9]{0,17})")
 
 
@@ -112,6 +114,21 @@ class RunTableRows:
         """Return the rows of a planned run table, all of them still to be executed."""
         with garbage_collection_paused():
             return cls(layout, map(RunRow, plan, *map(repeat, (RunStatus.TODO, *_nothing(layout)))))
+
+    def with_plan(self, plan: Iterable[PlannedRun], layout: TableLayout) -> RunTableRows:
+        """Return the rows of a plan that has grown: what is known of runs is kept, new ones are still to be executed.
+
+        Args:
+            plan: all runs, in the order of execution.
+            layout: which columns there are then; stamps and measures are those of this table.
+        """
+        known = {row.run.run_id: row for row in self._rows}
+        rows = []
+        for run in plan:
+            row = known.get(run.run_id) or RunRow(run, RunStatus.TODO, *_nothing(layout))
+            row.run = run
+            rows.append(row)
+        return RunTableRows(layout, rows, self.warnings)
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -199,8 +216,13 @@ class RunTableRows:
         return self._rows[place].run.combination
 
     def repetition(self, place: int) -> int:
-        """Return which repetition of its combination the run at `place` is; 1 where the table has no such column."""
-        return self._rows[place].run.repetition if self.layout.has_repetition else 1
+        """Return which repetition of its combination the run is; 1 where there is no such column, 0 for a warm-up."""
+        run = self._rows[place].run
+        return run.repetition if self.layout.has_repetition or run.is_warm_up else 1
+
+    def is_warm_up(self, place: int) -> bool:
+        """Return whether the run at `place` only warms up."""
+        return self._rows[place].run.is_warm_up
 
     def record(
         self,
@@ -310,6 +332,7 @@ def _sources(layout: TableLayout) -> dict[str, tuple[str, int | str | None]]:
         **{name: ("stamps", place) for place, name in enumerate(layout.stamps)},
         **{name: ("run.combination.treatments", place) for place, name in enumerate(layout.factor_names)},
         **dict.fromkeys(layout.repetition, ("run.repetition", None)),
+        **{name: (_MARKS[name], None) for name in layout.marks},
         **{name: ("measures", place) for place, name in enumerate(layout.measures)},
         **{name: ("kept", name) for name in layout.extras},
     }

@@ -6,9 +6,9 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STAMP_COLUMNS, STATUS
+from robot_runner.core.design.columns import BATCH, EXCLUDED, REPETITION, RUN_ID, STAMP_COLUMNS, STATUS, WARM_UP
 from robot_runner.core.errors import DesignError, Finding
 from robot_runner.core.storage.cells import RunStatus
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "EARLIER_SPELLING",
+    "MARKS",
     "OWN_SPELLING",
     "ColumnDescription",
     "ColumnRole",
@@ -101,6 +102,8 @@ class ColumnRole(Enum):
     TIMESTAMP = "timestamp"
     FACTOR = "factor"
     REPETITION = "repetition"
+    BATCH = "batch"
+    WARM_UP = "warm_up"
     MEASURE = "measure"
     EXTRA = "extra"
 
@@ -140,6 +143,28 @@ class ColumnDescription:
     doubts: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: MappingProxyType({}))
 
 
+#: What stands in the run table of how a run was planned, beside its combination and repetition. A table has those of
+#: these columns that its design needs.
+MARKS: Mapping[str, ColumnDescription] = MappingProxyType(
+    {
+        BATCH: ColumnDescription(
+            name=BATCH,
+            role=ColumnRole.BATCH,
+            type="integer",
+            title="Batch",
+            description="In which batch the run was planned: 1 is the first plan, each extension has the next number.",
+        ),
+        WARM_UP: ColumnDescription(
+            name=WARM_UP,
+            role=ColumnRole.WARM_UP,
+            type="boolean",
+            title="Warm-up",
+            description="Whether the run only warms up: it was executed and kept, and is not analysed.",
+        ),
+    }
+)
+
+
 @dataclass(frozen=True, slots=True)
 class FactorColumn:
     """The column of a factor.
@@ -148,10 +173,14 @@ class FactorColumn:
         name: the heading.
         factor: whose treatments the cells are matched with; None where they are not known (a folder read without its
             config), so that each cell goes by its looks.
+        default: the treatment of all runs of a file that lacks the column, as it is older than the factor.
+        has_default: whether there is one; if not, a file must have the column.
     """
 
     name: str
     factor: Factor | None = None
+    default: Any = None
+    has_default: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,6 +196,7 @@ class TableLayout:
         measures: the measures' columns.
         has_repetition: whether there is a column `Repetition` after the factors.
         has_exclusions: whether there is a column `excluded` after the status: some run was left out at some time.
+        marks: the columns after that which tell how a run was planned, of those in `MARKS`.
         stamps: the events' time-stamp columns.
         extras: columns that a user added; kept as text.
         types: the type of columns in the run table's schema, by name, for reading cells that could be several things.
@@ -188,6 +218,7 @@ class TableLayout:
     types: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     spelling: TableSpelling = OWN_SPELLING
     has_exclusions: bool = False
+    marks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         counts = Counter(self.columns)
@@ -217,12 +248,13 @@ class TableLayout:
             DesignError: a measure is called like a factor.
         """
         return cls(
-            tuple(FactorColumn(factor.name, factor) for factor in model.factors),
+            tuple(_factor_column(factor, model.defaults) for factor in model.factors),
             tuple(measures),
             has_repetition=model.repetitions > 1,
             stamps=STAMP_COLUMNS if spelling.has_stamps else (),
             types=types or MappingProxyType({}),
             spelling=spelling,
+            marks=_marks_of(model),
         )
 
     @classmethod
@@ -238,6 +270,7 @@ class TableLayout:
             types={column.name: column.type for column in schema},
             spelling=spelling_of_headings({column.name: column.heading for column in schema if column.heading}),
             has_exclusions=EXCLUDED in named[ColumnRole.PROGRESS],
+            marks=tuple(name for name, mark in MARKS.items() if name in named[mark.role]),
         )
 
     @property
@@ -263,5 +296,15 @@ class TableLayout:
     @property
     def columns(self) -> tuple[str, ...]:
         """All headings, in order."""
-        own = (RUN_ID, STATUS, *self.exclusion, *self.stamps)
-        return (*own, *self.factor_names, *self.repetition, *self.measures, *self.extras)
+        planned = (*self.factor_names, *self.repetition, *self.marks)
+        return (RUN_ID, STATUS, *self.exclusion, *self.stamps, *planned, *self.measures, *self.extras)
+
+
+def _factor_column(factor: Factor, defaults: Mapping[str, Any]) -> FactorColumn:
+    return FactorColumn(factor.name, factor, defaults.get(factor.name), factor.name in defaults)
+
+
+def _marks_of(model: RunTableModel) -> tuple[str, ...]:
+    has_warm_ups = model.warm_up is not None or any(run.is_warm_up for batch in model.batches for run in batch.runs)
+    needed = {BATCH: bool(model.batches), WARM_UP: has_warm_ups}
+    return tuple(name for name in MARKS if needed[name])

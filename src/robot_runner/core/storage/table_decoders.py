@@ -24,11 +24,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.storage.cells import CellValue
-    from robot_runner.core.storage.table_columns import FactorColumn
+    from robot_runner.core.storage.table_columns import ColumnDescription, FactorColumn
 
 __all__ = [
     "CellDecoder",
     "FactorDecoder",
+    "MarkDecoder",
     "MeasureDecoder",
     "RepetitionDecoder",
     "RowChunk",
@@ -275,10 +276,11 @@ class FactorDecoder:
 
 
 class RepetitionDecoder:
-    """Which repetition of its combination each run is."""
+    """Which repetition of its combination each run is: from 1, and 0 where `least` allows it, for warm-up runs."""
 
-    def __init__(self, findings: TableFindings) -> None:
+    def __init__(self, findings: TableFindings, *, least: int = 1) -> None:
         self._findings = findings
+        self._least = least
         self._known: dict[str, int] = {}
         self._seen: dict[tuple[int, ...], int] = {}
 
@@ -286,11 +288,11 @@ class RepetitionDecoder:
         """Return numbers of repetitions; another cell is an error."""
         for text in dict.fromkeys(cells):
             number = number_of(text)
-            if number is not None and number == int(number) and 1 <= number < _MOST_REPETITIONS:
+            if number is not None and number == int(number) and self._least <= number < _MOST_REPETITIONS:
                 self._known[text] = int(number)
         for place, text in () if self._known.keys() >= set(cells) else enumerate(cells):
             if text not in self._known:
-                fix = "Write which repetition it is: a whole number from 1."
+                fix = f"Write which repetition it is: a whole number from {self._least}."
                 problem = f"{text!r} is no number of a repetition"
                 self._findings.error(problem, fix, line=chunk.lines[place], column=REPETITION)
         return [self._known.get(text, 1) for text in cells]
@@ -303,6 +305,27 @@ class RepetitionDecoder:
             self._seen[which] = number = self._seen.get(which, 0) + 1
             numbers.append(number)
         return numbers
+
+
+class MarkDecoder:
+    """How each run was planned: in which batch, or whether it only warms up; an empty cell is as in most runs."""
+
+    def __init__(self, column: ColumnDescription, findings: TableFindings) -> None:
+        self._column = column
+        self._findings = findings
+        self._kind: type = bool if column.type == "boolean" else int
+        self._usual: Any = False if self._kind is bool else 1
+
+    def read(self, cells: Sequence[str], chunk: RowChunk) -> list[Any]:
+        """Return numbers or truth values; another cell is an error."""
+        known = {text: typed_value(text, self._column.type) for text in dict.fromkeys(cells)}
+        wrong = {text for text, value in known.items() if value is not None and type(value) is not self._kind}
+        for place, text in enumerate(cells) if wrong else ():
+            if text in wrong:
+                problem = f"{text!r} is no {self._column.type}"
+                fix = f"Write {'True or False' if self._kind is bool else 'a whole number'}."
+                self._findings.error(problem, fix, line=chunk.lines[place], column=self._column.name)
+        return [self._usual if known[text] is None or text in wrong else known[text] for text in cells]
 
 
 class MeasureDecoder:

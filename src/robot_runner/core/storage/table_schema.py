@@ -12,11 +12,11 @@ from dataclasses import replace
 from numbers import Integral
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS
+from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.cells import RunStatus, are_stamps
 from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
-from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
+from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -172,7 +172,8 @@ def describe_columns(
         *(EXCLUSION for _ in rows.layout.exclusion),
         *(_stamp(name, recorded[name]) for name in rows.layout.stamps),
         *(_factor(column, rows) for column in rows.layout.factors),
-        *(_repetition(name) for name in rows.layout.repetition),
+        *(_repetition(name, has_warm_ups=WARM_UP in rows.layout.marks) for name in rows.layout.repetition),
+        *(MARKS[name] for name in rows.layout.marks),
         *(_measure(name, recorded[name]) for name in rows.layout.measures),
         *(
             ColumnDescription(name=name, role=ColumnRole.EXTRA, type="string", title=name)
@@ -232,13 +233,15 @@ def _factor(column: FactorColumn, rows: RunTableRows) -> ColumnDescription:
     return ColumnDescription(name=name, role=ColumnRole.FACTOR, type=kind, title=name, description="A factor.")
 
 
-def _repetition(name: str) -> ColumnDescription:
+def _repetition(name: str, *, has_warm_ups: bool) -> ColumnDescription:
     return ColumnDescription(
         name=name,
         role=ColumnRole.REPETITION,
         type="integer",
         title=name,
-        description="Which repetition of its combination the run is, from 1.",
+        description="Which repetition of its combination the run is, from 1; 0 for a warm-up run."
+        if has_warm_ups
+        else "Which repetition of its combination the run is, from 1.",
     )
 
 

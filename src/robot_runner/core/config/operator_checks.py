@@ -1,0 +1,155 @@
+"""What keeps operator steps and their questions from being carried out, found before anything is executed."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.config.operator_steps import ANSWER_TYPES, OperatorStep, Question, as_treatments
+from robot_runner.core.design.columns import name_findings
+from robot_runner.core.errors import Finding, did_you_mean
+from robot_runner.core.words import counted, enumerated, listed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from robot_runner.core.design.factor import Factor
+    from robot_runner.core.design.run_table_model import RunTableModel
+
+__all__ = ["check_operator_steps"]
+
+#: So many runs are shown to a function that says before which runs a step is done.
+_TRIED = 200
+_RULES = ("every", "when_changes", "first")
+
+
+def check_operator_steps(where: str, steps: Sequence[OperatorStep], model: RunTableModel | None) -> list[Finding]:
+    """Return everything that is wrong with the steps of a config.
+
+    Args:
+        where: the config's file and class.
+        steps: as the config has them.
+        model: of the run table; None where there is none, which is a finding of its own.
+    """
+    findings: list[Finding] = []
+    names = Counter(step.name for step in steps if isinstance(step.name, str))
+    asked = Counter(question.name for step in steps for question in _questions(step) if isinstance(question.name, str))
+    for place, step in enumerate(steps):
+        at = f"{where}.operator_steps[{place}]"
+        findings += _step_findings(at, step, names)
+        findings += _when_findings(at, step, model)
+        for question in _questions(step):
+            findings += _question_findings(f"{at}, question {question.name!r}", question, asked, model)
+    return findings
+
+
+def _questions(step: OperatorStep) -> list[Question]:
+    return [each for each in step.ask if isinstance(each, Question)] if isinstance(step.ask, list | tuple) else []
+
+
+def _step_findings(at: str, step: OperatorStep, names: Mapping[str, int]) -> Iterator[Finding]:
+    name = step.name
+    if not isinstance(name, str) or not name.strip() or not name.isprintable():
+        yield Finding.error(at, f"the name is {name!r}", "Say in one line what is to be done.")
+    elif names[name] > 1:
+        yield Finding.error(at, f"there are {names[name]} steps {name!r}", "Rename or remove one.")
+    if not isinstance(step.ask, list | tuple):
+        yield Finding.error(at, f"ask is {step.ask!r}", "Give a list of Question(...).")
+    else:
+        for each in step.ask:
+            if not isinstance(each, Question):
+                yield Finding.error(at, f"ask holds {each!r}, of type {type(each).__name__}", "Give Question(...).")
+    every = step.every
+    if every is not None and (isinstance(every, bool) or not isinstance(every, int) or every < 1):
+        yield Finding.error(at, f"every is {every!r}", "Give a whole number of runs, 1 or more.")
+    given = [rule for rule in _RULES if getattr(step, rule)]
+    if len(given) > 1:
+        yield Finding.error(at, f"{enumerated(given)} are given", "Give one of them, or make two steps.")
+
+
+def _when_findings(at: str, step: OperatorStep, model: RunTableModel | None) -> Iterator[Finding]:
+    factors = {factor.name: factor for factor in model.factors} if model is not None else None
+    changes = step.when_changes
+    if not isinstance(changes, str | list | tuple) or not all(isinstance(each, str) for each in changes):
+        yield Finding.error(at, f"when_changes is {changes!r}", "Give the name of a factor, or a list of names.")
+    elif factors is not None:
+        for name in filter(None, step.factors):
+            if name not in factors:
+                yield Finding.error(at, f"when_changes: there is no factor {name!r}", did_you_mean(name, factors))
+    if isinstance(step.before, Mapping):
+        if factors is not None:
+            yield from _mapping_findings(at, step.before, factors)
+    elif callable(step.before):
+        if model is not None:
+            yield from _tried(at, step, model)
+    elif step.before is not None:
+        fix = 'Give treatments by factor, such as {"Task": "Video"}, or a function of them.'
+        yield Finding.error(at, f"before is {step.before!r}", fix)
+
+
+def _mapping_findings(at: str, before: Mapping[Any, Any], factors: Mapping[str, Factor]) -> Iterator[Finding]:
+    for name, wanted in before.items():
+        if name not in factors:
+            yield Finding.error(at, f"before: there is no factor {name!r}", did_you_mean(str(name), factors))
+            continue
+        for each in as_treatments(wanted):
+            if factors[name].position_of(each) is None:
+                problem = f"before: {each!r} is no treatment of {name!r}"
+                yield Finding.error(at, problem, factors[name].suggestion(each))
+
+
+def _tried(at: str, step: OperatorStep, model: RunTableModel) -> Iterator[Finding]:
+    for run in islice(model.plan(), _TRIED):
+        try:
+            step.suits(run.combination)
+        except Exception as error:  # noqa: BLE001 - the user's own function
+            problem = f"before({run.combination}) raised {type(error).__name__}: {error}"
+            yield Finding.error(at, problem, "Mend the function: it is given the treatments by factor.")
+            return
+
+
+def _question_findings(
+    at: str, question: Question, asked: Mapping[str, int], model: RunTableModel | None
+) -> Iterator[Finding]:
+    name, kind = question.name, question.kind
+    factors = [factor.name for factor in model.factors] if model is not None else []
+    yield from name_findings(name, kind="question", repetitions=model.repetitions if model is not None else 1)
+    if isinstance(name, str) and asked[name] > 1:
+        yield Finding.error(at, f"it is asked {counted(asked[name], 'time')}", "Rename or remove one.")
+    if name in factors:
+        yield Finding.error(at, f"{name!r} is the name of a factor", "Rename the question.")
+    if isinstance(name, str) and "=" in name:
+        yield Finding.error(at, "the name holds '='", "Leave it out: answers are given as NAME=VALUE.")
+    if not isinstance(question.choices, list | tuple):
+        yield Finding.error(at, f"choices is {question.choices!r}", "Give a list.")
+        return
+    if not isinstance(question.unit, str) or not isinstance(question.text, str):
+        yield Finding.error(at, "unit and text are not both texts", 'Give texts, such as unit="V".')
+    if kind not in ANSWER_TYPES.values():
+        yield Finding.error(at, f"the type is {kind!r}", "Choose float, int, str or bool.")
+        return
+    yield from _limit_findings(at, question)
+    for choice in question.choices:
+        if type(choice) is not kind:
+            problem = f"choice {choice!r} is of type {type(choice).__name__}, and answers of type {kind.__name__}"
+            yield Finding.error(at, problem, "Give all choices the same type, or the question the type of its choices.")
+    texts = Counter(str(choice).casefold() for choice in question.choices)
+    if twice := [text for text, times in texts.items() if times > 1]:
+        yield Finding.error(at, f"choices look alike: {listed(twice)}", "Rename or remove one.")
+
+
+def _limit_findings(at: str, question: Question) -> Iterator[Finding]:
+    low, high = question.low, question.high
+    limits = [limit for limit in (low, high) if limit is not None]
+    if not limits:
+        return
+    if question.kind not in {int, float} or question.choices:
+        what = "choices" if question.choices else f"answers of type {question.kind.__name__}"
+        yield Finding.error(at, f"low and high are limits of numbers, and there are {what}", "Leave them out.")
+    elif not all(isinstance(limit, int | float) and math.isfinite(limit) for limit in limits):
+        yield Finding.error(at, f"low is {low!r}, and high is {high!r}", "Give finite numbers.")
+    elif low is not None and high is not None and low > high:
+        yield Finding.error(at, f"no answer is taken: low is {low}, and high is {high}", "Give low the smaller number.")

@@ -1,0 +1,262 @@
+"""What a person does before a run, and what they are asked: steps, when they are due, and typed answers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from robot_runner.core.design.factor import treatments_are_equal
+from robot_runner.core.errors import Finding, MeasureError, did_you_mean
+from robot_runner.core.events.measure import Measure, MeasureValue, as_measure_value
+
+__all__ = ["ANSWER_TYPES", "OperatorStep", "Question", "StepCondition", "operator_measures", "read_answers"]
+
+#: A class, such as float.
+AnswerType = type
+#: What an answer can be, by the name under which the journal keeps the type.
+ANSWER_TYPES: dict[str, type] = {"text": str, "number": float, "whole number": int, "yes or no": bool}
+_TYPE_NAMES = {kind: name for name, kind in ANSWER_TYPES.items()}
+_YES, _NO = frozenset({"y", "yes", "true", "1"}), frozenset({"n", "no", "false", "0"})
+
+#: Before which runs a step is done: a function of the treatments, or the treatments that it is done for, by factor.
+StepCondition = Callable[[Mapping[str, Any]], bool] | Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What a person is asked before a run. The answer is a measure of that run, entered by hand, or a note of it.
+
+    Attributes:
+        name: the column of the run table, such as `voltage`.
+        type: float, int, str or bool; where it is left out, that of the choices, or str.
+        unit: as that of a measure.
+        low, high: a number below or above is not taken, and asked for again.
+        choices: the answers that are taken; nothing given: any.
+        note: whether the answer is a note of the run in the journal, and no measure.
+        optional: whether an empty answer is taken: the value is missing.
+        text: what the person reads in place of the name.
+
+    Example:
+        >>> Question("voltage", float, unit="V", low=9, high=13).read("11.8")
+        11.8
+        >>> Question("place", choices=["A", "B"]).hint
+        'A or B'
+    """
+
+    name: str
+    type: AnswerType | None = None
+    unit: str = field(default="", kw_only=True)
+    low: float | None = field(default=None, kw_only=True)
+    high: float | None = field(default=None, kw_only=True)
+    choices: Sequence[Any] = field(default=(), kw_only=True)
+    note: bool = field(default=False, kw_only=True)
+    optional: bool = field(default=False, kw_only=True)
+    text: str = field(default="", kw_only=True)
+
+    @property
+    def kind(self) -> AnswerType:
+        """The type of the answers: the one that is given, or that of the choices, or str."""
+        return self.type or (self.choices[0].__class__ if self.choices else str)
+
+    @property
+    def asked(self) -> str:
+        """What the person is asked, with unit and limits: `voltage (V, 9 to 13)`."""
+        return f"{self.text or self.name}{f' ({self.hint})' if self.hint else ''}"
+
+    @property
+    def hint(self) -> str:
+        """Which answers are taken, in a few words."""
+        if self.choices:
+            *most, last = map(_shown, self.choices)
+            return f"{', '.join(most)} or {last}" if most else last
+        limits = {
+            (True, True): f"{self.low} to {self.high}",
+            (True, False): f"{self.low} or more",
+            (False, True): f"{self.high} or less",
+        }.get((self.low is not None, self.high is not None), "")
+        kind = "yes or no" if self.kind is bool else ""
+        optional = "may be left empty" if self.optional else ""
+        return ", ".join(filter(None, (self.unit, limits, kind, optional)))
+
+    def read(self, text: str) -> MeasureValue:
+        """Return the answer that a text gives; None for an empty one where that is taken.
+
+        Raises:
+            MeasureError: it is not taken.
+        """
+        said = text.strip()
+        if not said and self.optional:
+            return None
+        if not said:
+            raise self._refusal("nothing was entered")
+        if self.choices:
+            return self._chosen(said)
+        value = as_measure_value(self.name, self._typed(said), where=self.name)
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            if self.low is not None and value < self.low:
+                raise self._refusal(f"{said} is below {self.low} {self.unit}".rstrip())
+            if self.high is not None and value > self.high:
+                raise self._refusal(f"{said} is above {self.high} {self.unit}".rstrip())
+        return value
+
+    def _typed(self, said: str) -> Any:
+        if self.kind is bool:
+            if said.casefold() not in _YES | _NO:
+                raise self._refusal(f"{said!r} is neither yes nor no")
+            return said.casefold() in _YES
+        if self.kind is str:
+            if not said.isprintable():
+                raise self._refusal("the text holds characters that cannot be printed")
+            return said
+        try:
+            number = self.kind(said)
+        except ValueError:
+            raise self._refusal(f"{said!r} is no {_TYPE_NAMES[self.kind]}") from None
+        if not math.isfinite(number):
+            raise self._refusal(f"{said!r} is not finite")
+        return number
+
+    def _chosen(self, said: str) -> MeasureValue:
+        shown = {_shown(choice): choice for choice in self.choices}
+        alike = [choice for text, choice in shown.items() if text.casefold() == said.casefold()]
+        if said in shown or len(alike) == 1:
+            return as_measure_value(self.name, shown.get(said, alike[0]), where=self.name)
+        raise MeasureError(f"{said!r} is none of the choices", where=self.name, fix=did_you_mean(said, shown))
+
+    def _refusal(self, problem: str) -> MeasureError:
+        return MeasureError(problem, where=self.name, fix=f"Enter {self.hint or 'an answer'}.")
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return the question as plain data: the journal keeps it, so that any terminal knows what is asked."""
+        facts = {name: getattr(self, name) for name in ("unit", "low", "high", "note", "optional", "text")}
+        return {"name": self.name, "type": _TYPE_NAMES[self.kind], "choices": list(self.choices), **facts}
+
+    @classmethod
+    def from_mapping(cls, facts: Mapping[str, Any]) -> Question:
+        """Return the question that `as_mapping` made plain data of."""
+        return cls(
+            str(facts["name"]),
+            ANSWER_TYPES[facts["type"]],
+            unit=facts["unit"],
+            low=facts["low"],
+            high=facts["high"],
+            choices=facts["choices"],
+            note=facts["note"],
+            optional=facts["optional"],
+            text=facts["text"],
+        )
+
+
+def _shown(choice: Any) -> str:
+    return ("yes" if choice else "no") if isinstance(choice, bool) else str(choice)
+
+
+@dataclass(frozen=True, slots=True)
+class OperatorStep:
+    """What a person does before a run, such as swapping a battery. The run starts once they say that it is done.
+
+    A step is done before each run, and before each further attempt at it, unless one of these says otherwise:
+
+    Attributes:
+        name: what is to be done, as the person reads it.
+        every: before the first run, and once this many runs have begun since it was done last.
+        when_changes: a factor, or several: where their treatments are not those that it was done for last.
+        first: once, before the first run.
+        before: only before these runs; beside any of the three above.
+        ask: what the person is asked when it is done.
+
+    Example:
+        >>> OperatorStep("place the robot at A", before={"Room": "lab"}).suits({"Room": "lab"})
+        True
+    """
+
+    name: str
+    ask: Sequence[Question] = ()
+    every: int | None = None
+    when_changes: str | Sequence[str] = ()
+    first: bool = False
+    before: StepCondition | None = None
+
+    @property
+    def factors(self) -> tuple[str, ...]:
+        """The factors of `when_changes`."""
+        return (self.when_changes,) if isinstance(self.when_changes, str) else tuple(self.when_changes)
+
+    @property
+    def is_for_each_attempt(self) -> bool:
+        """Whether the step prepares each single attempt, as placing a robot does."""
+        return self.every is None and not self.factors and not self.first
+
+    def suits(self, combination: Mapping[str, Any]) -> bool:
+        """Return whether `before` lets the step be done before a run with these treatments."""
+        if self.before is None:
+            return True
+        if not isinstance(self.before, Mapping):
+            return bool(self.before(combination))
+        return all(
+            any(treatments_are_equal(combination[factor], each) for each in as_treatments(wanted))
+            for factor, wanted in self.before.items()
+        )
+
+
+def as_treatments(wanted: Any) -> Sequence[Any]:
+    """Return the treatments that one entry of `before` names: one, or a list of them."""
+    return wanted if isinstance(wanted, list | tuple | set | frozenset) else (wanted,)  # type: ignore[return-value]
+
+
+def operator_measures(steps: Sequence[OperatorStep]) -> tuple[Measure, ...]:
+    """Return the measures that the answers of steps are."""
+    return tuple(
+        Measure(
+            question.name,
+            question.unit,
+            f"Entered by hand when this was done: {step.name}.",
+            low=question.low,
+            high=question.high,
+        )
+        for step in steps
+        for question in step.ask
+        if not question.note
+    )
+
+
+def read_answers(
+    questions: Sequence[Question], answers: Mapping[str, str], answered: Mapping[str, MeasureValue] | None = None
+) -> tuple[dict[str, MeasureValue], list[Finding]]:
+    """Read the answers to several questions; all findings at once.
+
+    Args:
+        questions: what is asked.
+        answers: texts by the names of the questions.
+        answered: what was answered before.
+
+    Returns:
+        The values that were taken, and a finding for each that was not, for each question without an answer, and for
+        each name that nothing asks for.
+    """
+    by_name = {question.name: question for question in questions}
+    taken = dict(answered or {})
+    findings: list[Finding] = []
+    for name, text in answers.items():
+        try:
+            taken[name] = _asked_for(name, by_name).read(text)
+        except MeasureError as error:
+            findings.append(error.as_finding())
+    for name, question in by_name.items():
+        if name in taken or name in answers:
+            continue
+        if question.optional:
+            taken[name] = None
+        else:
+            fix = f"Add --answer {name}=..., with {question.hint or 'any text'}."
+            findings.append(Finding.error(name, "there is no answer to this", fix))
+    return taken, findings
+
+
+def _asked_for(name: str, questions: Mapping[str, Question]) -> Question:
+    if name in questions:
+        return questions[name]
+    fix = did_you_mean(name, questions) if questions else "Leave it out: there are no questions."
+    raise MeasureError("nothing asks for this", where=name, fix=fix)

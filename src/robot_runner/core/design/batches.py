@@ -1,0 +1,387 @@
+"""The plan of an experiment that was extended: what was planned first, and each batch of runs that was added since.
+
+Once an experiment is extended, its plan is what the journal lists, batch by batch, and the config no longer makes it:
+the runs that were executed keep their ids, whatever becomes of the config.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, field, replace
+from itertools import count
+from re import fullmatch
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Self
+
+from robot_runner.core.design.columns import REPETITION, numbered_run_id
+from robot_runner.core.design.factor import Combination, Factor, factor_places
+from robot_runner.core.design.listed_runs import run_findings
+from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, arranged
+from robot_runner.core.design.run_table_model import RunTable, RunTableModel
+from robot_runner.core.design.warm_up import with_warm_ups
+from robot_runner.core.errors import DesignError, Finding
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from robot_runner.core.design.growing import Begun, GrownDesign
+
+__all__ = [
+    "EXTENDED",
+    "Batch",
+    "BatchRun",
+    "GrownRunTableModel",
+    "batches_of",
+    "first_batch",
+    "next_batch",
+    "records_of",
+]
+
+#: The kind of the journal's record of an extension: the batch that it added; the first one has the plan before it, too.
+EXTENDED = "extended"
+
+_PLAIN = (bool, int, float, str, type(None))
+
+
+@dataclass(frozen=True, slots=True)
+class BatchRun:
+    """A run of a batch, as the journal keeps it.
+
+    Attributes:
+        treatments: of the factors that there were, as they are written in the run table, by the factor's name.
+        repetition: from 1; 0 for a warm-up run.
+    """
+
+    run_id: str
+    treatments: Mapping[str, str]
+    repetition: int = 1
+    block: int | None = None
+
+    @property
+    def is_warm_up(self) -> bool:
+        """Whether it only warms up."""
+        return self.repetition == 0
+
+    @classmethod
+    def of(cls, run: PlannedRun) -> Self:
+        """Return what is kept of a planned run."""
+        texts = {name: str(treatment) for name, treatment in run.combination.items()}
+        return cls(run.run_id, texts, run.repetition, run.block)
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return the run as plain data, without what is as in most runs."""
+        return {
+            "run": self.run_id,
+            "combination": dict(self.treatments),
+            "repetition": self.repetition,
+            **({"block": self.block} if self.block is not None else {}),
+        }
+
+    @classmethod
+    def of_mapping(cls, plain: Mapping[str, Any]) -> Self:
+        """Return the run that `as_mapping` made plain."""
+        return cls(plain["run"], plain["combination"], int(plain["repetition"]), plain.get("block"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Batch:
+    """Runs that were planned together: those of the first plan, or those of an extension.
+
+    Attributes:
+        number: from 1, which is the first plan.
+        order: how they were put in order among themselves, with the seed.
+        repetitions: how often each combination is executed from this batch on, all batches together.
+        factors: all factors with all treatments from this batch on, in order, as `_plain_treatment` makes them plain.
+        chosen: the treatments among them that were added on the command line, so that a config need not have them.
+        defaults: the treatment that earlier runs count as having had, of each factor that this batch added, as text.
+        runs: in the order of execution.
+        at: when the batch was added (UTC); empty for the first plan.
+    """
+
+    number: int
+    order: RunOrder
+    repetitions: int
+    factors: Mapping[str, Sequence[Any]]
+    runs: Sequence[BatchRun]
+    chosen: Mapping[str, Sequence[str]] = field(default_factory=lambda: MappingProxyType({}))
+    defaults: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    at: str = ""
+
+    @property
+    def run_ids(self) -> list[str]:
+        """The ids of the runs that count: warm-up runs are left out."""
+        return [run.run_id for run in self.runs if not run.is_warm_up]
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return the batch as plain data, for a record of the journal."""
+        return {
+            **self.summary(),
+            "factors": {name: list(treatments) for name, treatments in self.factors.items()},
+            "runs": [run.as_mapping() for run in self.runs],
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """Return the batch without its runs as plain data, for the manifest."""
+        ids = self.run_ids
+        return {
+            "batch": self.number,
+            "runs": len(ids),
+            "first": ids[0] if ids else None,
+            "last": ids[-1] if ids else None,
+            "warm_ups": len(self.runs) - len(ids),
+            "seed": self.order.seed,
+            "shuffle": self.order.shuffle,
+            "blocks": self.order.blocks,
+            "repetitions": self.repetitions,
+            **({"chosen": {name: list(texts) for name, texts in self.chosen.items()}} if self.chosen else {}),
+            **({"defaults": dict(self.defaults)} if self.defaults else {}),
+            **({"at": self.at} if self.at else {}),
+        }
+
+    @classmethod
+    def of_mapping(cls, plain: Mapping[str, Any]) -> Self:
+        """Return the batch that `as_mapping` made plain."""
+        return cls(
+            number=int(plain["batch"]),
+            order=RunOrder(
+                shuffle=bool(plain["shuffle"]), blocks=plain.get("blocks"), seed=int(plain["seed"]), seed_is_given=True
+            ),
+            repetitions=int(plain["repetitions"]),
+            factors=plain["factors"],
+            runs=[BatchRun.of_mapping(run) for run in plain["runs"]],
+            chosen=plain.get("chosen", {}),
+            defaults=plain.get("defaults", {}),
+            at=str(plain.get("at", "")),
+        )
+
+
+def batches_of(records: Iterable[Mapping[str, Any]]) -> tuple[Batch, ...]:
+    """Return all batches of an experiment from the journal's `extended` records; nothing where there are none.
+
+    Raises:
+        DesignError: a record is none of ours.
+    """
+    batches: list[Batch] = []
+    for record in records:
+        try:
+            batches += [Batch.of_mapping(record["base"])] if not batches else []
+            batches.append(Batch.of_mapping(record))
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            problem = f"a record of an extension is damaged: {type(error).__name__}: {error}"
+            raise DesignError(problem, where="journal", fix="Restore the journal from a backup.") from error
+    return tuple(batches)
+
+
+def records_of(batches: Sequence[Batch]) -> Iterator[dict[str, Any]]:
+    """Yield the fields of the journal's `extended` records that `batches_of` makes these batches from."""
+    for batch in batches[1:]:
+        base = {"base": batches[0].as_mapping()} if batch is batches[1] else {}
+        yield batch.as_mapping() | base
+
+
+def _plain_treatment(treatment: Any) -> Any:
+    """Return a treatment as JSON has it; of an object of a user's, which JSON does not know, its text."""
+    return treatment if type(treatment) in _PLAIN else {"text": str(treatment)}
+
+
+class GrownRunTableModel(RunTableModel):
+    """A design whose plan has grown by batches.
+
+    Attributes:
+        as_configured: the design as the config has it now, which may plan less, or more, than there is.
+        chosen: the treatments that were added on the command line, as text, by factor.
+
+    Example:
+        >>> model = RunTableModel([Factor("Task", ["Video"])])
+        >>> runs = [BatchRun("r_1", {"Task": "Video"})]
+        >>> one = Batch(number=1, order=RunOrder(seed=1), repetitions=1, factors={"Task": ["Video"]}, runs=runs)
+        >>> two = replace(one, number=2, repetitions=2, runs=[BatchRun("r_2", {"Task": "Video"}, 2)])
+        >>> [(run.run_id, run.repetition, run.batch) for run in GrownRunTableModel(model, [one, two]).plan()]
+        [('r_1', 1, 1), ('r_2', 2, 2)]
+    """
+
+    def __init__(self, model: RunTableModel, batches: Sequence[Batch]) -> None:
+        """Put the plan together.
+
+        Args:
+            model: the design as the config has it now.
+            batches: all of them, the first plan included.
+
+        Raises:
+            DesignError: the config lacks a treatment that cannot be made from its text, or no run can have an id.
+        """
+        findings = list(run_findings([run.run_id for batch in batches for run in batch.runs]))
+        if findings:
+            raise DesignError.of_findings(findings)
+        last = batches[-1]
+        own = {factor.name: factor for factor in model.factors}
+        factors = tuple(_factor(own.get(name), name, treatments) for name, treatments in last.factors.items())
+        by_name = {factor.name: factor for factor in factors}
+        defaults = {name: text for batch in batches for name, text in batch.defaults.items()}
+        self.defaults = {name: _treatment(by_name[name], text) for name, text in defaults.items()}
+        vars(self).update(
+            factors=factors,
+            repetitions=last.repetitions,
+            data_columns=model.data_columns,
+            warnings=model.warnings,
+            warm_up=model.warm_up,
+        )
+        self.as_configured = model
+        self.batches = tuple(batches)
+        self.chosen: dict[str, tuple[str, ...]] = {}
+        for batch in batches:
+            for name, texts in batch.chosen.items():
+                self.chosen[name] = (*self.chosen.get(name, ()), *texts)
+        self._order = replace(batches[0].order, seed_is_given=model.seed_is_given)
+        self._runs = [
+            self._planned_run(number, batch, run)
+            for number, (batch, run) in enumerate(((batch, run) for batch in batches for run in batch.runs), start=1)
+        ]
+
+    def plan(self, seed: int | None = None) -> RunTable:
+        """Return the run table; it is as listed, whatever the seed."""
+        order = self._order if seed is None else replace(self._order, seed=seed)
+        return RunTable(self, self._runs, order)
+
+    def _planned_run(self, number: int, batch: Batch, run: BatchRun) -> PlannedRun:
+        places = self._places
+        treatments = tuple(
+            _treatment(factor, run.treatments[factor.name])
+            if factor.name in run.treatments
+            else self.defaults[factor.name]
+            for factor in self.factors
+        )
+        combination = Combination(places, treatments)
+        return PlannedRun(run.run_id, number, combination, run.repetition, run.block, batch.number)
+
+    @property
+    def _places(self) -> dict[str, int]:
+        return factor_places(factor.name for factor in self.factors)
+
+
+def _factor(own: Factor | None, name: str, recorded: Sequence[Any]) -> Factor:
+    """Return a factor with the treatments that were recorded: the config's own objects, where it has them."""
+    return Factor(name, [_own_treatment(own, name, each) for each in recorded])
+
+
+def _own_treatment(own: Factor | None, name: str, recorded: Any) -> Any:
+    is_object = isinstance(recorded, dict)
+    text = recorded["text"] if is_object else str(recorded)
+    place = own.position_of_text(text) if own else None
+    if own is not None and place is not None:
+        return own.treatments[place]
+    if is_object:
+        problem = f"the config has no treatment {text!r} any more, which runs of the experiment have"
+        raise DesignError.of_findings([Finding.error(f"factor {name!r}", problem, "Put it back into the config.")])
+    return recorded
+
+
+def _treatment(factor: Factor, text: str) -> Any:
+    place = factor.position_of_text(text)
+    if place is None:
+        problem = f"a run has the treatment {text!r}, which the factor does not have"
+        raise DesignError(problem, where=f"factor {factor.name!r}", fix="Restore the journal from a backup.")
+    return factor.treatments[place]
+
+
+# From what is to be there to the runs that are missing.
+
+
+def first_batch(begun: Begun, order: RunOrder) -> Batch:
+    """Return what was planned before the first extension."""
+    return Batch(
+        number=1,
+        order=order,
+        repetitions=begun.repetitions,
+        factors=_plain(begun.factors),
+        runs=list(map(BatchRun.of, begun.counted_runs)),
+    )
+
+
+def next_batch(
+    begun: Begun, design: GrownDesign, config: RunTableModel, *, order: RunOrder, number: int, at: str
+) -> Batch:
+    """Return the batch of runs that are missing; it has none where nothing is.
+
+    Args:
+        begun: as the run table has it.
+        design: what is to be there.
+        config: the design as the config has it: how it warms up.
+        order: how the new runs are put in order among themselves.
+        number: of the batch.
+        at: when it is added (UTC).
+    """
+    missing = list(_missing(begun, design))
+    places = arranged(len(missing), _block_of(missing, order.blocks), order) if missing else ()
+    first = len(begun.runs) + 1
+    last_block = max((run.block or 0 for run in begun.runs), default=0)
+    blocks = _block_of(missing, order.blocks)
+    ids = _free_ids(begun.runs)
+    runs = [
+        PlannedRun(
+            next(ids),
+            first + index,
+            missing[place][0],
+            missing[place][1],
+            None if blocks is None else last_block + blocks[place] + 1,
+            number,
+        )
+        for index, place in enumerate(places)
+    ]
+    warm_ups = sum(run.is_warm_up for run in begun.runs)
+    return Batch(
+        number=number,
+        order=replace(order, seed_is_given=True),
+        repetitions=design.repetitions,
+        factors=_plain(design.factors),
+        runs=[BatchRun.of(run) for run in with_warm_ups(runs, config.warm_up, first=warm_ups + 1)],
+        chosen=design.chosen,
+        defaults={name: str(treatment) for name, treatment in design.defaults.items()},
+        at=at,
+    )
+
+
+def _missing(begun: Begun, design: GrownDesign) -> Iterator[tuple[Combination, int]]:
+    """Yield each run that is missing, as its combination and repetition, in the order as written."""
+    names = [factor.name for factor in design.factors]
+    places = factor_places(names)
+    there: defaultdict[tuple[str, ...], set[int]] = defaultdict(set)
+    for run in begun.counted_runs:
+        if not run.is_warm_up:
+            treatments = {**design.defaults, **run.combination}
+            there[tuple(str(treatments[name]) for name in names)].add(run.repetition)
+    wanted = []
+    for combination in design.combinations:
+        taken = there[tuple(str(combination[name]) for name in names)]
+        free = (each for each in count(1) if each not in taken)
+        numbers = [next(free) for _ in range(design.repetitions - len(taken))]
+        wanted += [(number, Combination(places, tuple(combination[name] for name in names))) for number in numbers]
+    for number, combination in sorted(wanted, key=lambda each: each[0]):  # stable: combinations as written
+        yield combination, number
+
+
+def _block_of(missing: Sequence[tuple[Combination, int]], blocks: str | None) -> list[int] | None:
+    """Return the number of each run's block, from 0 without gaps; in the order as written."""
+    if blocks is None:
+        return None
+    of_run: list[Any] = [
+        number if blocks == REPETITION and REPETITION not in combination else str(combination[blocks])
+        for combination, number in missing
+    ]
+    number_of = {value: number for number, value in enumerate(dict.fromkeys(of_run))}
+    return [number_of[value] for value in of_run]
+
+
+def _free_ids(runs: Sequence[PlannedRun]) -> Iterator[str]:
+    """Yield the ids after those that there are: `r_11` after `r_10`, `run_3` after `run_2`."""
+    taken = {run.run_id.casefold() for run in runs}
+    numbered = [fullmatch(r"(\D*)(\d+)", run.run_id) for run in runs if not run.is_warm_up]
+    prefixes = {found[1] if found else None for found in numbered}
+    prefix = prefixes.pop() if len(prefixes) == 1 else None
+    first = 1 + max((int(found[2]) for found in numbered if found), default=0) if prefix is not None else len(runs) + 1
+    named = (numbered_run_id(each) if prefix is None else f"{prefix}{each}" for each in count(first))
+    return (run_id for run_id in named if run_id.casefold() not in taken)
+
+
+def _plain(factors: Sequence[Factor]) -> dict[str, list[Any]]:
+    return {factor.name: list(map(_plain_treatment, factor.treatments)) for factor in factors}

@@ -1,0 +1,172 @@
+"""What keeps factors, repetitions, columns and order from making a design: each check lists all that it finds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from math import prod
+from typing import TYPE_CHECKING
+
+from robot_runner.core.design.columns import REPETITION, WARM_UP, column_name, name_findings
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.warm_up import warm_up_of
+from robot_runner.core.errors import DesignError, Finding, did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["MAX_RUNS", "design_findings", "listed_elsewhere", "order_findings", "size_findings"]
+
+#: Whether the runs of a design that is too large are listed in a table.
+_ARE_LISTED: ContextVar[bool] = ContextVar("_ARE_LISTED", default=False)
+
+
+@contextmanager
+def listed_elsewhere() -> Iterator[None]:
+    """While this lasts, designs of too many runs are taken: a table lists those that are to be executed.
+
+    See `RunTableModel.take_runs`. A config makes its model itself, so that nothing can be handed to it.
+    """
+    token = _ARE_LISTED.set(True)
+    try:
+        yield
+    finally:
+        _ARE_LISTED.reset(token)
+
+
+#: More runs than this are taken for a slip: at one second a run they would take four months.
+MAX_RUNS = 10_000_000
+
+
+def design_findings(
+    factors: object,
+    repetitions: object,
+    data_columns: object,
+    shuffle: object,
+    seed: object,
+    blocks: object,
+    warm_up: object = None,
+) -> Iterator[Finding]:
+    """Say everything that is wrong with a design, its exclusions left aside.
+
+    Args:
+        factors: what is to be a sequence of factors.
+        repetitions: what is to be how often each combination is executed.
+        data_columns: what is to be the names of the measures' columns, or None.
+        shuffle: what is to be whether the order is randomised.
+        seed: what is to be the seed, or None.
+        blocks: what is to be what runs are kept together by, or None.
+        warm_up: what is to be how the experiment warms up, or None.
+
+    Yields:
+        An error finding for each problem.
+    """
+    known = tuple(factor for factor in factors if isinstance(factor, Factor)) if isinstance(factors, Sequence) else ()
+    repeated = repetitions if isinstance(repetitions, int) else 1
+    yield from _factor_findings(factors)
+    yield from _repetition_findings(repetitions, known)
+    yield from _data_column_findings(data_columns, known, repeated)
+    yield from _warm_up_findings(warm_up, known, data_columns)
+    if not isinstance(shuffle, bool):
+        problem = f"{shuffle!r} is of type {type(shuffle).__name__}"
+        yield Finding.error("shuffle", problem, "Give True or False.")
+    yield from order_findings(seed, blocks, known, repeated)
+    if not _ARE_LISTED.get():
+        yield from size_findings(known, repeated)
+
+
+def _factor_findings(factors: object) -> Iterator[Finding]:
+    kind = type(factors).__name__
+    if not isinstance(factors, Sequence):
+        yield Finding.error("factors", f"{factors!r} is of type {kind}", "Give a list of Factor(...).")
+        return
+    if not factors:
+        yield Finding.error("factors", "there are none", "Give at least one Factor(...).")
+    seen: set[str] = set()
+    for place, factor in enumerate(factors):
+        if not isinstance(factor, Factor):
+            problem = f"{factor!r} is of type {type(factor).__name__}"
+            yield Finding.error(f"factors[{place}]", problem, "Give a Factor(name, treatments).")
+        elif factor.name in seen:
+            yield Finding.error(f"factors[{place}]", f"factor {factor.name!r} is given twice", "Rename or remove it.")
+        else:
+            seen.add(factor.name)
+
+
+def _repetition_findings(repetitions: object, factors: Sequence[Factor]) -> Iterator[Finding]:
+    if isinstance(repetitions, bool) or not isinstance(repetitions, int):
+        problem = f"{repetitions!r} is of type {type(repetitions).__name__}"
+        yield Finding.error("repetitions", problem, "Give a whole number from 1.")
+    elif repetitions < 1:
+        yield Finding.error("repetitions", f"{repetitions} is less than 1", "Give a whole number from 1.")
+    else:
+        for factor in factors:
+            yield from name_findings(factor.name, kind="factor", repetitions=repetitions)
+
+
+def _data_column_findings(columns: object, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+    if columns is None:
+        return
+    if not isinstance(columns, Sequence) or isinstance(columns, str | bytes):
+        problem = f"{columns!r} is of type {type(columns).__name__}"
+        yield Finding.error("data_columns", problem, "Give a list of names, or leave it out for all measures.")
+        return
+    names_of_factors = {factor.name for factor in factors}
+    seen = set()
+    for place, column in enumerate(columns):
+        where = f"data_columns[{place}]"
+        name = column_name(column)
+        yield from name_findings(name, kind="data column", repetitions=repetitions)
+        if not isinstance(name, str):
+            continue
+        if name in seen:
+            yield Finding.error(where, f"column {name!r} is given twice", "Remove one.")
+        if name in names_of_factors:
+            yield Finding.error(where, f"{name!r} is the name of a factor", "Rename the factor or the measure.")
+        seen.add(name)
+
+
+def _warm_up_findings(given: object, factors: Sequence[Factor], columns: object) -> Iterator[Finding]:
+    try:
+        warm_up = warm_up_of(given)
+    except DesignError as error:
+        yield from error.findings
+        return
+    if warm_up is None:
+        return
+    yield from warm_up.unknown_factor(factors)
+    names = [*(factor.name for factor in factors), *(columns if isinstance(columns, Sequence) else ())]
+    for name in map(column_name, names):
+        if isinstance(name, str) and name.casefold() == WARM_UP.casefold():
+            yield from name_findings(name, kind="column", warms_up=True)
+
+
+def order_findings(seed: object, blocks: object, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+    """Say what is wrong with the seed and the blocks."""
+    is_seed = seed is None or (isinstance(seed, int) and not isinstance(seed, bool) and seed >= 0)
+    if not is_seed:  # random.Random takes -1 for 1, so that two seeds would give one order
+        problem = f"{seed!r} is of type {type(seed).__name__}"
+        yield Finding.error("seed", problem, "Give a whole number from 0, or leave it out.")
+    if blocks is None:
+        return
+    known = [factor.name for factor in factors]
+    if repetitions > 1:
+        known.append(REPETITION)
+    name = blocks.name if isinstance(blocks, Factor) else blocks
+    if name not in known:
+        yield Finding.error("blocks", f"there is nothing called {name!r} to make blocks of", _blocks_fix(name, known))
+
+
+def size_findings(factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+    """Say whether a design has too many runs."""
+    runs = prod(len(factor.treatments) for factor in factors) * repetitions
+    if runs > MAX_RUNS:
+        problem = f"the design has {runs:,} runs before exclusions; {MAX_RUNS:,} is the most"
+        yield Finding.error("factors", problem, "Give fewer treatments or repetitions.")
+
+
+def _blocks_fix(name: object, known: Iterable[str]) -> str:
+    if name == REPETITION:
+        return "Give repetitions=2 or more, or name a factor."
+    return did_you_mean(str(name), known)

@@ -1,0 +1,331 @@
+"""What an experiment that has begun is to have more of: repetitions, treatments, factors."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.columns import REPETITION
+from robot_runner.core.design.design_findings import MAX_RUNS
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.listed_runs import ListedRunTableModel
+from robot_runner.core.errors import DesignError, Finding, did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from robot_runner.core.design.factor import Combination
+    from robot_runner.core.design.planned_runs import PlannedRun
+    from robot_runner.core.design.run_table_model import RunTableModel
+
+__all__ = ["Additions", "Begun", "GrownDesign", "NewFactor", "grown_design", "typed"]
+
+_WRITTEN_ONE_BY_ONE = "the runs were listed one by one, and no factorial says which are to be added"
+
+
+@dataclass(frozen=True, slots=True)
+class NewFactor:
+    """A factor that an experiment gets after it has begun.
+
+    Attributes:
+        default: the treatment that the runs before count as having had, as text.
+        treatments: its other treatments, as text; those that the config has come by themselves.
+    """
+
+    default: str
+    treatments: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Additions:
+    """What is asked for on the command line; what the config has beyond the run table is added in any case.
+
+    Attributes:
+        repetitions: how often each combination is to be executed, all batches together; None for as often as now.
+        treatments: further treatments of factors that there are, as text, by factor.
+        factors: factors that there were not, by name.
+    """
+
+    repetitions: int | None = None
+    treatments: Mapping[str, Sequence[str]] = field(default_factory=lambda: MappingProxyType({}))
+    factors: Mapping[str, NewFactor] = field(default_factory=lambda: MappingProxyType({}))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Begun:
+    """The design of an experiment as its run table has it.
+
+    Attributes:
+        factors: with the treatments that there are so far.
+        runs: all that are planned so far, in the order of the table.
+        chosen: the treatments that were added on the command line, as text, by factor.
+        has_repetition: whether the table counts repetitions; if not, runs of one combination are counted here.
+        is_by_hand: whether the runs were written into the table by hand, so that the config does not plan them.
+    """
+
+    factors: tuple[Factor, ...]
+    runs: Sequence[PlannedRun]
+    chosen: Mapping[str, Sequence[str]]
+    has_repetition: bool
+    is_by_hand: bool
+
+    @property
+    def counted_runs(self) -> list[PlannedRun]:
+        """The runs with the number of each repetition, also where the table has no such column."""
+        if self.has_repetition:
+            return list(self.runs)
+        seen: Counter[tuple[str, ...]] = Counter()
+        counted = []
+        for run in self.runs:
+            if not run.is_warm_up:
+                seen[_texts(run)] += 1
+            counted.append(run if run.is_warm_up else run._replace(repetition=seen[_texts(run)]))
+        return counted
+
+    @property
+    def repetitions(self) -> int:
+        """How often the combination that has most is repeated."""
+        return max((run.repetition for run in self.counted_runs), default=1)
+
+
+@dataclass(frozen=True, slots=True)
+class GrownDesign:
+    """What an experiment is to have in the end.
+
+    Attributes:
+        factors: all of them with all treatments, new ones last.
+        combinations: those of which further runs are planned.
+        repetitions: how often each of these is executed, all batches together.
+        defaults: the treatment that earlier runs count as having had, of each new factor.
+        chosen: the treatments that were added on the command line, as text, by factor.
+    """
+
+    factors: tuple[Factor, ...]
+    combinations: Sequence[Combination]
+    repetitions: int
+    defaults: Mapping[str, Any]
+    chosen: Mapping[str, Sequence[str]]
+
+
+def grown_design(begun: Begun, config: RunTableModel, added: Additions) -> GrownDesign:
+    """Return what an experiment is to have: what it has, what the config has beyond that, and what is asked for.
+
+    Treatments that the config has no longer get no further runs; those that were added on the command line do.
+
+    Args:
+        begun: as the run table has it.
+        config: the design as the config has it now.
+        added: what is asked for.
+
+    Raises:
+        DesignError: something cannot be added; `findings` lists everything that was found.
+    """
+    growing = _Growing(begun, config, added)
+    findings = list(growing.findings())
+    if findings:
+        raise DesignError.of_findings(findings)
+    return growing.grown()
+
+
+class _Growing:
+    def __init__(self, begun: Begun, config: RunTableModel, added: Additions) -> None:
+        self._begun = begun
+        self._added = added
+        self._config = config
+        self._there = {factor.name: factor for factor in begun.factors}
+        self._own = {} if begun.is_by_hand else {factor.name: factor for factor in config.factors}
+        self._is_listed = begun.is_by_hand or isinstance(config, ListedRunTableModel)
+
+    def findings(self) -> Iterator[Finding]:
+        yield from self._repetition_findings()
+        for name, texts in self._added.treatments.items():
+            yield from self._treatment_findings(name, texts)
+        for name in self._new:
+            yield from self._factor_findings(name, self._added.factors.get(name))
+        for name in () if self._begun.is_by_hand else self._there:
+            if name not in self._own and name not in self._begun.chosen:
+                problem = "the config does not have this factor any more, and the runs that were planned do"
+                yield Finding.error(f"factor {name!r}", problem, "Put it back into the config.")
+
+    def grown(self) -> GrownDesign:
+        """Return the design; there are no findings."""
+        chosen = {name: tuple(texts) for name, texts in self._added.treatments.items()}
+        for name, new in self._added.factors.items():
+            if name not in self._own:
+                chosen[name] = (new.default, *new.treatments)
+            elif new.treatments:
+                chosen[name] = new.treatments
+        all_chosen = {name: (*self._begun.chosen.get(name, ()), *chosen.get(name, ())) for name in self._names}
+        factors = tuple(self._factor(name, chosen.get(name, ())) for name in self._names)
+        defaults = {name: _own_treatment(factors, name, self._added.factors[name].default) for name in self._new}
+        repetitions = self._added.repetitions or max(self._begun.repetitions, self._repetitions_of_config)
+        combinations = self._combinations(factors, all_chosen)
+        return GrownDesign(factors, combinations, repetitions, defaults, {name: chosen[name] for name in chosen})
+
+    @property
+    def _new(self) -> list[str]:
+        return list(dict.fromkeys([*(name for name in self._own if name not in self._there), *self._added.factors]))
+
+    @property
+    def _names(self) -> list[str]:
+        return [*self._there, *self._new]
+
+    @property
+    def _repetitions_of_config(self) -> int:
+        if self._begun.is_by_hand:
+            return 1
+        if isinstance(self._config, ListedRunTableModel):
+            return max(Counter(map(_texts, self._config.plan())).values())
+        return self._config.repetitions
+
+    def _factor(self, name: str, chosen: Sequence[str]) -> Factor:
+        """Return a factor with what it has, what the config has beyond that, and what was chosen."""
+        there, own = self._there.get(name), self._own.get(name)
+        like = own or there
+        if like is None:
+            return Factor(name, _by_looks(chosen))
+        listed = dict(zip(there.texts, there.treatments, strict=True)) if there else {}
+        for text in (*(own.texts if own else ()), *chosen):
+            if text not in listed:
+                listed[text] = typed(like, text)
+        return Factor(name, listed.values())
+
+    def _combinations(self, factors: tuple[Factor, ...], chosen: Mapping[str, Sequence[str]]) -> Sequence[Combination]:
+        if self._begun.is_by_hand:
+            return _distinct(run.combination for run in self._begun.runs)
+        if self._is_listed:
+            return _distinct(run.combination for run in self._config.plan())
+        planned = [_only(factor, self._own.get(factor.name), chosen.get(factor.name, ())) for factor in factors]
+        return self._config.combinations_of(planned)
+
+    def _repetition_findings(self) -> Iterator[Finding]:
+        asked, there = self._added.repetitions, self._begun.repetitions
+        if asked is None:
+            return
+        where = "--repetitions"
+        if asked < there:
+            problem = f"{asked} is fewer than the {there} repetitions that there are"
+            yield Finding.error(where, problem, f"Give the new total, such as {there + 1}; no run is ever taken away.")
+        counting = [name for name in (*self._there, *self._own) if name.casefold() == REPETITION.casefold()]
+        sizes = [len(factor.treatments) for factor in (*self._there.values(), *self._own.values())]
+        if max(sizes, default=1) * asked > MAX_RUNS:
+            yield Finding.error(where, f"{asked:,} repetitions are more than {MAX_RUNS:,} runs", "Give fewer.")
+        if counting and asked > there:
+            problem = f"the factor {counting[0]!r} counts the repetitions of this experiment"
+            yield Finding.error(where, problem, f"Add treatments to it: --treatments {counting[0]}=... .")
+
+    def _treatment_findings(self, name: str, texts: Sequence[str]) -> Iterator[Finding]:
+        where = f"--treatments {name}"
+        factor = self._there.get(name)
+        if factor is None:
+            fix = did_you_mean(name, self._there)
+            if name in self._own:
+                fix = f"The config has it and the run table not yet: --factor {name}=DEFAULT."
+            yield Finding.error(where, f"the run table has no factor {name!r}", fix)
+        elif self._is_listed:
+            fix = "Write their rows into the run table." if self._begun.is_by_hand else "Add them to the config."
+            yield Finding.error(where, _WRITTEN_ONE_BY_ONE, fix)
+        else:
+            for text in texts:
+                yield from _text_findings(where, text, factor, self._own.get(name, factor))
+
+    def _factor_findings(self, name: str, new: NewFactor | None) -> Iterator[Finding]:
+        where, own = f"--factor {name}", self._own.get(name)
+        if name in self._there:
+            problem = "the run table has this factor already"
+            yield Finding.error(where, problem, f"Add treatments to it: --treatments {name}=... .")
+        elif self._is_listed and own is None:
+            yield Finding.error(where, _WRITTEN_ONE_BY_ONE, "Add it to the config, or begin another experiment.")
+        elif new is None:
+            problem = f"the config has the factor {name!r}, and nothing says which treatment the runs so far had"
+            known = ", ".join(own.texts if own else ())
+            yield Finding.error(f"factor {name!r}", problem, f"Say it: --factor {name}=DEFAULT (one of {known}).")
+        elif own is not None:
+            if own.position_of_text(new.default) is None:
+                problem = f"{new.default!r} is no treatment of the factor in the config"
+                yield Finding.error(where, problem, own.suggestion(new.default))
+            for text in new.treatments:
+                yield from _text_findings(where, text, own, own)
+        elif not new.treatments:
+            problem = f"the factor would have the treatment {new.default!r} alone"
+            yield Finding.error(where, problem, f"Give others: --factor {name}={new.default}:OTHER,... .")
+        else:
+            try:
+                Factor(name, _by_looks((new.default, *new.treatments)))
+            except DesignError as error:
+                yield from error.findings
+
+
+def _text_findings(where: str, text: str, there: Factor, like: Factor) -> Iterator[Finding]:
+    if there.position_of_text(text) is not None:
+        yield Finding.error(where, f"the factor has the treatment {text!r} already", "Leave it out.")
+        return
+    try:
+        typed(like, text)
+    except DesignError as error:
+        yield Finding.error(where, error.problem, error.fix)
+
+
+_WORDS = MappingProxyType({"True": True, "False": False})
+
+
+def typed(factor: Factor, text: str) -> Any:
+    """Return the treatment that a text means: of the type that the factor's treatments have.
+
+    Raises:
+        DesignError: it cannot be one of that type, or they are objects, which no text makes.
+
+    Example:
+        >>> typed(Factor("Speed", [0.1, 0.2]), "0.3")
+        0.3
+    """
+    place = factor.position_of_text(text)
+    if place is not None:
+        return factor.treatments[place]
+    kinds = {type(treatment) for treatment in factor.treatments}
+    kind = kinds.pop() if len(kinds) == 1 else float if kinds == {int, float} else object
+    try:
+        if kind is bool:
+            return _WORDS[text]
+        if kind in {int, float, str}:
+            return kind(text)
+    except (KeyError, ValueError):
+        problem = f"{text!r} is no {kind.__name__}, as the treatments of the factor are"
+        raise DesignError(problem, where=f"factor {factor.name!r}", fix="Give one of that type.") from None
+    problem = f"{text!r} is a text, and the treatments of the factor are objects of several types or of the config's"
+    fix = "Add it to the factor in the config, and call `extend` without it."
+    raise DesignError(problem, where=f"factor {factor.name!r}", fix=fix)
+
+
+def _by_looks(texts: Sequence[str]) -> list[Any]:
+    """Return treatments of the first type that all texts are: whole numbers, numbers, truth values, else texts."""
+    for like in (Factor("_", [0]), Factor("_", [0.5]), Factor("_", [True])):
+        try:
+            found = [typed(like, text) for text in texts]
+        except DesignError:
+            continue
+        if [str(each) for each in found] == list(texts):
+            return found
+    return list(texts)
+
+
+def _own_treatment(factors: Sequence[Factor], name: str, text: str) -> Any:
+    factor = next(factor for factor in factors if factor.name == name)
+    return factor.treatments[factor.texts.index(text)]
+
+
+def _only(factor: Factor, own: Factor | None, chosen: Sequence[str]) -> Factor:
+    """Return a factor with the treatments that get further runs: the config's, and those of the command line."""
+    wanted = {*(own.texts if own else ()), *chosen}
+    kept = [each for each, text in zip(factor.treatments, factor.texts, strict=True) if text in wanted]
+    return Factor(factor.name, kept)
+
+
+def _texts(run: PlannedRun) -> tuple[str, ...]:
+    return tuple(map(str, run.combination.treatments))
+
+
+def _distinct(combinations: Iterable[Combination]) -> list[Combination]:
+    return list({tuple(map(str, each.treatments)): each for each in combinations}.values())

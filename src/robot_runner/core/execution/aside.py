@@ -1,0 +1,77 @@
+"""What is done beside the runs and might open links or start threads: in a process of its own, under a keeper.
+
+The orchestrator forks runs and opens nothing itself. A probe, a gate, or a host that starts anew is therefore executed
+as a run is, in a scratch folder: what it opens, breaks or leaves behind is gone with its process.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.config.parameters import Parameters, RunProcess
+from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents, methods_of
+from robot_runner.core.events.measure import CONFIG_OWNER
+from robot_runner.core.execution.executor import executor_for
+from robot_runner.core.execution.task import OutcomeBuilder
+from robot_runner.core.storage.layout import ExperimentFolder
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Sequence
+
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.execution.executor import Watch
+    from robot_runner.core.execution.task import RunOutcome, RunTask
+    from robot_runner.core.plugin import Profiler
+
+__all__ = ["execute_aside"]
+
+
+def execute_aside(
+    experiment: Experiment,
+    task: RunTask,
+    mission: Callable[..., object],
+    watch: Watch,
+    *,
+    deadline_s: float | None,
+    profilers: Sequence[Profiler] = (),
+    events: Collection[RobotRunnerEvents] = (),
+    **changed: Any,
+) -> RunOutcome:
+    """Execute `mission` beside the runs, and return how that went; what is written there is not kept.
+
+    Args:
+        experiment: whose robot and parameters it sees.
+        task: the run whose treatments it sees.
+        mission: what is done; it may take the context of a run.
+        watch: takes its records, and the user's interruption.
+        deadline_s: how long it may take, s of real time; None for no limit.
+        profilers: the only plugins that are there.
+        events: the events at which their callbacks are called.
+        changed: static parameters that differ from the experiment's.
+    """
+    parameters = {
+        **vars(experiment.parameters),
+        "phases": (),
+        "run_deadline_in_s": None,
+        "event_deadline_in_s": deadline_s,
+        "run_process": RunProcess.FORK,  # always: what is left open or broken must not stay in this process
+        **changed,
+    }
+    manager = EventManager()
+    for profiler in profilers:
+        for event, callback in methods_of(profiler):
+            if event in events:
+                manager.subscribe(event, callback, owner=profiler.name, kind=OwnerKind.PROFILER)
+    manager.subscribe(RobotRunnerEvents.LAUNCH_MISSION, mission, owner=CONFIG_OWNER, kind=OwnerKind.CONFIG)
+    with TemporaryDirectory(prefix="robot-runner-", ignore_cleanup_errors=True) as folder:
+        aside = replace(
+            experiment,
+            parameters=Parameters(**parameters),
+            plugins=tuple(profilers),
+            events=manager,
+            folder=ExperimentFolder(Path(folder)),
+        )
+        return executor_for(aside).execute(task, OutcomeBuilder(task.run_id, aside.columns), watch)

@@ -1,0 +1,186 @@
+"""Notifications: what an experiment tells somebody who is elsewhere, sent by short-lived processes.
+
+Apprise starts threads and waits for networks; the process that forks runs does neither. So each notification to each
+address is sent by a process of its own, which ends by itself after `_DEADLINE`: see `notification_sender`. Addresses
+hold passwords: they go there through a pipe, and into no message, record or command line; a service that fails is named
+by the beginning of its address (`ntfy`, `mailto`).
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from robot_runner.core.config.notify import addresses_from
+from robot_runner.core.errors import Finding, StorageError
+from robot_runner.core.execution.notices import (
+    AttemptFinished,
+    ExperimentFinished,
+    ExperimentStarted,
+    GateWaiting,
+    WaitingForUser,
+)
+from robot_runner.core.execution.task import AttemptStatus
+from robot_runner.core.words import counted, one_line, shown_duration, shown_treatment
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.execution.interruption import Interruption
+    from robot_runner.core.execution.notices import Notice
+
+__all__ = ["Notifications"]
+
+_MODULE = "robot_runner.core.execution.notification_sender"
+#: How long the sending of one notification may take, s: mail servers think for a while.
+_DEADLINE = 15.0
+_LOOK = 0.02
+#: A gate that is passed sooner is nobody's business, s.
+_GATE_PATIENCE = 60.0
+#: The longest text that is sent, in characters: services cut longer ones.
+_LONGEST = 1500
+
+
+@dataclass(frozen=True, slots=True)
+class _Message:
+    """What is sent; the kind is one of apprise's: `info`, `success`, `warning`, `failure`."""
+
+    title: str
+    body: str
+    kind: str = "info"
+
+
+class Notifications:
+    """Tells somebody elsewhere what the config asks for, and never holds the experiment up.
+
+    Args:
+        experiment: what is executed.
+        note: takes a record for the journal.
+    """
+
+    def __init__(self, experiment: Experiment, note: Callable[..., None]) -> None:
+        self._notify = experiment.parameters.notify
+        self._name = experiment.parameters.experiment_name
+        self._note = note
+        self._addresses = addresses_from(self._notify) if self._notify else ()
+        self._sending: list[tuple[str, subprocess.Popen[bytes]]] = []
+        self._failed: dict[str, Finding] = {}
+        self._told_gate = ("", "")
+        self._ended = self._done = self._failures = self._run_count = 0
+
+    def take(self, notice: Notice) -> None:
+        """Send what a notice is worth."""
+        if self._notify is None or not self._addresses:
+            return
+        self._reap()
+        for message in self._messages(notice):
+            self._send(message)
+
+    def tell_failure(self, finding: Finding) -> None:
+        """Send that the experiment could not go on."""
+        if self._notify is not None and "end" in self._notify.on:
+            self._send(_Message(f"{self._name} could not go on", one_line(str(finding)), "failure"))
+
+    def findings(self, interruption: Interruption) -> tuple[Finding, ...]:
+        """Wait until everything is sent, and return a finding for each kind of service that did not take something.
+
+        The wait ends after the deadline, or when the user insists on the end.
+        """
+        end = time.monotonic() + _DEADLINE + 1.0
+        while self._sending and time.monotonic() < end and not interruption.is_urgent:
+            self._reap()
+            time.sleep(_LOOK if self._sending else 0.0)
+        for _, process in self._sending:
+            process.kill()
+            process.wait()
+        self._reap()
+        return tuple(self._failed.values())
+
+    def _messages(self, notice: Notice) -> Iterator[_Message]:
+        wanted = self._notify.on if self._notify else ()
+        match notice:
+            case ExperimentStarted():
+                self._run_count, self._done = notice.run_count, notice.done_count
+            case AttemptFinished(task, outcome, is_last=True) if outcome.status is not AttemptStatus.INTERRUPTED:
+                has_failed = outcome.status is AttemptStatus.FAILED
+                self._done, self._failures = self._done + (not has_failed), self._failures + has_failed
+                if has_failed and "failure" in wanted:
+                    yield _Message(f"{self._name}: {task.run_id} failed", one_line(str(outcome.failure)), "warning")
+                yield from self._progress()
+            case WaitingForUser() if "waiting" in wanted:
+                what = notice.step or "your word"
+                treatments = ", ".join(f"{name}={shown_treatment(each)}" for name, each in notice.combination.items())
+                body = f"Before {notice.run_id}, run {notice.next_run_number} of {notice.run_count}: {treatments}"
+                yield _Message(f"{self._name} waits for you: {what}", body, "warning")
+            case GateWaiting() if "waiting" in wanted and notice.seconds >= _GATE_PATIENCE:
+                yield from self._gate(notice)
+            case ExperimentFinished() if "end" in wanted:
+                yield self._end(notice)
+
+    def _gate(self, waiting: GateWaiting) -> Iterator[_Message]:
+        gate = (waiting.run_id, waiting.condition)
+        if gate != self._told_gate:
+            self._told_gate = gate
+            body = f"Before {waiting.run_id}, until {waiting.condition}. Seen last: {waiting.seen or 'nothing'}"
+            yield _Message(f"{self._name} waits", one_line(body), "warning")
+
+    def _progress(self) -> Iterator[_Message]:
+        self._ended += 1
+        if self._notify is not None and self._notify.every and self._ended % self._notify.every == 0:
+            yield _Message(f"{self._name}: {self._counts(self._done, self._run_count, self._failures)}", "It goes on.")
+
+    @staticmethod
+    def _counts(done: int, run_count: int, failed: int) -> str:
+        return f"{done:,} of {counted(run_count, 'run')} done" + (f", {failed:,} failed" if failed else "")
+
+    def _end(self, finished: ExperimentFinished) -> _Message:
+        run_count = finished.done_count + finished.failed_count + finished.todo_count
+        counts = self._counts(finished.done_count, run_count, finished.failed_count)
+        why = " was interrupted" if finished.interrupted else " was stopped" if finished.stopped_by_policy else " ended"
+        body = [f"After {shown_duration(finished.seconds)}, on {socket.gethostname()}.", *finished.failures]
+        kind = "failure" if finished.failed_count else "warning" if finished.todo_count else "success"
+        return _Message(f"{self._name}{why}: {counts}", "\n".join(map(one_line, body)), kind)
+
+    def _send(self, message: _Message) -> None:
+        for address in self._addresses:
+            service = one_line(address.partition("://")[0])[:20] if "://" in address else "an address"
+            request: dict[str, object] = {"address": address, "title": message.title, "body": message.body[:_LONGEST]}
+            request |= {"kind": message.kind, "deadline": _DEADLINE}
+            try:
+                # -P: modules beside a config must not take the place of those that apprise imports.
+                process = subprocess.Popen(  # noqa: S603 - our own program
+                    [sys.executable, "-P", "-m", _MODULE],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,  # apprise writes addresses there
+                    start_new_session=True,  # Ctrl-C in the terminal is not meant for it
+                )
+            except OSError as error:
+                self._fail(service, f"could not be tried: {error.strerror}")
+                continue
+            self._sending.append((service, process))
+            with suppress(OSError), process.stdin as pipe:  # type: ignore[union-attr]  # it is a pipe
+                pipe.write(json.dumps(request).encode())
+
+    def _reap(self) -> None:
+        for service, process in self._sending:
+            code = process.poll()
+            if code:
+                took_too_long = f"did not end within {_DEADLINE:g} s"
+                self._fail(service, took_too_long if code < 0 else "did not take a notification")
+        self._sending = [each for each in self._sending if each[1].returncode is None]
+
+    def _fail(self, service: str, problem: str) -> None:
+        if service in self._failed:
+            return
+        fix = "Look at its address and at the network; `apprise -vv` sends one by hand. Nothing else is affected."
+        self._failed[service] = Finding.warning("notify", f"{service} {problem}", fix)
+        with suppress(StorageError):  # a full disk is told elsewhere
+            self._note("notification_failed", service=service, problem=problem)

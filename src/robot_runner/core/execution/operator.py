@@ -1,0 +1,281 @@
+"""The person who takes part: asked before runs, by the terminal of the experiment or from any other, and taken down.
+
+What a person did and answered is a record of the journal, so that an experiment that goes on later knows which steps
+are due: see `_History`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.config.operator_steps import OperatorStep, read_answers
+from robot_runner.core.design.watched_combination import WatchedCombination
+from robot_runner.core.errors import ExecutionError, Finding, MeasureError
+from robot_runner.core.events.measure import OPERATOR_OWNER, Origin
+from robot_runner.core.execution.notices import AnswersRefused, QuestionAsked, UserHasContinued, WaitingForUser
+from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.storage.lock import Command, forget_command, take_request
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.config.operator_steps import Question
+    from robot_runner.core.events.measure import MeasureValue
+    from robot_runner.core.execution.notices import Notice
+    from robot_runner.core.execution.patience import Patience
+    from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
+    from robot_runner.core.execution.task import Report, RunTask
+
+__all__ = ["Operator"]
+
+#: How often a second terminal is listened to, in seconds.
+_LISTEN = 0.2
+#: A line that is longer than this was not typed.
+_MOST_BYTES = 64 * 1024
+
+
+@dataclass(slots=True)
+class _Done:
+    """When a step was done last: for which treatments, and which runs have begun since."""
+
+    treatments: Mapping[str, str]
+    begun_since: set[str] = field(default_factory=set)
+
+
+class _History:
+    """Which steps were done, and what was answered about runs that have not come to their end."""
+
+    def __init__(self) -> None:
+        self._done: dict[str, _Done] = {}
+        self.answers: dict[str, dict[str, MeasureValue]] = {}
+
+    @classmethod
+    def of(cls, journal: Path) -> _History:
+        """Return what the journal tells."""
+        history = cls()
+        for record in read_journal(journal, kinds={"attempt_started", "attempt_finished", "operator_step"}):
+            match record["kind"]:
+                case "operator_step":
+                    history.take(record["run"], record["step"], record["treatments"], record["answers"])
+                case "attempt_started":
+                    history.begin(record["run"])
+                case _ if record["is_last"] and record["status"] != "interrupted":
+                    history.answers.pop(record["run"], None)  # executed again, it is another run for whoever answers
+        return history
+
+    def take(self, run_id: str, step: str, treatments: Mapping[str, str], answers: Mapping[str, MeasureValue]) -> None:
+        """Take down that a step was done."""
+        self._done[step] = _Done(treatments)
+        self.answers.setdefault(run_id, {}).update(answers)
+
+    def begin(self, run_id: str) -> None:
+        """Take down that a run has begun."""
+        for done in self._done.values():
+            done.begun_since.add(run_id)
+
+    def is_due(self, step: OperatorStep, treatments: Mapping[str, str]) -> bool:
+        """Return whether a step is to be done before a run with these treatments of its factors."""
+        done = self._done.get(step.name)
+        if done is None or step.is_for_each_attempt:
+            return True
+        if step.every is not None:
+            return len(done.begun_since) >= step.every
+        return bool(step.factors) and done.treatments != treatments
+
+
+class Operator:
+    """Asks the person who takes part, and keeps what they did and answered.
+
+    Args:
+        experiment: whose steps they are.
+        progress: takes down what happens.
+        user_input: the descriptor on which somebody may type, or None where nobody sits there.
+        notify: takes what a screen is to show.
+        patience: what goes on meanwhile.
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        progress: ProgressManager,
+        user_input: int | None,
+        notify: Callable[[Notice], None],
+        patience: Patience,
+    ) -> None:
+        self._experiment = experiment
+        self._steps = experiment.parameters.operator_steps
+        self._progress = progress
+        self._keyboard = _Keyboard(user_input, patience)
+        self._notify = notify
+        self._interruption = patience.interruption
+        self._history: _History | None = None
+        self._reads: dict[str, dict[tuple[str, str], None]] = {}
+
+    def prepare(self, run: PendingRun, *, is_retry: bool = False) -> bool:
+        """Have the steps done that are due before a run, or before another attempt at it; returns whether any was.
+
+        Raises:
+            ExecutionError: a function of the config that says when a step is due raised.
+        """
+        has_asked = False
+        for step in self._steps:
+            if is_retry and not step.is_for_each_attempt:
+                continue
+            if not self._interruption.is_requested and self._is_due(step, run):
+                self._have_done(step, run)
+                has_asked = True
+        return has_asked
+
+    def ask_to_start(self, run: PendingRun) -> None:
+        """Wait until somebody says that a run may start (SEMI), or until an interruption."""
+        self._ask(run)
+
+    def note_read(self, run_id: str, factor: str, owner: str) -> None:
+        """Take down that somebody read the treatment of a factor ahead of its run."""
+        self._reads.setdefault(run_id, {})[factor, owner] = None
+
+    def answers(self, run_id: str) -> Mapping[str, MeasureValue]:
+        """Return what was answered about a run, by column."""
+        return dict(self._known().answers.get(run_id, {})) if self._steps else {}
+
+    def hand_over(self, task: RunTask, report: Report) -> None:
+        """Report what an attempt is to know: the answers as its measures, and who read its treatments before."""
+        if self._steps:
+            self._known().begin(task.run_id)
+        for factor, owner in self._reads.get(task.run_id, ()):
+            report("read", {"factor": factor, "owner": owner})
+        for name, value in task.entered.items():
+            fields = {"name": name, "value": value, "owner": OPERATOR_OWNER, "origin": Origin.ENTERED.value}
+            report("measure", fields)
+
+    def _known(self) -> _History:
+        if self._history is None:
+            self._history = _History.of(self._experiment.folder.journal)
+        return self._history
+
+    def _is_due(self, step: OperatorStep, run: PendingRun) -> bool:
+        combination = WatchedCombination(
+            self._progress.task_of(run).combination,
+            lambda factor: self.note_read(run.run_id, factor, OPERATOR_OWNER),
+        )
+        try:
+            suits = step.suits(combination)
+        except Exception as error:
+            problem = f"before raised {type(error).__name__}: {error}"
+            fix = "Mend the function, and start the experiment again: it resumes."
+            raise ExecutionError(problem, where=f"operator step {step.name!r}, {run.run_id}", fix=fix) from error
+        return self._known().is_due(step, _treatments(step, combination)) and suits
+
+    def _have_done(self, step: OperatorStep, run: PendingRun) -> None:
+        answers = self._ask(run, step)
+        if answers is None:
+            return
+        columns = self._experiment.columns
+        measures, notes = {}, {}
+        for question in step.ask:
+            value = answers[question.name]
+            if question.note:
+                notes[question.name] = value
+            else:
+                measures[columns.column_for(OPERATOR_OWNER, question.name).name] = value
+        treatments = _treatments(step, self._progress.task_of(run).combination)
+        self._known().take(run.run_id, step.name, treatments, measures)
+        facts = {"run": run.run_id, "step": step.name, "treatments": treatments, "answers": measures, "notes": notes}
+        self._progress.note("operator_step", flush=True, **facts)
+
+    def _ask(self, run: PendingRun, step: OperatorStep | None = None) -> dict[str, MeasureValue] | None:
+        """Wait until a person says that a step is done, or that a run may start; None after an interruption."""
+        name, questions = (step.name, tuple(step.ask)) if step else ("", ())
+        asked = [question.as_mapping() for question in questions]
+        self._progress.note("waiting", next_run=run.run_id, step=name, questions=asked)
+        self._notify(self._waiting(run, name, questions))
+        answers = self._answered(questions)
+        self._progress.note("continued")
+        self._notify(UserHasContinued())
+        return answers
+
+    def _waiting(self, run: PendingRun, step: str, questions: Sequence[Question]) -> WaitingForUser:
+        task = self._progress.task_of(run)
+        return WaitingForUser(
+            folder=self._experiment.folder.root,
+            next_run_number=run.number,
+            run_count=self._progress.run_count,
+            run_id=run.run_id,
+            combination=task.combination,
+            repetition=task.repetition,
+            step=step,
+            questions=questions,
+            runs_left=self._progress.runs_left(run),
+            left=self._progress.time_left,
+        )
+
+    def _answered(self, questions: Sequence[Question]) -> dict[str, MeasureValue] | None:
+        control = self._experiment.folder.control
+        forget_command(control)
+        given: dict[str, MeasureValue] = {}
+        left = deque(questions)
+        self._put_question(left)
+        while not self._interruption.is_requested:
+            line = self._keyboard.line()
+            if line is not None:
+                if left:
+                    self._take_line(line, left, given)
+                if not left:
+                    return given
+            request = take_request(control)
+            if request is not None and request.command is Command.CONTINUE:
+                answers, findings = read_answers(questions, request.answers, given)
+                if not findings:
+                    return answers
+                self._refuse(findings, left)
+        return None
+
+    def _take_line(self, line: str, left: deque[Question], given: dict[str, MeasureValue]) -> None:
+        try:
+            given[left[0].name] = left[0].read(line)
+            left.popleft()
+        except MeasureError as error:
+            self._notify(AnswersRefused((error.as_finding(),)))
+        self._put_question(left)
+
+    def _refuse(self, findings: Sequence[Finding], left: deque[Question]) -> None:
+        self._notify(AnswersRefused(findings))
+        self._put_question(left)
+
+    def _put_question(self, left: deque[Question]) -> None:
+        if left and self._keyboard.is_there:
+            self._notify(QuestionAsked(left[0]))
+
+
+def _treatments(step: OperatorStep, combination: Mapping[str, Any]) -> dict[str, str]:
+    return {factor: str(combination[factor]) for factor in step.factors}
+
+
+class _Keyboard:
+    """Lines that somebody types, as they come."""
+
+    def __init__(self, descriptor: int | None, patience: Patience) -> None:
+        self._descriptor = descriptor
+        self._patience = patience
+        self._pending = b""
+
+    @property
+    def is_there(self) -> bool:
+        """Whether somebody may type."""
+        return self._descriptor is not None
+
+    def line(self) -> str | None:
+        """Return the next line; None where none was completed for a moment."""
+        if b"\n" not in self._pending:
+            typed = self._patience.wait(_LISTEN, self._descriptor)
+            if typed == b"":  # the end of the input
+                self._descriptor = None
+            self._pending = (self._pending + (typed or b""))[-_MOST_BYTES:]
+        if b"\n" not in self._pending:
+            return None
+        line, _, self._pending = self._pending.partition(b"\n")
+        return line.decode("utf-8", "replace")

@@ -1,0 +1,80 @@
+"""What the analysis makes of an experiment that was extended, and of runs that only warm up."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from tests.conftest import TABLE, written_config
+
+from robot_runner.analysis import load_results
+from robot_runner.analysis.figures.style import FigureFormat
+from robot_runner.analysis.report.writing import ReportFormat, write_report
+from robot_runner.core.config.preparation import prepare, prepare_or_refuse
+from robot_runner.core.design.growing import Additions, NewFactor
+from robot_runner.core.execution.extension import ExtensionRequest, extend_experiment
+from robot_runner.core.execution.notices import SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
+
+MEASURING = """
+def launch_mission(self, context):
+    context.combination["Task"]
+    (context.raw_data_folder / "samples.csv").write_text("time_s,power_W\\n0.0,1.0\\n1.0,2.0\\n")
+
+def populate_run_data(self, context):
+    return {"Energy": 1000.0 if context.is_warm_up else 10.0 + context.run_number}
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    table = TABLE.replace("repetitions=2", 'repetitions=3, warm_up=WarmUp(1, per="Task")')
+    config = written_config(tmp_path_factory.mktemp("study"), MEASURING, table=table)
+    execute_experiment(prepare_or_refuse(config), SilentObserver())
+    added = Additions(4, factors={"Floor": NewFactor("carpet", ("wood",))})
+    extend_experiment(prepare(config, is_for_here=False).experiment, ExtensionRequest(added=added, seed=2))
+    return execute_experiment(prepare_or_refuse(config), SilentObserver()).folder
+
+
+def test_warm_up_runs_are_left_out_everywhere_unless_they_are_asked_for(folder):
+    results = load_results(folder)
+    assert results.warm_ups == ("w_1", "w_2", "w_3", "w_4")
+    assert len(results.runs) == len(results.done) == 16
+    assert results.runs["Energy"].max() < 100
+    assert not results.runs["warm_up"].any()
+    for frame in (results.attempts, results.published, results.events(), results.quality, results.samples("config")):
+        assert not frame["run_id"].astype("str").str.startswith("w_").any()
+    everything = load_results(folder, with_warm_ups=True)
+    assert everything.warm_ups == results.warm_ups
+    assert len(everything.runs) == 20
+    assert list(everything.runs.loc[everything.runs["warm_up"], "Energy"]) == [1000.0] * 4
+    assert len(everything.samples("config", runs=["w_1"])) == 2
+
+
+def test_the_batch_is_a_column_with_a_role_and_no_factor(folder):
+    results = load_results(folder)
+    assert results.batch == "batch"
+    assert results.columns["batch"].role.value == "batch"
+    assert str(results.runs["batch"].dtype) == "Int64"
+    assert results.runs["batch"].value_counts().to_dict() == {1: 6, 2: 10}
+    assert results.factors == ("Task", "Floor")
+    assert results.measures == ("Energy",)
+    assert list(results.runs["Floor"].cat.categories) == ["carpet", "wood"]
+    assert results.runs.loc[results.runs["batch"] == 1, "Floor"].unique().tolist() == ["carpet"]
+
+
+def test_the_report_accounts_for_batches_and_warm_up_runs(folder, tmp_path):
+    write_report(folder, ReportFormat.MARKDOWN, output=tmp_path, figures=[FigureFormat.SVG])
+    write_report(folder, ReportFormat.JSON, output=tmp_path)
+    text = (tmp_path / "report.md").read_text(encoding="utf-8").replace("\\_", "_")
+    assert "w_1, w_2, w_3, w_4: executed and kept, not analysed" in text
+    assert "10 runs (r_7 to r_16), added on 20" in text
+    assert "; randomised from seed 2" in text
+    assert "The experiment was extended" in text
+    assert "Its 2 batches, of 6 and 10 runs, were executed at other times" in text
+    assert "Floor is confounded with time" in text
+    assert "runs before count as carpet, which nobody set" in text
+    told = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    assert told["design"]["warm_ups"] == ["w_1", "w_2", "w_3", "w_4"]
+    assert [batch["batch"] for batch in told["design"]["batches"]] == [1, 2]
+    assert len(told["runs"]) == 16

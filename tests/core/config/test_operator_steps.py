@@ -1,0 +1,112 @@
+"""Operator steps, questions and notifications that cannot be carried out are found before anything is executed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from robot_runner.core.config.operator_steps import Question, read_answers
+from robot_runner.core.config.preparation import prepare
+from robot_runner.core.errors import MeasureError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+MALFORMED = """
+operator_steps = [
+    OperatorStep(""),
+    OperatorStep("swap", every=0, first=True),
+    OperatorStep("swap", when_changes="Tsk"),
+    OperatorStep("place", before={"Task": "Vidoe", "Floor": "wood"}),
+    OperatorStep("a", before=3),
+    OperatorStep("b", before=lambda run: run["Tsk"]),
+    OperatorStep("c", ask=[3]),
+    OperatorStep("d", ask=[Question("Task"), Question("run_id"), Question("v", float, low=3, high=2)]),
+    OperatorStep("e", ask=[Question("v", list), Question("w", low=3), Question("x", int, choices=[1, "2"])]),
+]
+"""
+
+
+def test_everything_that_is_wrong_with_steps_and_questions_is_said_at_once(write_config: Callable[..., Path]) -> None:
+    found = {
+        f"{each.where.partition('operator_')[2]}: {each.problem}" for each in prepare(write_config(MALFORMED)).findings
+    }
+    assert found == {
+        "steps[0]: the name is ''",
+        "steps[1]: there are 2 steps 'swap'",
+        "steps[1]: every is 0",
+        "steps[2]: there are 2 steps 'swap'",
+        "steps[2]: when_changes: there is no factor 'Tsk'",
+        "steps[3]: before: 'Vidoe' is no treatment of 'Task'",
+        "steps[3]: before: there is no factor 'Floor'",
+        "steps[4]: before is 3",
+        "steps[5]: before(Task='Video') raised KeyError: 'Tsk'",
+        "steps[6]: ask holds 3, of type int",
+        "steps[7], question 'Task': 'Task' is the name of a factor",
+        "steps[7], question 'v': it is asked 2 times",
+        "steps[7], question 'v': no answer is taken: low is 3, and high is 2",
+        "steps[8], question 'v': it is asked 2 times",
+        "steps[8], question 'v': the type is <class 'list'>",
+        "steps[8], question 'w': low and high are limits of numbers, and there are answers of type str",
+        "steps[8], question 'x': choice '2' is of type str, and answers of type int",
+        ": the run table has a column of that name already",
+    }
+
+
+def test_steps_are_a_list_of_steps(write_config: Callable[..., Path]) -> None:
+    (finding,) = prepare(write_config('operator_steps = ["swap the battery"]')).findings
+    assert finding.fix == "It must be a list of OperatorStep(...) in the config file; from outside, none."
+    config = write_config('operator_steps = [OperatorStep("swap", ask=[Question("voltage", float)])]')
+    left_out = prepare(config, {"operator_steps": "none"}).experiment
+    assert left_out is not None
+    assert left_out.columns.names == ("Energy",), "a rehearsal goes without"
+    experiment = prepare(config).experiment
+    assert experiment is not None
+    assert experiment.columns.names == ("Energy", "voltage")
+
+
+@pytest.mark.parametrize(
+    ("question", "text", "value"),
+    [
+        (Question("a"), " two words ", "two words"),
+        (Question("a", int), "-3", -3),
+        (Question("a", bool), "Yes", True),
+        (Question("a", bool), "0", False),
+        (Question("a", choices=[1.5, 2.5]), "2.5", 2.5),
+        (Question("a", choices=[True, False]), "no", False),
+        (Question("a", optional=True), "  ", None),
+    ],
+)
+def test_an_answer_has_the_type_of_its_question(question: Question, text: str, value: object) -> None:
+    read = question.read(text)
+    assert (read, type(read)) == (value, type(value))
+    assert Question.from_mapping(question.as_mapping()).read(text) == value
+
+
+@pytest.mark.parametrize(
+    ("question", "text", "problem"),
+    [
+        (Question("a", int), "3.5", "'3.5' is no whole number"),
+        (Question("a", bool), "maybe", "'maybe' is neither yes nor no"),
+        (Question("a"), "red\x1b[31m", "the text holds characters that cannot be printed"),
+        (Question("a", float), "inf", "'inf' is not finite"),
+        (Question("a", int), "9" * 5000, "no whole number"),
+    ],
+)
+def test_what_is_no_answer_is_refused(question: Question, text: str, problem: str) -> None:
+    with pytest.raises(MeasureError, match=problem.replace("(", "\\(")):
+        question.read(text)
+
+
+def test_all_answers_are_judged_at_once() -> None:
+    questions = [Question("voltage", float, low=9), Question("place"), Question("remark", optional=True)]
+    taken, findings = read_answers(questions, {"voltage": "3", "plaec": "A"})
+    assert taken == {"remark": None}
+    assert [(each.where, each.problem) for each in findings] == [
+        ("voltage", "3 is below 9"),
+        ("plaec", "nothing asks for this"),
+        ("place", "there is no answer to this"),
+    ]
+    assert findings[1].fix == "Did you mean 'place'?"

@@ -1,0 +1,268 @@
+"""What a person does and answers before runs: which steps are due, where answers go, also after a restart."""
+
+from __future__ import annotations
+
+import os
+import signal
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.conftest import written_config
+from tests.core.execution.conftest import Executed, RecordingObserver
+
+from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.errors import ExecutionError
+from robot_runner.core.execution.notices import AnswersRefused, AttemptStarted, WaitingForUser
+from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.storage.lock import Command, send_command
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from pathlib import Path
+
+    from robot_runner.core.execution.notices import Notice
+
+VOLTAGE = 'Question("voltage", float, unit="V", low=9, high=13)'
+TABLE = """\
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["Video", "Network"])], repetitions=2, data_columns=["Energy"])
+"""
+
+
+class Person(RecordingObserver):
+    """Somebody who answers as soon as they are asked: at the keyboard, or from another terminal."""
+
+    refresh_interval = 0.01
+
+    def __init__(self, answer: Callable[[WaitingForUser], str | Mapping[str, str] | None]) -> None:
+        super().__init__()
+        self._answer = answer
+        self._reader, self._keyboard = os.pipe()
+        self.user_input = self._reader
+        self._control: Path | None = None
+        self._said: Mapping[str, str] | None = None
+
+    def notice(self, notice: Notice) -> None:
+        super().notice(notice)
+        if isinstance(notice, WaitingForUser):
+            self._control = notice.folder / ".control"
+        if isinstance(notice, WaitingForUser | AnswersRefused):
+            said = self._answer(notice) if isinstance(notice, WaitingForUser) or self._said is not None else None
+            if isinstance(said, str):
+                os.write(self._keyboard, said.encode())
+            else:
+                self._said = said
+
+    def refresh(self) -> None:
+        if self._said is not None and self._control is not None and not self._control.exists():
+            send_command(self._control, Command.CONTINUE, self._said)
+
+    def close(self) -> None:
+        os.close(self._reader)
+        os.close(self._keyboard)
+
+    @property
+    def asked(self) -> list[tuple[str, str]]:
+        """Return the step and the run of each time that somebody was asked."""
+        return [(each.step, each.run_id) for each in self.notices if isinstance(each, WaitingForUser)]
+
+
+@pytest.fixture
+def execute(tmp_path: Path) -> Iterator[Callable[..., tuple[Executed, Person]]]:
+    """Return what executes a config with a person who answers."""
+    people: list[Person] = []
+
+    def execute_with(
+        body: str, answer: Any = "\n", resumption: Resumption | None = None, **settings: Any
+    ) -> tuple[Executed, Person]:
+        config = written_config(tmp_path, body, **{"table": TABLE, **settings})
+        people.append(Person(answer if callable(answer) else lambda _: answer))
+        finished = execute_experiment(prepare_or_refuse(config), people[-1], resumption=resumption)
+        return Executed(config, finished, people[-1].notices), people[-1]
+
+    yield execute_with
+    for person in people:
+        person.close()
+
+
+def steps(*words: str) -> str:
+    return f"operator_steps = [{', '.join(words)}]"
+
+
+@pytest.mark.parametrize(
+    ("rule", "runs"),
+    [
+        ("", "r_1 r_2 r_3 r_4"),
+        (", every=3", "r_1 r_4"),
+        (', when_changes="Task"', "r_1 r_2 r_3 r_4"),
+        (", first=True", "r_1"),
+        (', before={"Task": "Network"}', "r_2 r_4"),
+        (', before={"Task": ["Network", "Video"]}', "r_1 r_2 r_3 r_4"),
+        (", before=lambda run: run['Task'] == 'Video', first=True", "r_1"),
+        (", before=lambda run: run['Task'] == 'Network', every=2", "r_2 r_4"),
+    ],
+)
+def test_a_step_is_asked_for_before_the_runs_that_it_is_due_for(execute: Callable, rule: str, runs: str) -> None:
+    executed, person = execute(steps(f'OperatorStep("swap the battery"{rule})'))
+    assert person.asked == [("swap the battery", run) for run in runs.split()]
+    assert executed.finished.done_count == 4
+
+
+def test_a_step_for_a_changed_treatment_is_left_out_while_it_stays(execute: Callable) -> None:
+    table = TABLE.replace("repetitions=2", 'repetitions=2, blocks="Task"')
+    _, person = execute(steps('OperatorStep("mount the camera", when_changes=["Task"])'), table=table)
+    assert person.asked == [("mount the camera", "r_1"), ("mount the camera", "r_3")]
+
+
+def test_the_person_is_shown_the_next_run_what_is_left_and_how_long_it_takes(execute: Callable) -> None:
+    body = steps('OperatorStep("place the robot")') + "\ndef launch_mission(self, context): context.clock.sleep(0.1)"
+    executed, _ = execute(body)
+    first, second, *_ = [each for each in executed.notices if isinstance(each, WaitingForUser)]
+    assert (first.combination["Task"], first.repetition, first.runs_left) == ("Video", 1, 4)
+    assert (second.combination["Task"], second.runs_left) == ("Network", 3)
+    assert 0.3 < second.left.after(0.0) < 30
+    assert isinstance(executed.notices[1], WaitingForUser), "before anything of the first run"
+
+
+def test_an_answer_is_a_measure_of_its_run_and_a_note_stays_in_the_journal(execute: Callable) -> None:
+    body = f"""
+    {steps(f'OperatorStep("swap the battery", ask=[{VOLTAGE}, Question("remark", note=True, optional=True)])')}
+    def populate_run_data(self, context):
+        return {{"Energy": context.measures["voltage"] * 2}}
+    """
+    answers = {"r_1": "11.5\n\n", "r_2": "11.25\nit slipped\n", "r_3": "11\n\n", "r_4": "10.5\n\n"}
+    executed, _ = execute(body, lambda waiting: answers[waiting.run_id])
+    assert [row["voltage"] for row in executed.table] == ["11.5", "11.25", "11.0", "10.5"]
+    assert [row["Energy"] for row in executed.table] == ["23.0", "22.5", "22.0", "21.0"]
+    ends = executed.journal("attempt_finished")
+    assert ends[0]["measures"]["voltage"] == {"value": 11.5, "owner": "operator", "origin": "entered by hand"}
+    assert ends[0]["measures"]["Energy"]["origin"] == "measured", "what is computed from an answer was not entered"
+    assert executed.journal("operator_step")[1]["notes"] == {"remark": "it slipped"}
+    schema = (executed.folder / "run_table.schema.json").read_text(encoding="utf-8")
+    assert '"V"' in schema
+    assert '"entered by hand"' in schema
+
+
+@pytest.mark.parametrize("run_process", ["fork", "spawn", "in_process"])
+def test_every_kind_of_process_knows_the_answers(execute: Callable, run_process: str) -> None:
+    body = f"""
+    run_process = RunProcess.{run_process.upper()}
+    {steps(f'OperatorStep("swap the battery", ask=[{VOLTAGE}])')}
+    def populate_run_data(self, context): return {{"Energy": context.measures["voltage"]}}
+    """
+    executed, _ = execute(body, "11.5\n", Resumption(only=("r_1",)))
+    assert (executed.table[0]["voltage"], executed.table[0]["Energy"]) == ("11.5", "11.5")
+
+
+def test_a_bad_answer_is_asked_for_again_with_the_reason(execute: Callable) -> None:
+    place = 'Question("place", choices=["dock A", "dock B"])'
+    body = steps(f'OperatorStep("measure", first=True, ask=[{VOLTAGE}, {place}])')
+    executed, _ = execute(body, "much\n8\n14\nnan\n\n12\ndok a\nDOCK a\n", Resumption(only=("r_1",)))
+    refused = [str(each.findings[0]) for each in executed.notices if isinstance(each, AnswersRefused)]
+    limits = "Enter V, 9 to 13."
+    assert refused == [
+        f"voltage: 'much' is no number → {limits}",
+        f"voltage: 8 is below 9 V → {limits}",
+        f"voltage: 14 is above 13 V → {limits}",
+        f"voltage: 'nan' is not finite → {limits}",
+        f"voltage: nothing was entered → {limits}",
+        "place: 'dok a' is none of the choices → Did you mean 'dock A'?",
+    ]
+    assert (executed.table[0]["voltage"], executed.table[0]["place"]) == ("12.0", "dock A")
+
+
+def test_answers_from_another_terminal_are_validated_here_too(execute: Callable) -> None:
+    answers = iter([{"voltage": "99", "volts": "1"}, {"voltage": "12", "name": "Ada"}])
+    body = steps(f'OperatorStep("measure", ask=[{VOLTAGE}, Question("name")])')
+    executed, _ = execute(body, lambda _: next(answers), Resumption(only=("r_1",)))
+    refused = next(each.findings for each in executed.notices if isinstance(each, AnswersRefused))
+    assert [finding.problem for finding in refused] == [
+        "99 is above 13 V",
+        "nothing asks for this",
+        "there is no answer to this",
+    ]
+    assert (executed.table[0]["voltage"], executed.table[0]["name"]) == ("12.0", "Ada")
+
+
+def test_another_attempt_needs_what_each_attempt_needs_and_keeps_the_answers(execute: Callable) -> None:
+    body = f"""
+    attempts = 2
+    {steps('OperatorStep("place the robot")', f'OperatorStep("swap the battery", every=2, ask=[{VOLTAGE}])')}
+    def launch_mission(self, context): assert context.attempt == 2 or context.run_id != "r_1"
+    """
+    answers = {"place the robot": "\n", "swap the battery": "12\n"}
+    executed, person = execute(body, lambda waiting: answers[waiting.step], Resumption(only=("r_1", "r_2")))
+    place, swap = "place the robot", "swap the battery"
+    assert person.asked == [(place, "r_1"), (swap, "r_1"), (place, "r_1"), (place, "r_2")]
+    assert [row["voltage"] for row in executed.table][:2] == ["12.0", ""]
+    assert not any("voltage has no value" in str(finding) for finding in executed.finished.findings)
+
+
+def test_a_session_that_goes_on_asks_only_for_what_the_run_to_come_needs(execute: Callable) -> None:
+    body = steps(
+        f'OperatorStep("swap the battery", every=3, ask=[{VOLTAGE}])',
+        'OperatorStep("place the robot")',
+        'OperatorStep("level the floor", first=True)',
+        'OperatorStep("mount the camera", when_changes="Task")',
+    )
+    table = TABLE.replace("repetitions=2", 'repetitions=2, blocks="Task"')
+    answer = lambda waiting: "12\n" if waiting.questions else "\n"  # noqa: E731
+    _, first = execute(body, answer, Resumption(only=("r_1",)), table=table)
+    swap, place, floor, camera = "swap the battery", "place the robot", "level the floor", "mount the camera"
+    assert [step for step, _ in first.asked] == [swap, place, floor, camera]
+    executed, second = execute(body, answer, table=table)
+    assert second.asked == [(place, "r_2"), (place, "r_3"), (camera, "r_3"), (swap, "r_4"), (place, "r_4")]
+    assert [row["voltage"] for row in executed.table] == ["12.0", "", "", "12.0"]
+
+
+def test_an_answer_about_a_run_that_did_not_come_to_its_end_is_kept(execute: Callable, tmp_path: Path) -> None:
+    body = steps(f'OperatorStep("swap the battery", every=9, ask=[{VOLTAGE}])')
+    body += """
+def before_run(self, context):
+    import os, signal
+    if not (Path(__file__).parent / "again").exists(): os.kill(os.getpid(), signal.SIGINT)
+    """
+    interrupted, _ = execute(body, "12.5\n")
+    assert interrupted.finished.interrupted
+    (tmp_path / "again").touch()
+    executed, person = execute(body, "9\n")
+    assert person.asked == []
+    assert executed.table[0]["voltage"] == "12.5"
+    again, asked = execute(body, "9\n", Resumption(redo=("r_1",), only=("r_1",)))
+    assert asked.asked == []
+    assert again.table[0]["voltage"] == "", "a run that is executed again is another run"
+
+
+def test_an_interruption_ends_the_waiting_and_nothing_is_executed(execute: Callable) -> None:
+    body = steps('OperatorStep("wait")', 'OperatorStep("and again")')
+    executed, _ = execute(body, lambda _: os.kill(os.getpid(), signal.SIGINT))
+    assert executed.finished.interrupted
+    assert not any(isinstance(notice, AttemptStarted) for notice in executed.notices)
+    assert executed.journal("operator_step") == []
+
+
+def test_who_has_done_a_step_is_not_asked_again_whether_the_run_may_start(execute: Callable) -> None:
+    body = "operation_type = OperationType.SEMI\n" + steps('OperatorStep("swap the battery", every=2)')
+    _, person = execute(body)
+    assert person.asked == [("swap the battery", "r_1"), ("", "r_2"), ("swap the battery", "r_3"), ("", "r_4")]
+
+
+def test_a_factor_that_a_person_applies_counts_as_read(execute: Callable) -> None:
+    mission = "\ndef launch_mission(self): pass"
+    executed, _ = execute(steps('OperatorStep("mount it", when_changes="Task")') + mission)
+    assert executed.journal("attempt_finished")[0]["readers"] == {"Task": ["operator"]}
+    assert not any("no callback and no plugin looked at Task" in str(each) for each in executed.finished.findings)
+
+
+def test_a_condition_that_raises_later_names_step_and_run(execute: Callable) -> None:
+    body = """
+    tried = 0
+    def due(combination, seen=[]):
+        seen.append(1)
+        return 1 / (len(seen) < 6)
+    """ + steps('OperatorStep("mount it", before=due)')
+    with pytest.raises(ExecutionError) as ended:
+        execute(body)
+    assert ended.value.where == "operator step 'mount it', r_2"
+    assert "before raised ZeroDivisionError" in ended.value.problem

@@ -1,0 +1,202 @@
+"""The events of the orchestrating process: their deadlines, what `continue` is told and yields, and how it ended."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from robot_runner.analysis import load_results
+from robot_runner.core.errors import ExecutionError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+Execute = Callable[..., Any]
+
+PUBLISHING = """
+operation_type = OperationType.SEMI
+quality_columns = True
+def before_experiment(self): return True
+def continue_experiment(self, context):
+    context.publish("Energy", 4.5)
+    context.doubt("read from a sticker", measures=["Energy"])
+    return True
+"""
+TWO_RUNS = """\
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["Video", "Network"])], data_columns=["Energy"])
+"""
+
+
+def test_what_continue_publishes_is_a_measure_of_the_run_that_is_over(execute: Execute) -> None:
+    executed = execute(PUBLISHING, table=TWO_RUNS)
+    assert [row["Energy"] for row in executed.table] == ["4.5", ""]
+    assert executed.table[0]["Energy.quality"] == "doubtful: read from a sticker"
+    findings = [str(finding) for finding in executed.finished.findings]
+    assert not any("r_1, config: Energy has no value" in finding for finding in findings)
+    assert any("r_2, config: Energy has no value" in finding for finding in findings)
+    assert sum("r_1, config: read from a sticker" in finding for finding in findings) == 1
+    table = executed.folder / "run_table.csv"
+    written = table.read_text(encoding="utf-8")
+    table.unlink()
+    assert execute(PUBLISHING, table=TWO_RUNS).finished.done_count == 2
+    assert table.read_text(encoding="utf-8") == written, "the journal has it, and the time of the event"
+    published = load_results(executed.folder).published
+    assert published.loc[published["measure"] == "Energy", "value"].tolist() == [4.5]
+
+
+def test_what_continue_publishes_by_a_wrong_name_ends_the_experiment_and_is_kept(execute: Execute) -> None:
+    with pytest.raises(ExecutionError, match="measure 'Enrgy' was not declared"):
+        execute(PUBLISHING.replace('"Energy", 4.5', '"Enrgy", 4.5'), table=TWO_RUNS)
+
+
+def test_continue_is_told_of_the_run_that_is_over_and_of_the_next(execute: Execute, tmp_path: Path) -> None:
+    executed = execute(
+        """
+        operation_type = OperationType.SEMI
+        def before_experiment(self): return True
+        def continue_experiment(self, context):
+            following = context.next_run
+            with (Path(__file__).parent / "told.txt").open("a") as file:
+                task = following.combination["Task"]
+                print(context.run_id, following.run_id, following.run_number, task, following.repetition, file=file)
+            return True
+        """
+    )
+    told = (tmp_path / "told.txt").read_text(encoding="utf-8").splitlines()
+    assert told == ["r_1 r_2 2 Network 1", "r_2 r_3 3 Video 2", "r_3 r_4 4 Network 2"]
+    readers = [end["readers"] for end in executed.journal("attempt_finished")]
+    assert readers == [{}, {"Task": ["config"]}, {"Task": ["config"]}, {"Task": ["config"]}]
+
+
+@pytest.mark.parametrize("event", ["before_experiment", "after_experiment"])
+def test_an_event_of_the_experiment_that_takes_too_long_ends_it_and_is_named(execute: Execute, event: str) -> None:
+    started = time.monotonic()
+    with pytest.raises(ExecutionError) as ended:
+        execute(f"def {event}(self): __import__('time').sleep(60)", event_deadline_in_s=0.3)
+    assert time.monotonic() - started < 30
+    assert ended.value.where == f"{event} of config"
+    assert ended.value.problem == "the event took longer than event_deadline_in_s = 0.3 s"
+
+
+def test_before_run_that_takes_too_long_fails_its_run_and_the_others_are_executed(execute: Execute) -> None:
+    executed = execute(
+        """
+        def before_run(self, context):
+            while context.run_id == "r_2":
+                try: context.clock.sleep(0.01)
+                except Exception: pass  # as a callback does that looks again and again
+        """,
+        event_deadline_in_s=0.4,
+    )
+    assert [row["status"] for row in executed.table] == ["Done", "Failed", "Done", "Done"]
+    reason = "before_run of config: the event took longer than event_deadline_in_s = 0.4 s"
+    assert executed.finished.failures == (f"r_2: {reason}",)
+
+
+def test_continue_that_takes_too_long_ends_the_experiment_and_is_named(execute: Execute) -> None:
+    with pytest.raises(ExecutionError) as ended:
+        execute(
+            """
+            operation_type = OperationType.SEMI
+            def before_experiment(self): return True
+            def continue_experiment(self, context): input_that_never_comes = __import__("threading").Event().wait()
+            """,
+            event_deadline_in_s=0.3,
+        )
+    assert ended.value.where == "continue of config"
+
+
+def test_a_callback_that_swallows_everything_is_ended_after_the_grace(execute: Execute) -> None:
+    executed = execute(
+        """
+        caught = 0
+        def before_run(self, context):
+            while self.caught < 1:
+                try: context.clock.sleep(60)
+                except BaseException: self.caught += 1
+            context.clock.sleep(60)
+        """,
+        event_deadline_in_s=0.2,
+        grace_in_s=1.0,
+        on_failure="stop",
+    )
+    assert "event_deadline_in_s" in executed.finished.failures[0]
+
+
+def test_a_callback_that_hangs_in_c_ends_the_orchestrator_and_the_experiment_resumes(
+    write_config: Callable[..., Path], program: str, tmp_path: Path
+) -> None:
+    hanging = """
+    event_deadline_in_s = 0.3
+    grace_in_s = 0.1
+    def before_run(self, context):
+        import hashlib
+        if context.run_id == "r_2" and not (Path(__file__).parent / "mended").exists():
+            hashlib.pbkdf2_hmac("sha512", b"", b"", 1_000_000_000)
+    """
+    write_config(hanging)
+    killed = subprocess.run(
+        [program, "run", "config.py"], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert killed.returncode == -9
+    assert "error: before_run of config: the event took longer than event_deadline_in_s = 0.3 s" in killed.stderr
+    (tmp_path / "mended").touch()
+    resumed = subprocess.run(
+        [program, "run", "config.py"], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert (resumed.returncode, "3 runs" not in resumed.stdout) == (0, True), resumed.stderr
+    assert "1 of them done before" in resumed.stdout
+
+
+def test_before_and_after_experiment_that_both_raise_are_both_told(execute: Execute) -> None:
+    with pytest.raises(ExecutionError) as ended:
+        execute(
+            """
+            def before_experiment(self): raise ValueError("no robot")
+            def after_experiment(self): raise ValueError("no lamp either")
+            """
+        )
+    assert [(each.where, each.problem) for each in ended.value.findings] == [
+        ("before_experiment of config", "ValueError: no robot"),
+        ("after_experiment of config", "ValueError: no lamp either"),
+    ]
+
+
+ENDING = """
+def after_experiment(self, context):
+    import json
+    told = context.ended
+    facts = {name: getattr(told, name) for name in ("done", "failed", "todo", "is_interrupted", "failure")}
+    facts |= {"is_complete": told.is_complete, "failures": list(told.failures), "findings": len(told.findings)}
+    (Path(__file__).parent / "ended.json").write_text(json.dumps(facts))
+"""
+
+
+def test_after_experiment_is_told_how_it_ended(execute: Execute, tmp_path: Path) -> None:
+    execute(f"{ENDING}\ndef launch_mission(self, context): assert context.run_id != 'r_3', 'the lamp is off'")
+    told = json.loads((tmp_path / "ended.json").read_text(encoding="utf-8"))
+    findings = told.pop("findings")
+    assert findings > 0
+    assert told == {
+        "done": 3,
+        "failed": 1,
+        "todo": 0,
+        "is_interrupted": False,
+        "is_complete": False,
+        "failure": "",
+        "failures": ["r_3: launch_mission of config: AssertionError: the lamp is off"],
+    }
+
+
+def test_after_experiment_is_told_what_ended_it_before_its_time(execute: Execute, tmp_path: Path) -> None:
+    with pytest.raises(ExecutionError):
+        execute(f"{ENDING}\ndef before_experiment(self): raise ValueError('no robot')")
+    told = json.loads((tmp_path / "ended.json").read_text(encoding="utf-8"))
+    assert "before_experiment of config: ValueError: no robot" in told["failure"]
+    assert (told["done"], told["todo"]) == (0, 4)
