@@ -32,6 +32,7 @@ from robot_runner.core.execution.notices import (
     PreparationStarted,
     ProbeStarted,
     QuestionAsked,
+    RunRecord,
     WaitingForUser,
 )
 from robot_runner.core.execution.task import AttemptStatus
@@ -335,6 +336,8 @@ class PlainScreen:
                 self._console.file.flush()
             case AnswersRefused():
                 self._print(*refusals(notice))
+            case RunRecord(run_id, "asked", fields):
+                self._print(f"{run_id} waits until a person says that {fields['step']}: {fields['command']}")
             case GateWaiting() | GatePassed():
                 self._tell_of_gate(notice)
 

@@ -1,4 +1,4 @@
-"""What a run that has ended shows about itself, and about those that follow."""
+"""What the outcomes of runs show: values that are missing, and factors that nothing reads."""
 
 from __future__ import annotations
 
@@ -19,11 +19,7 @@ __all__ = ["UnreadFactors", "missing_measures"]
 
 
 class UnreadFactors:
-    """The factors that no callback and no plugin has looked at in any run that was done.
-
-    Args:
-        experiment: what is executed.
-    """
+    """The factors that vary and that no run has read so far."""
 
     def __init__(self, experiment: Experiment) -> None:
         self._experiment = experiment
@@ -31,13 +27,13 @@ class UnreadFactors:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """A finding for each of them."""
+        """A warning for each of them, once a run is done."""
         return tuple((self._unread or {}).values())
 
-    def look(self, task: RunTask, outcome: RunOutcome) -> tuple[Finding, ...]:
+    def take(self, task: RunTask, outcome: RunOutcome) -> tuple[Finding, ...]:
         """Return what nobody read in the first run that is done; what a later run reads is not told at the end."""
-        if not any(map(self._experiment.events.subscribers, (RobotRunnerEvents.BEFORE_RUN, *RUN_EVENTS))):
-            return ()  # a plan that is still to be filled: nothing happens in a run that could be misread
+        if outcome.status is not AttemptStatus.DONE or not self._has_callbacks():
+            return ()
         if self._unread is None:
             varied = [factor.name for factor in self._experiment.model.factors if len(factor.treatments) > 1]
             # A factor of that name counts repetitions, as in the paper's Listing 1.
@@ -46,23 +42,27 @@ class UnreadFactors:
                 for name in varied
                 if name not in outcome.readers and name.casefold() != REPETITION.casefold()
             }
-            return self.findings
+            return tuple(self._unread.values())
         for name in outcome.readers:
             self._unread.pop(name, None)
         return ()
 
+    def _has_callbacks(self) -> bool:
+        """Return whether anything happens in a run: a plan that is still to be filled cannot be misread."""
+        return any(map(self._experiment.events.subscribers, (RobotRunnerEvents.BEFORE_RUN, *RUN_EVENTS)))
+
 
 def missing_measures(experiment: Experiment, task: RunTask, outcome: RunOutcome) -> list[Finding]:
-    """Return a warning for each column of the run table in which a run that is done has no value."""
+    """Return a warning for each measure of a run that is done and has no value of it."""
     if outcome.status is not AttemptStatus.DONE:
         return []
     return [
-        Finding.warning(f"{task.run_id}, {column.owner}", f"{column.name} has no value", _missing_fix(column.owner))
+        Finding.warning(f"{task.run_id}, {column.owner}", f"{column.name} has no value", _fix(column.owner))
         for column in experiment.columns.in_table
         if column.owner != OPERATOR_OWNER  # a person is asked before some runs only
         if outcome.measures.get(column.name) is None or outcome.measures[column.name].value is None
     ]
 
 
-def _missing_fix(owner: str) -> str:
+def _fix(owner: str) -> str:
     return "Return it from populate_run_data." if owner == "config" else "Look at the log of the run."
