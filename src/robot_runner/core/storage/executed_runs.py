@@ -28,7 +28,7 @@ def done_runs(journal: Path) -> set[str]:
 def executed_order(journal: Path) -> list[str]:
     """Return the ids of the runs that were begun, in the order in which the last attempt at each was.
 
-    Warm-up runs are left out: they may be executed again in each session.
+    Warm-up runs are passed over: they come before each session, whatever the table's order.
 
     Raises:
         StorageError: the journal cannot be read.
