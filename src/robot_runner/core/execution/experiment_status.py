@@ -166,7 +166,6 @@ def read_status(folder: Path) -> ExperimentStatus:
         order=moved_in_words(moved_runs(list(statuses), history.executed), history.executed),
         gate=history.gate if holder else None,
         gate_seconds=history.gate_seconds,
-        waiting_for=history.waiting_for if holder else None,
     )
 
 
