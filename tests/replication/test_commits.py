@@ -59,6 +59,12 @@ def test_commits_are_told_by_the_folder_and_by_its_package(robot_runner, reposit
     (diff,) = (unpacked / "config").glob("uncommitted-*.diff")
     assert "+password" in diff.read_text()
     assert "hunter22" not in diff.read_text()
+    repository.git("checkout", "--quiet", "--", "planner.sh")
+    repository.commit("newer")
+    answer = robot_runner("replicate", package, "--to", tmp_path / "replicated", "--yes")
+    again = tmp_path / "replicated/versions/runs/r_2/Planner/stdout.txt"
+    assert again.read_text().startswith("new plans"), answer.out + answer.err
+
     crate = json.loads((unpacked / "ro-crate-metadata.json").read_text())["@graph"]
     sources = {each["version"][:12] for each in crate if each["@type"] == "SoftwareSourceCode"}
     assert sources == {old, new}

@@ -1,4 +1,4 @@
-"""Compose projects under test. Docker's daemon needs rights that tests have not: a stand-in for `docker` answers as it does.
+"""Compose projects under test. Docker's daemon needs rights that tests have not: a stand-in answers as `docker` does.
 
 What it keeps of a container is a file, so that it is seen which are left; a container outlives its client.
 """
@@ -103,7 +103,8 @@ def test_a_project_comes_up_with_the_treatments_and_is_taken_down(
 def test_a_container_that_ends_fails_the_run_and_the_rest_is_taken_down(
     execute: Callable[..., Executed], docker: Path
 ) -> None:
-    mission = f"def launch_mission(self, context):\n    Path({str(docker / 'state/crash')!r}).touch()\n    context.clock.sleep(60)"
+    crash = str(docker / "state/crash")
+    mission = f"def launch_mission(self, context):\n    Path({crash!r}).touch()\n    context.clock.sleep(60)"
     done = execute(body_of(docker, mission))
     assert (
         "Nav has died: exit code 7; it wrote last: planner-1  | plans with dwa | planner-1 exited"

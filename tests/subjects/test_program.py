@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import signal
 import subprocess
+import sys
 import time
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.command_line import PROGRAM
 from tests.conftest import HEAD, written_config
 from tests.core.execution.conftest import Executed, execute_in
+from tests.loopback_port import claim_port
 from tests.subjects.conftest import alive, gone
 
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import PluginError
 from robot_runner.plugins.systems import Program
+from robot_runner.subjects import supervisor
 from robot_runner.testing import SystemContract
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from robot_runner.core.events.context import RobotRunnerContext
 
@@ -34,9 +38,10 @@ TWO_RUNS = (
 )
 #: Two factors, bound to a word, to a part of a word, and to a variable.
 BOUND = """
+SCRIPT = 'echo "$0 $1 $SPEED"; echo ready; exec sleep 100'
 plugins = [
     Program(
-        ["sh", "-c", 'echo "$0 $1 $SPEED"; echo ready; exec sleep 100', treatment("Algorithm"), ["--speed=", treatment("Speed")]],
+        ["sh", "-c", SCRIPT, treatment("Algorithm"), ["--speed=", treatment("Speed")]],
         name="Planner", environment={"SPEED": treatment("Speed")}, ready="ready",
     )
 ]
@@ -126,6 +131,26 @@ def test_what_is_not_ready_in_time_or_dies_before_fails_its_run(execute: Callabl
     assert "Program has died: SIGSEGV ended it" in done.finished.failures[0]
 
 
+@pytest.mark.parametrize("robot", [None, "simulated"])
+def test_it_is_ready_once_a_condition_holds_in_real_time_whatever_clock_the_robot_has(
+    execute: Callable[..., Executed], robot: str | None
+) -> None:
+    port = claim_port()
+    serve = f"import http.server as s; s.test(s.SimpleHTTPRequestHandler, port={port}, bind='127.0.0.1')"
+    command = [sys.executable, "-u", "-c", f"import time; time.sleep(1); print('up'); {serve}"]
+    body = f"""
+    robot = {robot!r}
+    plugins = [
+        Program({command!r}, name="Server", ready=all_of(port_open({port}), text_in("Server/stdout.txt", "up")))
+    ]
+    """
+    done = execute(body)
+    assert done.finished.failures == ()
+    assert 1 < float(done.table[0]["Startup_time"]) < 40
+    (waited,) = done.journal("waited")
+    assert (waited["owner"], waited["holds"]) == ("Server", True) if "owner" in waited else waited["holds"]
+
+
 @pytest.mark.parametrize("process", ["FORK", "SPAWN"])
 def test_a_subject_of_the_experiment_is_started_once_and_told_of_in_each_run(
     execute: Callable[..., Executed], rude_tree: Callable[..., list[str]], token: str, process: str
@@ -203,8 +228,8 @@ def test_nobody_is_left_when_the_orchestrator_is_killed(
 def test_what_cannot_be_is_found_with_each_treatment_before_anything_moves(tmp_path: Path) -> None:
     missing = findings(tmp_path, "plugins = [Program([treatment('Algorithm'), treatment('Speed')])]")
     assert missing == [
-        f"plugin Program: with Algorithm = {name}, Speed = 0.1; Algorithm = {name}, Speed = 0.2: the program '{name}' is "
-        "not there → Install it, or give its full path."
+        f"plugin Program: with Algorithm = {name}, Speed = 0.1; Algorithm = {name}, Speed = 0.2: "
+        f"the program '{name}' is not there → Install it, or give its full path."
         for name in ("dwa", "teb")
     ]
     once = findings(tmp_path, "plugins = [Program(['sleep', treatment('Speed')], per='experiment')]")
@@ -223,6 +248,8 @@ def test_what_cannot_be_is_found_with_each_treatment_before_anything_moves(tmp_p
         ({"command": ["planner", object]}, "Give texts, numbers or paths."),
         ({"command": ["planner"], "per": "experimnt"}, "Did you mean 'experiment'?"),
         ({"command": ["planner"], "grace_s": 0}, "Give grace_s a number of seconds above 0."),
+        ({"command": ["planner"], "stop_signal": "sigint"}, "Did you mean 'SIGINT'?"),
+        ({"command": ["planner"], "environment": ["A=b"]}, "Give a mapping"),
         ({"command": ["planner"], "ready": 8080}, "Give a condition"),
         ({"command": ["planner"], "host": "-oProxyCommand=x"}, "Name it as for ssh"),
         ({"command": ["planner"], "ssh_config": "x"}, "Leave ssh_config out."),
@@ -232,6 +259,10 @@ def test_a_parameter_that_cannot_be_is_refused(wrong: dict[str, Any], fix: str) 
     with pytest.raises(PluginError) as caught:
         Program(**wrong)
     assert caught.value.fix.startswith(fix)
+
+
+def test_the_supervisor_that_is_sent_to_other_computers_is_python_of_theirs() -> None:
+    ast.parse(Path(supervisor.__file__).read_text(encoding="utf-8"), feature_version=(3, 6))
 
 
 def test_a_setup_file_is_sourced_first(execute: Callable[..., Executed], tmp_path: Path) -> None:

@@ -91,8 +91,8 @@ def test_a_branch_keeps_its_commit_while_the_experiment_goes_on(
     prepared = prepare(first.config)
     (moved,) = [finding.problem for finding in prepared.findings]
     assert moved == (
-        f"'main' is {repository.commit_of('main')[:12]} now, and was {before[:12]} when the experiment began, with which it "
-        "goes on"
+        f"'main' is {repository.commit_of('main')[:12]} now, and was {before[:12]} when the experiment began, "
+        "with which it goes on"
     )
     (first.folder / "manifest.json").unlink()  # the journal knows it as well
     resumed = execute(body=body, table=table(repository.folder))
@@ -130,7 +130,7 @@ def test_a_build_that_fails_refuses_the_experiment_with_its_last_lines(
 def test_a_program_that_the_build_did_not_make_is_found_before_the_first_run(
     execute: Callable[..., Executed], repository: Repository
 ) -> None:
-    with pytest.raises(ExecutionError, match="the program './planner' is not there"):
+    with pytest.raises(ExecutionError, match=r"the program '\./planner' is not there"):
         execute(table=table(repository.folder, build="true"))
 
 

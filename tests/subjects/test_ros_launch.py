@@ -1,4 +1,4 @@
-"""Launch files under test: the real roslaunch of ROS 1, and a stand-in for `ros2 launch`, which answers as that does."""
+"""Launch files under test: the real roslaunch of ROS 1, and a stand-in for `ros2 launch` that answers as it does."""
 
 from __future__ import annotations
 
@@ -53,7 +53,8 @@ ROS2 = """\
 case "$*" in
     *no_package*) echo "Package 'no_package' not found: \\"package 'no_package' not found\\"" >&2; exit 1;;
     *--show-args*)
-        printf "Arguments (pass arguments as '<name>:=<value>'):\\n\\n    'planner':\\n        Which one.\\n        (default: 'dwa')\\n\\n"
+        printf "Arguments (pass arguments as '<name>:=<value>'):\\n\\n"
+        printf "    'planner':\\n        Which one.\\n        (default: 'dwa')\\n\\n"
         printf "    'rviz':\\n        no description given\\n"; exit 0;;
 esac
 echo "[INFO] [launch]: All log files can be found below $ROS_LOG_DIR"

@@ -41,7 +41,11 @@ def test_the_treatments_reach_a_program_over_there_and_its_output_comes_here(
     body = f"""
     plugins = [
         Program(
-            [*{command!r}, treatment("Algorithm")], name="Nav", host="robot", ssh_config={str(server.config)!r}, ready="it's me",
+            [*{command!r}, treatment("Algorithm")],
+            name="Nav",
+            host="robot",
+            ssh_config={str(server.config)!r},
+            ready="it's me",
             folder={str(tmp_path / "over there")!r}, environment={{"WHO": "it's me"}},
         )
     ]
@@ -59,7 +63,11 @@ def test_the_treatments_reach_a_program_over_there_and_its_output_comes_here(
 def test_a_death_over_there_fails_the_run_at_once(execute: Callable[..., Executed], server: SshServer) -> None:
     body = f"""
     plugins = [
-        Program(["sh", "-c", "sleep 0.5; echo bad wheel >&2; kill -ABRT $$"], host="robot", ssh_config={str(server.config)!r})
+        Program(
+            ["sh", "-c", "sleep 0.5; echo bad wheel >&2; kill -ABRT $$"],
+            host="robot",
+            ssh_config={str(server.config)!r},
+        )
     ]
 
     def launch_mission(self, context):

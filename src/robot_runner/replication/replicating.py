@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.config.checks import runs_listed_in
 from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.experiment import grown_model
+from robot_runner.core.config.treatment_makers import known_treatments
 from robot_runner.core.design.batches import EXTENDED, records_of
 from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.recovery import table_differences
@@ -236,6 +237,7 @@ def _facts(files: ExperimentFolder, manifest: Mapping[str, Any], deviations: Map
         "sha256": digest,
         "seed": manifest.get("seed"),
         "deviations": dict(deviations),
+        "treatments": known_treatments(files),  # a branch may mean another commit by now
     }
 
 

@@ -93,7 +93,7 @@ class Subject(System):
         )
         self.ready = ready
         self.ready_timeout_s = ready_timeout_s
-        self.stop_signal = signal.Signals(stop_signal)
+        self.stop_signal = _signal(self.name, stop_signal)
         self.grace_s = grace_s
         started = Measure("Startup_time", "s", f"From the start of {self.name} until it was ready.")
         self.measures: Sequence[Measure] = (started,) if per == "run" else ()
@@ -291,6 +291,15 @@ class Subject(System):
             "startup_s": round(self._startup_time or 0.0, 3),
             **self.surroundings.facts(),
         }
+
+
+def _signal(plugin: str, wanted: object) -> signal.Signals:
+    """Return a signal that a config names."""
+    for each in signal.Signals:
+        if wanted == each:
+            return each
+    fix = did_you_mean(str(wanted).upper(), [each.name for each in signal.Signals])
+    raise PluginError(f"stop_signal is {wanted!r}, which is none of the module `signal`", where=plugin, fix=fix)
 
 
 def _numbered(folder: Path) -> list[Path]:

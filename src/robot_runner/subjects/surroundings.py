@@ -6,6 +6,7 @@ import os
 import shlex
 import shutil
 import subprocess
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -18,7 +19,7 @@ from robot_runner.core.storage.git_repository import repository_state
 from robot_runner.subjects.supervised_program import shell_words
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
 __all__ = ["Answer", "Surroundings", "is_known", "word"]
 
@@ -76,6 +77,9 @@ class Surroundings:
         if folder is not None and not isinstance(folder, str | os.PathLike):
             fix = "Give a path, or bind it to Factor.revisions(...)."
             raise PluginError(f"folder is {folder!r}", where=plugin, fix=fix)
+        if not isinstance(environment, Mapping):
+            fix = "Give a mapping: {'NAME': value}."
+            raise PluginError(f"environment is {environment!r}", where=plugin, fix=fix)
         host = None if host == LOCAL else host
         try:
             checked_destination(host or LOCAL)
@@ -129,9 +133,11 @@ class Surroundings:
         if self.setup is not None:
             test = f"{self._entered()}test -f {shlex.quote(self.setup)}"
             tests.append((f"there is no file {self.setup!r} to source", test, "Build the workspace there."))
-        for problem, test, fix in tests:
-            if self._over_there(f"{test} >/dev/null").code != 0:
-                yield Finding.error(where, f"{self.host}: {problem}", fix)
+        # All at once: each connection takes its time.
+        script = "; ".join(f"({test}) >/dev/null 2>&1 || echo {place}" for place, (_, test, _) in enumerate(tests))
+        for place in map(int, self._over_there(script).said.split()):
+            problem, _, fix = tests[place]
+            yield Finding.error(where, f"{self.host}: {problem}", fix)
 
     def ask(self, words: Sequence[str]) -> Answer:
         """Have a program answer a question, in these surroundings."""

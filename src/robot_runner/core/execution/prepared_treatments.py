@@ -27,7 +27,7 @@ def prepared_treatments(
 
     Args:
         experiment: whose they are; its treatments are changed in place.
-        known: the facts that this returned when the experiment first began.
+        known: the facts that this returned when the experiment first began; a replication begins with the original's.
         interruption: the user's; it ends the making.
         tell: says on the screen what is being made.
 
@@ -35,6 +35,7 @@ def prepared_treatments(
         RobotRunnerError: one cannot be made, or a plugin cannot do with what was made.
         KeyboardInterrupt: the user has interrupted it.
     """
+    known = known or (experiment.replication or {}).get("treatments", {})
     workshop = Workshop(experiment.folder.revisions, lambda: interruption.is_requested, tell)
     made = made_treatments(experiment.model.factors, known, workshop)
     if made:
