@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from robot_runner.conditions.network_answers import port_open as port_open
     from robot_runner.conditions.outputs import file_complete as file_complete
     from robot_runner.conditions.outputs import text_in as text_in
+    from robot_runner.conditions.person import confirmed as confirmed
     from robot_runner.conditions.topic_messages import battery_above as battery_above
     from robot_runner.conditions.topic_messages import battery_below as battery_below
     from robot_runner.conditions.topic_messages import message_on as message_on
@@ -49,13 +50,18 @@ if TYPE_CHECKING:
     from robot_runner.core.config.parameters import RunProcess as RunProcess
     from robot_runner.core.design.analysis_plan import AnalysisPlan as AnalysisPlan
     from robot_runner.core.design.analysis_plan import Correction as Correction
+    from robot_runner.core.design.analysis_plan import Estimand as Estimand
+    from robot_runner.core.design.analysis_plan import Family as Family
     from robot_runner.core.design.analysis_plan import Hypothesis as Hypothesis
+    from robot_runner.core.design.analysis_plan import Statistic as Statistic
     from robot_runner.core.design.factor import Factor as Factor
     from robot_runner.core.design.run_table_model import RunTableModel as RunTableModel
     from robot_runner.core.design.warm_up import WarmUp as WarmUp
     from robot_runner.core.errors import CommandError as CommandError
     from robot_runner.core.errors import ConditionError as ConditionError
     from robot_runner.core.errors import ConditionTimeout as ConditionTimeout
+    from robot_runner.core.errors import ConfigError as ConfigError
+    from robot_runner.core.errors import ExecutionError as ExecutionError
     from robot_runner.core.errors import RobotRunnerError as RobotRunnerError
     from robot_runner.core.events.condition import Condition as Condition
     from robot_runner.core.events.condition import Look as Look
@@ -68,6 +74,8 @@ if TYPE_CHECKING:
     from robot_runner.core.events.measure import Origin as Origin
     from robot_runner.core.events.outlook import ExperimentEnd as ExperimentEnd
     from robot_runner.core.events.outlook import NextRun as NextRun
+    from robot_runner.core.execution.from_python import ExperimentResults as ExperimentResults
+    from robot_runner.core.execution.from_python import run_experiment as run_experiment
     from robot_runner.core.links.declared_host import Host as Host
     from robot_runner.core.links.declared_host import Reboot as Reboot
     from robot_runner.core.treatments import treatment as treatment

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-CORE = ["demo", "new", "check", "plan", "run", "status", "pause", "continue", "exclude", "include", "plugins", "try"]
+CORE = [
+    *("demo", "new", "check", "plan", "smoke", "run", "status"),
+    *("pause", "continue", "exclude", "include", "plugins", "try"),
+]
 LIBRARIES = {
     "analysis": ["pandas", "scipy", "numpy", "matplotlib"],
     "simulator": ["mujoco", "numpy"],

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 STEPS = """\
 operator_steps = [
@@ -61,7 +62,7 @@ def test_steps_are_shown_and_answers_typed_without_disturbing_the_live_screen(
     shown.child.sendline("")
     shown.wait_for(r"launch_mission")
     shown.wait_for("Next is r_2, run 2 of 2: Task=Network")
-    shown.wait_for("1 run left, about")
+    shown.wait_for("1 run, (about|at least) ")
     shown.wait_for("Press ENTER when it is done")
     shown.child.sendline("")
     assert shown.finish() == 0
@@ -81,16 +82,19 @@ def test_on_plain_lines_and_from_another_terminal(
     ) as running:
         assert running.stdout is not None
         said = []
-        for line in running.stdout:
-            said.append(line.rstrip())
-            if line.startswith("Waiting before run 1 of 2") and "--answer" in line:
-                self_told = json.loads(call(program, tmp_path, "status", "results/trial", "--json").stdout)
-                told = call(program, tmp_path, "status", "results/trial").stdout
-                bad = call(program, tmp_path, "continue", "config.py", "--answer", "voltag=11", "--answer", "x")
-                call(program, tmp_path, "continue", "config.py", "--answer", "voltage=11.8")
-            elif line.startswith("Waiting before run"):
-                last = call(program, tmp_path, "continue", "config.py")
-        assert running.wait(timeout=60) == 0
+        try:
+            for line in running.stdout:
+                said.append(line.rstrip())
+                if line.startswith("Waiting before run 1 of 2") and "--answer" in line:
+                    self_told = json.loads(call(program, tmp_path, "status", "results/trial", "--json").stdout)
+                    told = call(program, tmp_path, "status", "results/trial").stdout
+                    bad = call(program, tmp_path, "continue", "config.py", "--answer", "voltag=11", "--answer", "x")
+                    assert call(program, tmp_path, "continue", "config.py", "--answer", "voltage=11.8").returncode == 0
+                elif line.startswith("Waiting before run"):
+                    last = call(program, tmp_path, "continue", "config.py")
+            assert running.wait(timeout=60) == 0
+        finally:
+            running.kill()
     assert self_told["waiting_for"]["step"] == "swap the battery"
     assert "swap the battery, before r_1; then tell voltage (V, 9 to 13), remark (may be left empty)" in told
     assert "robot-runner continue results/trial --answer voltage=..." in told
@@ -105,3 +109,25 @@ def test_on_plain_lines_and_from_another_terminal(
         "To do: swap the battery",
         "Waiting before run 1 of 2. To go on: robot-runner continue results/trial --answer voltage=...",
     ]
+
+
+def test_the_config_of_the_page_is_executed(terminal: Callable, tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "operator.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    (tmp_path / "two_floors.py").write_text(block, encoding="utf-8")
+    shown = terminal("run", "two_floors.py", "--only", "r_1", lines=60)
+    for asked, said in (
+        ("charge the camera", ""),
+        (r"voltage \(V, 9 to 13\): ", "118"),
+        ("118 is above 13 V.*voltage", "11.8"),
+        ("lay the floor", ""),
+        (r"dock \(A or B\): ", "b"),
+        (r"remark \(may be left empty\): ", "it stood askew"),
+    ):
+        shown.wait_for(asked)
+        if not asked.endswith(": "):
+            shown.wait_for("Press ENTER|: ")
+        shown.child.sendline(said)
+    assert shown.finish() == 0
+    row = next(line.split() for line in shown.text.splitlines() if line.startswith("  r_1"))
+    assert row[:6] == ["r_1", "wood", "1", "23.60", "11.80", "B"]

@@ -108,7 +108,7 @@ def test_what_is_inside_and_outside_lets_both_times_go_by(tmp_path: Path) -> Non
     ("condition", "problem"),
     [
         (all_of(temperature_below(40), temperature_above(50)), "never are both true"),
-        (all_of(load_above(30).held_for(5), all_of(load_below(80), load_above(90))), "never are both true"),
+        (all_of(load_above(90).held_for(5), all_of(load_below(80), load_above(10)).held_for(1)), "never are both true"),
         (battery_above(100), "is never above 100 %"),
         (load_below(0).held_for(3), "is never below 0 %"),
         (temperature_below(-100), "is never below -100 °C"),

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.core.execution.conftest import execute_in
 
+from robot_runner.replication.explanation import explain_run
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -63,6 +65,8 @@ def test_a_run_is_marked_and_goes_on(tmp_path: Path) -> None:
     assert "doubts" not in second["measures"]["Energy"]
     (record,) = executed.journal("guard")
     assert (record["run"], record["action"]) == ("r_1", "mark")
+    told = [text for label, text in explain_run(executed.folder, "r_1").facts if label == "Guard"]
+    assert told == [f"mark: {doubt}"]
     assert "finished 1" in executed.log("r_1")
     assert "threads []" in executed.log("r_1")
     assert threading.active_count() == 1

@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.analysis.report.agreement import disagreements
 
+from robot_runner.analysis.report.writing import ReportFormat, write_report
 from robot_runner.cli.main import main
 
 if TYPE_CHECKING:
@@ -76,6 +78,8 @@ def executed(
         assert code == 0, said
         assert said.err == ""
         assert "  ! " not in said.out, "nothing looks odd"
+        written = write_report(tmp_path / name, ReportFormat.JSON, output=tmp_path / "out")
+        assert disagreements(json.loads(written.document.read_text(encoding="utf-8"))) == []
         return tmp_path / name
 
     return execute

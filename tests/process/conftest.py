@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 import uuid
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -131,11 +132,17 @@ def start(write_config: Callable[..., Path], request: pytest.FixtureRequest) -> 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Say how many faults were injected, and how many of these were not survived."""
     injected = lost = 0
+    by_whom: Counter[str] = Counter()
     for outcome in ("passed", "failed"):
         for report in terminalreporter.stats.get(outcome, []):
-            faults = sum(count for name, count in getattr(report, "user_properties", ()) if name == "faults")
             if report.when == "call":
-                injected += faults
-                lost += faults if outcome == "failed" else 0
+                counts = Counter[str]()
+                for name, count in getattr(report, "user_properties", ()):
+                    counts[name] += count if name.startswith("faults") else 0
+                injected += counts["faults"]
+                lost += counts["faults"] if outcome == "failed" else 0
+                by_whom += Counter({name: count for name, count in counts.items() if name != "faults"})
     if injected:
         terminalreporter.write_line(f"{injected} faults injected, {lost} not survived")
+    for name, count in by_whom.most_common():
+        terminalreporter.write_line(f"  {name.removeprefix('faults ')}: {count}")

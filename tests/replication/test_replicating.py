@@ -224,3 +224,19 @@ def test_an_experiment_that_was_extended_is_executed_again_with_its_batches(tmp_
     (again / "run_table.csv").unlink()
     execute_experiment(prepare_replication(original, target, {}).experiment, SilentObserver())
     assert _runs(again) == _runs(original)
+
+
+def test_a_run_in_an_interpreter_of_its_own_writes_into_the_replication_and_knows_added_treatments(tmp_path):
+    config = tmp_path / "study.py"
+    body = GROWING.replace("import ExperimentConfig", "import ExperimentConfig, RunProcess")
+    spawned = '    results_output_path = "results"\n    run_process = RunProcess.SPAWN\n'
+    told = '    def launch_mission(self, context):\n        (context.run_folder / "task").write_text(context.combination["Task"])\n'
+    config.write_text(body.replace('    results_output_path = "results"\n', spawned) + told, encoding="utf-8")
+    original = execute(config)
+    request = ExtensionRequest(added=Additions(treatments={"Task": ["Audio"]}), seed=3)
+    extend_experiment(prepare(config, is_for_here=False).experiment, request)
+    execute(config)
+    before = _written_at(original)
+    _replicate(original, tmp_path / "again")
+    assert _written_at(original) == before
+    assert (tmp_path / "again" / "growing" / "runs" / "r_3" / "task").read_text("utf-8") == "Audio"

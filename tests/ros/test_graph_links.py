@@ -8,7 +8,8 @@ from types import ModuleType
 import pytest
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.events.context import Resources, SystemClock
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.resources import Resources
 from robot_runner.core.links.connect import link_findings, lives_by_simulation, open_clock
 from robot_runner.core.links.robot import RobotName
 from robot_runner.ros import graph_links

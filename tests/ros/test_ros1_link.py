@@ -17,7 +17,8 @@ from tests.loopback_port import claim_port
 from tests.ros.ros1_master import quiet_about_rospy, ros1_environment, ros1_master
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.events.context import Resources, SystemClock
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.resources import Resources
 from robot_runner.core.links.connect import open_clock
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros import ros1_node as node

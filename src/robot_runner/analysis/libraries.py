@@ -9,7 +9,7 @@ from robot_runner.core.errors import AnalysisError
 __all__ = ["MissingLibraryError", "require_libraries"]
 
 #: The packages by the names under which they are imported.
-_NEEDED = ("numpy", "pandas", "pint", "pyarrow", "scipy", "statsmodels", "scikit_posthocs", "matplotlib", "jinja2")
+_NEEDED = ("numpy", "pandas", "pint", "pyarrow", "scipy", "statsmodels", "matplotlib", "jinja2")
 
 
 class MissingLibraryError(AnalysisError, ImportError):

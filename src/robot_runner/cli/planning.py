@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.events.measure import MeasureColumns
+    from robot_runner.core.execution.durations import Durations
     from robot_runner.core.plugin import Plugin
     from robot_runner.core.storage.run_table_rows import RunTableRows
     from robot_runner.core.storage.table_columns import TableSpelling
@@ -57,6 +58,7 @@ class Plan:
         seed: what a randomised order comes from; None where the table was made by hand.
         is_recorded: whether the seed is that of an experiment which has begun, so that executing it goes on in
             this order.
+        durations: what is known of how long runs take; None where that cannot be found out.
         duration: how long the runs take that are still to be executed.
         executed: the runs that were begun, in the order in which they were.
         excluded: why runs are left out, by id.
@@ -69,6 +71,7 @@ class Plan:
     seed: int | None
     is_recorded: bool
     findings: tuple[Finding, ...]
+    durations: Durations | None = None
     duration: Estimate = field(default_factory=lambda: Estimate(None))
     executed: Sequence[str] = ()
     excluded: Mapping[str, str] = field(default_factory=dict)
@@ -162,7 +165,8 @@ def _with_duration(
     is_probed = parameters.probe
     probed = probe_window_of(probed_plugins(plugins, events, parameters.robot)) if is_probed else 0.0
     estimate = durations.estimate(probe_s=probed)
-    return replace(plan, duration=estimate, findings=(*plan.findings, *durations.knowledge.findings))
+    findings = (*plan.findings, *durations.knowledge.findings)
+    return replace(plan, duration=estimate, durations=durations, findings=findings)
 
 
 def _planned(
@@ -268,13 +272,14 @@ def _in_folder(path: Path, *, takes_older: bool) -> ExperimentFolder:
 
 
 def _is_of_older_tool(folder: ExperimentFolder) -> bool:
-    """Return whether a folder has a run table with runs that were executed, and nothing of ours."""
+    """Return whether a folder has a run table with runs that were executed, and nothing of ours.
+
+    Raises:
+        StorageError: the run table cannot be read.
+    """
     if folder.manifest.exists() or not folder.run_table.exists():
         return False
-    try:
-        rows = read_run_table(folder.run_table, TableLayout((), stamps=()))
-    except StorageError:
-        return False
+    rows = read_run_table(folder.run_table, TableLayout((), stamps=()))
     return len(rows) > rows.count(RunStatus.TODO)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.conditions.bounds import Bound, contradictions
 from robot_runner.core.errors import ConditionError
-from robot_runner.core.events.condition import Condition, Look
+from robot_runner.core.events.condition import Condition, HeldFor, Look
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -56,7 +56,7 @@ def not_(condition: Condition) -> Condition:
     Example:
         >>> from robot_runner import port_open
         >>> print(not_(port_open(8080)))
-        it does not hold that port 8080 is open
+        not (port 8080 is open)
     """
     return _Not((condition,))
 
@@ -140,10 +140,13 @@ class _AllOf(_Combined):
     def _conjuncts(self) -> Iterator[Condition]:
         """Yield what must hold at the same time, also where it stands in another of this kind."""
         for part in self._parts:
-            if isinstance(part, _AllOf):
-                yield from part._conjuncts()  # noqa: SLF001 - another of this class
+            bare = part
+            while isinstance(bare, HeldFor):
+                bare = bare.condition
+            if isinstance(bare, _AllOf):
+                yield from bare._conjuncts()  # noqa: SLF001 - another of this class
             else:
-                yield part
+                yield bare
 
     def _judge(self, looks: Sequence[Look]) -> Look:
         return Look(all(look.holds for look in looks), self._seen(looks))
@@ -158,7 +161,7 @@ class _AnyOf(_Combined):
 
 class _Not(_Combined):
     def __str__(self) -> str:
-        return f"it does not hold that {self._parts[0]}"
+        return f"not ({self._parts[0]})"
 
     def check(self, robot: str | None) -> Iterable[Finding]:
         """Yield what keeps the condition from being looked at; what keeps it from holding makes this one hold."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.conditions.bounds import Bound, Measured
 from robot_runner.conditions.combining import leaves
+from robot_runner.conditions.person import Confirmed
 from robot_runner.core.errors import Finding
 
 if TYPE_CHECKING:
@@ -40,6 +41,9 @@ def check_conditions(where: str, parameters: Parameters, plugins: Sequence[Plugi
 def _without_run(place: str, condition: Condition) -> Iterator[Finding]:
     """Yield an error for each part of a gate that waits for what only a run can tell."""
     for leaf in leaves(condition):
+        if isinstance(leaf, Confirmed):
+            problem = f"before a run, a person is asked by a step and not by a gate: {leaf}"
+            yield Finding.error(place, problem, f"Write operator_steps = [OperatorStep({leaf.what!r})].")
         if isinstance(leaf, Bound) and isinstance(leaf.quantity, Measured):
             problem = f"before a run nothing is published, so that never is true: {leaf}"
             yield Finding.error(place, problem, "Await it in the mission, with wait(context, timeout_s=...).")

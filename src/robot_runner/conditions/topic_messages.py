@@ -209,9 +209,8 @@ class _MessageOn(Condition):
     full_name: str
 
     def __str__(self) -> str:
-        return f"a message {'is' if self.predicate is None else ''} on {self.full_name}".replace("  ", " ") + (
-            "" if self.predicate is None else " satisfies the predicate"
-        )
+        there = "came" if self.predicate is None else "satisfies the predicate"
+        return f"a message on {self.full_name} {there}"
 
     def check(self, robot: str | None) -> Iterable[Finding]:
         return check_robot_named(str(self), robot)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import re
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.entry_points import entry_points
@@ -63,12 +64,15 @@ class Plugin(Bindable):
             depend on its parameters (one for each domain, column or process).
         needs: one sentence: what must be there for it to work.
         bytes_per_run: about how much raw data it keeps of a run, so that a disk that is too small is found beforehand.
+        smoke_parameters: what it may be made with for a smoke test, where that is less than what it is made with: a
+            mission that is shorter, and otherwise the same.
         name: tells instances of one kind apart; names the plugin's raw-data folder.
     """
 
     measures: Sequence[Measure] = ()
     needs: ClassVar[str] = ""
     bytes_per_run: int = 0
+    smoke_parameters: ClassVar[Mapping[str, float]] = MappingProxyType({})
 
     def __init__(self, *, name: str | None = None) -> None:
         chosen = type(self).__name__ if name is None else name

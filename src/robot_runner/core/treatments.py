@@ -24,6 +24,8 @@ __all__ = [
     "bind",
     "built_with",
     "factors_of",
+    "give_again",
+    "given_to",
     "is_waiting",
     "parameters_guarded",
     "treatment",
@@ -35,6 +37,7 @@ CONFIG_MODULE = "robot_runner_config"
 
 _BINDING = "_robot_runner_binding"
 _WAITING = "_robot_runner_is_waiting"
+_GIVEN = "_robot_runner_given"
 
 
 class Treatment:
@@ -215,6 +218,7 @@ class Bindable:
         make: Any = super().__new__
         made: Self = make(cls) if make is object.__new__ else make(cls, *positional, **keywords)
         binding = _Binding.of(cls, positional, keywords)
+        vars(made)[_GIVEN] = (positional, keywords)
         if binding is not None:
             vars(made).update({_BINDING: binding, _WAITING: True})
             object.__setattr__(made, "__class__", _waiting_kind(cls))  # type: ignore[arg-type] # classes can be hashed
@@ -279,6 +283,35 @@ def built_with(plugin: Any, combination: Mapping[str, Any]) -> Any:
     built = type(plugin)(*positional, **keywords)
     vars(built)[_BINDING] = binding
     return built
+
+
+def given_to(plugin: Bindable) -> dict[str, Any]:
+    """Return what a plugin was made with, by the parameter's name; what was left out is not among it."""
+    positional, keywords = vars(plugin).get(_GIVEN, ((), {}))
+    return dict(_named(type(plugin), positional, keywords))
+
+
+def give_again(plugin: Bindable, changed: Mapping[str, Any]) -> None:
+    """Make a plugin again, in its place, with some parameters changed; one that waits for treatments goes on waiting.
+
+    Raises:
+        PluginError: it has no such parameter, or one that was to be changed is bound to a factor.
+    """
+    kind: Any = type(plugin)
+    given, factors = given_to(plugin), factors_of(plugin)
+    for name in changed:
+        if name not in _parameters(kind):
+            fix = did_you_mean(name, _parameters(kind))
+            raise PluginError(f"it has no parameter {name!r}", where=kind.__name__, fix=fix)
+        if name in factors:
+            fix = "Leave it as it is, or vary it over other treatments."
+            raise PluginError(f"{name} is bound to the factor {factors[name]!r}", where=kind.__name__, fix=fix)
+    if not all(map(str.isidentifier, given)):
+        fix = "Give it a parameter by name for each thing, or leave it as it is."
+        raise PluginError("it takes any number of values, and cannot be made again", where=kind.__name__, fix=fix)
+    made = kind(**{**given, **changed})
+    vars(plugin).clear()
+    vars(plugin).update(vars(made))
 
 
 # A parameter that the code of a config sets on a plugin that was built: most plugins never look at it again.

@@ -201,7 +201,8 @@ class _Explaining:
         executed = executed_order(self._files.journal)
         if self._run_id not in moved_runs(self._run_ids, executed):
             return ""
-        return f"as number {executed.index(self._run_id) + 1} of the {len(executed)} runs so far: not in its place"
+        place = f"as number {executed.index(self._run_id) + 1} of the {len(executed)} runs so far"
+        return f"{place}, out of the order of the run table"
 
     def _host(self) -> str:
         host = self._manifest.get("host") or {}

@@ -19,7 +19,8 @@ from robot_runner.ros.graph_clock import GraphClock
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from robot_runner.core.events.context import Clock, Resources
+    from robot_runner.core.events.context import Clock
+    from robot_runner.core.events.resources import Resources
     from robot_runner.core.links.kinds import FoundRobot
     from robot_runner.core.links.robot import RobotLink, RobotName
 

@@ -13,7 +13,8 @@ from robot_runner.core.words import enumerated
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from robot_runner.core.events.context import Clock, Resources
+    from robot_runner.core.events.context import Clock
+    from robot_runner.core.events.resources import Resources
     from robot_runner.core.links.host import HostLink
     from robot_runner.core.links.robot import RobotLink, RobotName
     from robot_runner.core.links.serial_line import SerialLine

@@ -10,10 +10,11 @@ from itertools import count
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.watched_combination import WatchedCombination, unread
-from robot_runner.core.events.context import Resources, RobotRunnerContext
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.manager import CLOSED_BY, EventManager, OwnerKind, RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER, resolve_columns, with_phases
 from robot_runner.core.events.measure_broker import MeasureBroker
+from robot_runner.core.events.resources import Resources
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.links.connect import SIMULATED, open_clock
 from robot_runner.core.plugin import System
@@ -23,8 +24,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from robot_runner.core.events.context import Clock, Closable
+    from robot_runner.core.events.context import Clock
     from robot_runner.core.events.measure import Measure, MeasureValue
+    from robot_runner.core.events.resources import Closable
     from robot_runner.core.links.host import HostLink
     from robot_runner.core.links.robot import RobotLink
     from robot_runner.core.links.serial_line import SerialLine

@@ -11,7 +11,7 @@ import pytest
 from robot_runner.cli.screens import live
 from robot_runner.cli.screens.live import LiveScreen
 from robot_runner.core.execution.durations import TimeLeft
-from robot_runner.core.execution.notices import RunRecord, WaitingForUser
+from robot_runner.core.execution.notices import GatePassed, GateWaiting, RunRecord, WaitingForUser
 
 if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
@@ -169,3 +169,15 @@ def test_columns_that_do_not_fit_are_left_out(experiment: Experiment, clock: Any
         screen.notice(notices.started(columns={"Energy": "J", "CPU": "%", "Memory": "%"}))
     assert "  run  Task     Repetition  Energy (J)" in narrow.text
     assert "CPU" not in narrow.text
+
+
+def test_what_a_gate_waits_for_is_shown_until_it_opens(shown: Shown, notices: Any) -> None:
+    with shown.screen:
+        shown.take(notices.started(), GateWaiting("r_1", 1, 4, "the load is below 10 %", "38 %", 80.0, 600.0))
+        assert "run 1 of 4 (r_1) waits until the load is below 10 %" in "\n".join(shown.lines)
+        assert "38 %   1 min 20 s of 10 min 00 s" in "\n".join(shown.lines)
+        shown.take(GatePassed("r_1", "the load is below 10 %", "9 %", 81.0, "open"))
+        assert "waits until" not in "\n".join(shown.lines)
+        shown.take(GatePassed("r_1", "the load is below 10 %", "", 81.0, "timed out", "it still did not hold"))
+        assert "r_1 waited 1 min 21 s until the load is below 10 %, which timed out" in "\n".join(shown.lines)
+        assert shown.screen.progress.gate_seconds == 162.0

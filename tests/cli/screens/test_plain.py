@@ -9,7 +9,7 @@ from robot_runner.cli.screens import plain
 from robot_runner.cli.screens.plain import PlainScreen, opening
 from robot_runner.core.errors import Finding
 from robot_runner.core.execution.durations import TimeLeft
-from robot_runner.core.execution.notices import WaitingForUser
+from robot_runner.core.execution.notices import GatePassed, GateWaiting, WaitingForUser
 
 if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
@@ -81,3 +81,25 @@ def test_how_long_it_takes_is_told_at_the_beginning_where_somebody_would_wait_fo
     assert opening(notices.started(left=TimeLeft(0.0, 5940.0, is_least=True)))[1] == "at least 1 h 39 min left"
     assert len(opening(notices.started(left=TimeLeft(0.0, 12.0)))) == 1
     assert len(opening(notices.started())) == 1
+
+
+def at_gate(seconds: float, seen: str) -> GateWaiting:
+    return GateWaiting("r_2", 2, 4, "the load is below 10 %", seen, seconds, 600.0)
+
+
+def test_a_gate_is_told_of_once_a_minute_and_when_it_opens(said: Any) -> None:
+    waiting = [at_gate(second / 2, f"{second} %\n") for second in range(250)]
+    lines = said(*waiting, GatePassed("r_2", "the load is below 10 %", "9 %", 125.0, "open"))
+    assert lines == [
+        "run 2 of 4 (r_2) waits until the load is below 10 %",
+        "  0 %\\n   0 ms of 10 min 00 s",
+        "  120 %\\n   1 min 00 s of 10 min 00 s",
+        "  240 %\\n   2 min 00 s of 10 min 00 s",
+        "r_2 waited 2 min 05 s until the load is below 10 %: 9 %",
+    ]
+
+
+def test_a_gate_that_is_open_is_not_worth_a_line_and_one_that_stays_shut_is(said: Any) -> None:
+    assert said(GatePassed("r_2", "the load is below 10 %", "9 %", 0.0, "open")) == []
+    (line,) = said(GatePassed("r_2", "the load is below 10 %", "", 0.0, "failed", "the sensor\nis gone"))
+    assert line.endswith("until the load is below 10 %, which failed: the sensor\\nis gone")

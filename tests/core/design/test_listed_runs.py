@@ -21,3 +21,10 @@ def test_listed_runs_keep_their_treatments_and_repetitions() -> None:
     plan = ListedRunTableModel([TASK], runs).plan(seed=7)
     assert [(run.run_id, run.combination["Task"], run.repetition) for run in plan] == listed
     assert all(run.combination["Task"] in TASK.treatments for run in plan)
+
+
+def test_its_runs_are_never_too_many_to_be_planned() -> None:
+    factors = [Factor(f"F{number}", ["off", "on"]) for number in range(200)]
+    model = ListedRunTableModel(factors, [ListedRun("one", {factor.name: "on" for factor in factors})])
+    assert not model.is_too_large
+    assert [run.run_id for run in model.plan()] == ["one"]

@@ -22,6 +22,7 @@ from robot_runner.core.execution.extension import Extension, ExtensionRequest, e
 from robot_runner.core.execution.notices import ExperimentFinished, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.recovery import Resumption, TableChoice, TableDisagreementError
+from robot_runner.core.storage.executed_runs import executed_order
 from robot_runner.core.storage.journal import read_journal
 
 if TYPE_CHECKING:
@@ -464,6 +465,9 @@ def test_a_session_warms_up_again_where_the_config_says_so(tmp_path: Path) -> No
     assert executed_runs(only=("r_2",)) == ["w_1", "r_2"]
     assert executed_runs() == ["w_1", "r_3", "r_4"]
     assert executed_runs() == []
+    folder = tmp_path / "results" / "trial"
+    assert read_status(folder).order == ""
+    assert executed_order(folder / "journal.jsonl") == ["r_1", "r_2", "r_3", "r_4"]
 
 
 def test_warm_up_runs_stay_what_they_are_when_the_config_has_none_any_more(execute: Execute) -> None:

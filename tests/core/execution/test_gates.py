@@ -187,7 +187,7 @@ def test_what_can_never_hold_is_found_before_anything_is_executed(write_config: 
     config = write_config("""
         gates = [
             Gate(all_of(load_below(101), battery_above(40))),
-            Gate(any_of(temperature_below(-300), measure_above("Energy", 5))),
+            Gate(any_of(temperature_below(-300), measure_above("Energy", 5), confirmed("all is well"))),
         ]
         guards = [Guard(all_of(load_above(90), load_below(10))), Guard(not_(topic_present("scan")), GuardAction.STOP)]
         """)
@@ -198,6 +198,7 @@ def test_what_can_never_hold_is_found_before_anything_is_executed(write_config: 
     assert findings["gates[1]"] == [
         "the temperature of this machine is never below -300 °C",
         "before a run nothing is published, so that never is true: the measure Energy is above 5",
+        "before a run, a person is asked by a step and not by a gate: a person says that all is well",
     ]
     assert findings["guards[0]"] == [
         "never are both true: the load of this machine is below 10 %, and the load of this machine is above 90 %"

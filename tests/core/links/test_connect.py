@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.events.context import Resources, RobotRunnerContext, SystemClock
+from robot_runner.core.events.context import RobotRunnerContext, SystemClock
+from robot_runner.core.events.resources import Resources
 from robot_runner.core.links.connect import (
     connect_host,
     connect_robot,
@@ -193,7 +194,7 @@ def test_a_simulator_that_is_not_installed_cannot_be_opened():
         "import sys\n"
         "sys.modules['mujoco'] = None\n"
         "from robot_runner.core.errors import LinkError\n"
-        "from robot_runner.core.events.context import Resources\n"
+        "from robot_runner.core.events.resources import Resources\n"
         "from robot_runner.core.links.connect import open_clock\n"
         "try: open_clock('simulated', Resources(), 1)\n"
         "except LinkError as error: print(error)\n"

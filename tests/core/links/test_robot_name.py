@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.events.context import Resources
+from robot_runner.core.events.resources import Resources
 from robot_runner.core.links.connect import is_simulated, link_findings, open_clock
 from robot_runner.core.links.robot import RobotName
 

@@ -168,6 +168,7 @@ def test_a_continue_callback_says_that_the_user_was_asked(
     methods = "def swap(self):\n    self.swapped = True"
     new = converted(config(methods, head=head, subscribe="(RobotRunnerEvents.CONTINUE, self.swap),"))
     assert "def continue_experiment(self):" in new.read_text()
+    assert "def before_experiment(self):\n        return True" in new.read_text(), "the earlier tool asked between runs"
     assert len(measures_of(new, ["task"])) == 4
 
 

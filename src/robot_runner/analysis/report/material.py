@@ -14,7 +14,7 @@ from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.events.measure import Quality
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.executed_runs import moved_runs
+from robot_runner.core.storage.executed_runs import executed_order, moved_runs
 from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
@@ -193,7 +193,7 @@ class Material:
     @cached_property
     def executed(self) -> tuple[str, ...]:
         """The runs that were begun, in the order in which the last attempt at each was."""
-        return tuple(map(str, self.last_attempts["run_id"]))
+        return tuple(executed_order(ExperimentFolder(self.results.folder).journal))
 
     @cached_property
     def moved(self) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ from robot_runner.analysis.report.material import correction_in_words
 from robot_runner.analysis.report.measure_figures import quantile_figure
 from robot_runner.analysis.report.tables import Field, build_table, field, interval, number, p_value, text
 from robot_runner.analysis.wording import ALPHA, MISSING, RHO, listed, sentence, shown_interval, shown_number
+from robot_runner.core.design.analysis_plan import Estimand
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
@@ -95,6 +96,9 @@ def _test(material: Material, measure: MeasureStatistics) -> Iterator[Block]:
         if standing.measure == measure.name:
             yield Paragraph(standing.conclusion, Tone.PLAIN if standing.stands else Tone.WARNING)
     method = test.method.value
+    if test.family_size > 1:
+        adjusted = f"p-values are adjusted for {counted(test.family_size, 'test')}: {test.family}."
+        yield Paragraph(adjusted, Tone.NOTE, lead="Family.")
     yield Paragraph(test.reason, lead=f"{method[:1].upper()}{method[1:]}.")
     caption = f"{material.results.label(measure.name)}: {method}."
     yield _effect_table(f"test {measure.name}", caption, test, material.statistics.alpha)
@@ -110,26 +114,24 @@ def _assumptions(material: Material, measure: MeasureStatistics) -> Iterator[Blo
             text("Of", lambda check: " / ".join(check.treatments.values()) or "all groups"),
             number("Statistic", "statistic", 3),
             p_value("p", "p_value"),
-            text("Conclusion", "conclusion", lambda check: Tone.WARNING if check.holds is False else Tone.PLAIN),
+            text("Conclusion", "conclusion"),
         )
-        caption = f"{material.results.label(measure.name)}: assumptions."
-        blocks.append(build_table(f"assumptions {measure.name}", caption, measure.assumptions, fields))
+        caption = f"{material.results.label(measure.name)}: how values are distributed."
+        note = "They describe the values; no test is chosen by them."
+        blocks.append(build_table(f"assumptions {measure.name}", caption, measure.assumptions, fields, note))
     figure = quantile_figure(material, measure) if measure.name in material.drawn else None
     if figure is not None:
         blocks.append(Gallery((figure,)))
     if blocks:
-        yield Part(f"assumptions-{measure.name}", "Assumptions", tuple(blocks), is_folded=True)
+        yield Part(f"assumptions-{measure.name}", "Distribution", tuple(blocks), is_folded=True)
 
 
 def _power(power: Power) -> str:
     needed = ", ".join(
-        f"{each.repetitions:,} for {'the observed' if each.magnitude == 'observed' else f'a {each.magnitude}'} effect "
-        f"({shown_number(each.effect_size, 3)})"
+        f"{each.repetitions:,} for a {each.magnitude} effect ({shown_number(each.effect_size, 3)})"
         for each in power.needed
     )
-    observed = f"{power.effect_name} = {shown_number(power.observed_effect, 3)}"
-    share = "> 0.999" if power.achieved_power > 0.999 else f"{power.achieved_power:.3f}"  # noqa: PLR2004 - as p-values
-    parts = [f"For an effect as large as the observed one ({observed}) the power is {share}."]
+    parts = []
     if power.detectable_effect is not None:
         parts.append(
             f"The smallest effect found with a power of {power.target_power:.2f} is "
@@ -182,14 +184,23 @@ def _tone(stands: bool | None) -> Tone:
 
 def _effect_table(name: str, caption: str, test: MeasureTest, alpha: float) -> Table:
     words = {None: "not computed", True: "significant", False: "not significant"}
+    checked = "means" if test.estimand == Estimand.RANK.value else "ranks"
     fields = (
         text("Effect", "label"),
+        text("Test", "test"),
         field("Statistic", lambda effect: Cell(effect.statistic, _shown_statistic(effect))),
-        p_value("p", "p_value", "is_significant"),
+        p_value("p", "p_value"),
+        p_value("Adjusted p", "adjusted_p_value", "is_significant"),
         field(f"At {ALPHA} = {alpha:g}", lambda effect: Cell(effect.is_significant, words[effect.is_significant])),
+        p_value(
+            f"Check: p of {checked}",
+            lambda effect: effect.check.p_value if effect.check else None,
+            lambda effect: effect.check is not None and effect.check.agrees is False,
+        ),
         text("Effect size", lambda effect: "; ".join(map(_shown_size, effect.effect_sizes)) or MISSING),
     )
-    return build_table(name, caption, test.effects, fields, f"Computed with {test.library}.")
+    note = f"Computed with {test.library}. The check is the same test of {checked}, shown whatever it says."
+    return build_table(name, caption, test.effects, fields, note)
 
 
 def _shown_statistic(effect: Effect) -> str:
@@ -202,7 +213,7 @@ def _shown_statistic(effect: Effect) -> str:
 
 
 def _shown_size(size: EffectSize) -> str:
-    ends = f" {shown_interval(size.interval, 3)}" if size.interval is not None else ""
+    ends = "" if size.interval is None else f" {shown_interval(size.interval, 3)} ({size.interval.level:.0%})"
     return f"{size.name} = {shown_number(size.value, 3)}{ends}, {size.magnitude.value}"
 
 
@@ -212,14 +223,18 @@ def _pair_table(measure: MeasureStatistics, label: str, post_hoc: PostHoc) -> Ta
     fields: list[Field | tuple[Field, ...]] = [
         text("First", "first"),
         text("Second", "second"),
-        number(f"Difference of {'means' if post_hoc.is_of_means else 'medians'}", "difference"),
+        number(f"Difference of {post_hoc.quantity}", "difference"),
         interval("CI", "interval"),
         p_value("p", "p_value"),
         p_value("Adjusted p", "adjusted_p_value", "is_significant"),
+        p_value(f"Check: p of {'means' if post_hoc.quantity.endswith('ranks') else 'ranks'}", "check_p_value"),
         *map(_size_fields, sizes),
     ]
     name, caption = f"pairs {measure.name} {' '.join(post_hoc.factors)}", f"all pairs of {' / '.join(post_hoc.factors)}"
-    note = f"{post_hoc.method}; p-values adjusted after {correction_in_words(post_hoc.correction)}."
+    note = (
+        f"{post_hoc.method}; intervals belong to p. Adjusted after {correction_in_words(post_hoc.correction)}, and no "
+        "smaller than the p-value of the effect."
+    )
     return build_table(name, f"{label}: {caption}.", post_hoc.comparisons, fields, note)
 
 

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 
 __all__ = ["threats_of", "threats_section"]
 
-_LOW_POWER = 0.8
+#: From where on an effect is large (Cohen 1988).
+_LARGE = {"Cohen's d": 0.8, "Cohen's f": 0.4}
 _FEW = 5
 
 
@@ -120,23 +121,22 @@ def _doubtful(material: Material) -> Threats:
 
 
 def _power(material: Material) -> Threats:
-    weak = {
-        each.name: each.power.achieved_power for each in material.statistics.measures if each.power and _is_weak(each)
+    weak = {each.name: each.power for each in material.statistics.measures if each.power and _is_silent(each)}
+    shown = {
+        name: f"{name} {power.effect_name} = {shown_number(power.detectable_effect, 3)}"
+        for name, power in weak.items()
+        if power.detectable_effect is not None and power.detectable_effect > _LARGE[power.effect_name]
     }
-    if weak:
-        powers = ", ".join(f"{name} {power:.2f}" for name, power in weak.items())
+    if shown:
         text = (
-            f"No effect was found, and the power for effects as large as the observed ones is below {_LOW_POWER} "
-            f"({powers}). That no effect was found does not mean that there is none."
+            "No effect was found, and so many runs find with a power of 0.8 none but large ones: "
+            f"{', '.join(shown.values())} and above. That no effect was found does not mean that there is none."
         )
         yield "Low power", text, Tone.WARNING
 
 
-def _is_weak(measure: MeasureStatistics) -> bool:
-    if measure.power is None or measure.test is None:
-        return False
-    found = any(effect.is_significant for effect in measure.test.effects)
-    return not found and measure.power.achieved_power < _LOW_POWER
+def _is_silent(measure: MeasureStatistics) -> bool:
+    return measure.test is not None and not any(effect.is_significant for effect in measure.test.effects)
 
 
 def _drifts(material: Material) -> Threats:

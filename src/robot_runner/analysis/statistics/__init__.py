@@ -1,1 +1,1 @@
-"""Descriptive statistics, assumption checks, the test that fits the design, effect sizes, power."""
+"""Descriptive statistics, what is estimated and tested by the design and the plan, effect sizes, power."""

@@ -108,10 +108,6 @@ class MeasureData:
             if len(rows)
         ]
 
-    def by_block(self) -> pd.DataFrame:
-        """Return the values of one factor's treatments (columns) in each block (rows)."""
-        return self.frame.pivot_table(index=_BLOCK, columns=self.factors[0], values=VALUE, observed=True)
-
     def residuals(self) -> NDArray[np.float64]:
         """Return each value less the mean of its combination."""
         if not self.factors:
@@ -188,22 +184,28 @@ class Design:
         return f"{runs}; varied: {enumerated(named)}; {sizes} runs a combination{blocks}."
 
 
-def design_of(results: Results) -> Design:
-    """Return the design of an experiment from its runs that are done."""
+def design_of(results: Results, *, blocks: str | None = None) -> Design:
+    """Return the design of an experiment from its runs that are done.
+
+    Args:
+        results: the experiment.
+        blocks: the column of the blocks; None for those that the order was randomised within.
+    """
     done = results.done
+    column = blocks if blocks in results.runs.columns else results.block
     columns = {RUN_ID: done[RUN_ID], PLACE: _places(done)}
-    counted_only = {results.repetition, results.block}
+    counted_only = {results.repetition, column}
     names = [name for name in results.factors if name not in counted_only]
     for name in names:
         texts = treatment_texts(done[name])
         columns[name] = texts.cat.remove_unused_categories()
-    if results.block is not None:
-        columns[_BLOCK] = done[results.block].astype("str")
+    if column is not None:
+        columns[_BLOCK] = done[column].astype("str")
     frame = pd.DataFrame(columns)
     varied = tuple(name for name in names if _distinct(frame[name]) > 1)
     constant = tuple(name for name in names if name not in varied)
-    has_blocks = results.block is not None and _distinct(frame[_BLOCK]) > 1
-    block = results.block if has_blocks else None
+    has_blocks = column is not None and _distinct(frame[_BLOCK]) > 1
+    block = column if has_blocks else None
     return Design(results, frame, varied, constant, block, len(results.runs) - len(done))
 
 

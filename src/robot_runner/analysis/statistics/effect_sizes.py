@@ -1,4 +1,8 @@
-"""Effect sizes with their confidence intervals, and the word for their magnitude."""
+"""Effect sizes with their confidence intervals, and the word for their magnitude.
+
+Differences of means are divided by one standard deviation for the whole measure, and so are the effects of factors with
+more treatments: sizes of one comparison agree, whichever table they stand in.
+"""
 
 from __future__ import annotations
 
@@ -8,33 +12,32 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import optimize, special, stats
+from scipy import optimize, stats
 
 from robot_runner.analysis.statistics.descriptive import bootstrap_interval
 from robot_runner.analysis.statistics.tested import EffectSize, Interval, Magnitude
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
 
 __all__ = [
     "cliffs_delta",
     "cohens_d",
     "correlation_magnitude",
-    "eta_squared",
-    "eta_squared_of_ranks",
-    "kendalls_w",
-    "paired_d",
+    "omega_squared",
     "paired_rank_biserial",
-    "two_group_effects",
     "vargha_delaney",
 ]
 
 _LEVEL = 0.95
 _LEAST_FOR_SPREAD = 2
-_NONCENTRAL_T = "noncentral t"
-_NONCENTRAL_F = "noncentral F"
+
+#: How often the bracket is doubled in which a noncentral distribution is inverted.
+_DOUBLINGS = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,115 +57,171 @@ class _Thresholds:
 
 _COHEN_D = _Thresholds((0.2, 0.5, 0.8), "Cohen, Statistical Power Analysis for the Behavioral Sciences, 1988")
 _COHEN_R = _Thresholds((0.1, 0.3, 0.5), _COHEN_D.source)
-_COHEN_ETA = _Thresholds((0.01, 0.06, 0.14), _COHEN_D.source)
+#: Of Cohen's f 0.1, 0.25 and 0.4, as shares of variance; so no factor's effect is larger than its largest difference.
+_COHEN_OMEGA = _Thresholds((0.0099, 0.0588, 0.1379), _COHEN_D.source)
 _ROMANO = _Thresholds((0.147, 0.33, 0.474), "Romano et al., Appropriate statistics for ordinal level data, 2006")
 # Distances from 0.5 of 0.56, 0.64 and 0.71.
 _VARGHA = _Thresholds((0.06, 0.14, 0.21), "Vargha and Delaney, A Critique and Improvement of the CL, 2000")
 
 
-def two_group_effects(
-    first: NDArray[np.float64], second: NDArray[np.float64], *, by_ranks: bool
-) -> tuple[EffectSize, ...]:
-    """Return Cohen's d, Cliff's delta and Vargha-Delaney's A12 of two independent groups, the fitting one first."""
-    of_ranks = [cliffs_delta(first, second), vargha_delaney(first, second)]
-    of_means = [effect] if (effect := cohens_d(first, second)) else []
-    return tuple([*of_ranks, *of_means] if by_ranks else [*of_means, *of_ranks])
+def cohens_d(
+    difference: float, error: float, freedom: float, spread: float, *, level: float = _LEVEL, name: str = "Cohen's d"
+) -> EffectSize | None:
+    """Return a difference in standard deviations.
 
+    Its interval inverts the noncentral t distribution at the t-test of the difference (Cumming and Finch 2001; with
+    unequal spreads Delacre et al., Why Hedges' g*s based on the non-pooled standard deviation should be reported with
+    Welch's t-test, 2021), so that it leaves out 0 exactly where the test is significant.
 
-def cohens_d(first: NDArray[np.float64], second: NDArray[np.float64]) -> EffectSize | None:
-    """Return Cohen's d: the difference of the means in pooled standard deviations.
+    Args:
+        difference: of two means.
+        error: its standard error.
+        freedom: the degrees of freedom of that.
+        spread: the standard deviation.
+        level: the confidence.
+        name: what it is called.
 
-    Its interval comes from the noncentral t distribution (Cumming and Finch 2001). None where there is no variation.
+    Returns:
+        None where there is no variation; without an interval where that is beyond floating-point numbers.
+
+    Example:
+        >>> round(cohens_d(2.0, 0.5, 18, 1.0).interval.low, 2)
+        0.81
     """
-    n, m = len(first), len(second)
-    freedom = n + m - 2
-    if min(n, m) < _LEAST_FOR_SPREAD:
+    if not (spread > 0 and error > 0 and math.isfinite(freedom)):
         return None
-    pooled = math.sqrt(((n - 1) * np.var(first, ddof=1) + (m - 1) * np.var(second, ddof=1)) / freedom)
-    if pooled == 0:
+    ends = noncentralities_of_t(difference / error, freedom, level)
+    scale = error / spread
+    interval = None if ends is None else Interval(ends[0] * scale, ends[1] * scale, level, "noncentral t")
+    return _COHEN_D.size(name, difference / spread, interval)
+
+
+def omega_squared(
+    f_value: float, freedom: tuple[float, float], variance: float, spread: float, *, alpha: float, is_partial: bool
+) -> EffectSize | None:
+    """Return omega squared: the share of an effect in the variance of the effect and of chance, freed of its bias.
+
+    The effect is that on the means of all combinations, each of which counts the same. The interval inverts the
+    noncentral F distribution at the test of the effect (Steiger 2004), at 1 - 2 alpha: it leaves out 0 exactly where
+    the test, which looks at one side, is significant.
+
+    Args:
+        f_value: of the test.
+        freedom: its degrees of freedom.
+        variance: the mean of the squared effects on all combinations.
+        spread: the standard deviation.
+        alpha: the level of significance.
+        is_partial: whether other factors' effects are left out of account.
+    """
+    if not (spread > 0 and f_value > 0 and variance > 0 and math.isfinite(f_value)):
         return None
-    value = float(np.mean(first) - np.mean(second)) / pooled
-    scale = math.sqrt(1 / n + 1 / m)
-    return _COHEN_D.size("Cohen's d", value, _of_t(value / scale, freedom, scale))
+    scale = variance / spread**2 / (f_value * freedom[0])
+    level = 1 - 2 * alpha
+    ends = noncentralities_of_f(f_value, freedom, level)
+    shares = None if ends is None else [end * scale / (1 + end * scale) for end in ends]
+    interval = None if shares is None else Interval(shares[0], shares[1], level, "noncentral F")
+    value = max(0.0, f_value - 1) * freedom[0] * scale
+    name = "partial omega squared" if is_partial else "omega squared"
+    return _COHEN_OMEGA.size(name, value / (1 + value), interval)
 
 
-def paired_d(differences: NDArray[np.float64]) -> EffectSize | None:
-    """Return Cohen's d of paired values: the mean of the differences in their standard deviations."""
-    n = len(differences)
-    spread = float(np.std(differences, ddof=1)) if n >= _LEAST_FOR_SPREAD else 0.0
-    if spread == 0:
+def noncentralities_of_t(t_value: float, freedom: float, level: float) -> tuple[float, float] | None:
+    """Return between which noncentralities a t lies with this confidence; None where that cannot be computed."""
+    if t_value < 0:
+        mirrored = noncentralities_of_t(-t_value, freedom, level)
+        return None if mirrored is None else (-mirrored[1], -mirrored[0])
+    tail = (1 - level) / 2
+    step = math.sqrt(1 + t_value**2 / (2 * freedom))  # how well the noncentrality is known
+
+    def at(share: float) -> float | None:
+        # Far from its root the distribution is NaN, as of -2 at 18 degrees of freedom and 30: the bracket begins at t.
+        least = 0.0 if stats.t.cdf(t_value, freedom) > share else -math.inf
+        return _root(lambda nc: float(stats.nct.cdf(t_value, freedom, nc)) - share, t_value, step, least)
+
+    low, high = at(1 - tail), at(tail)
+    return None if low is None or high is None else (low, high)
+
+
+def noncentralities_of_f(f_value: float, freedom: tuple[float, float], level: float) -> tuple[float, float] | None:
+    """Return between which noncentralities an F lies with this confidence; None where that cannot be computed."""
+    tail = (1 - level) / 2
+
+    def at(share: float) -> float | None:
+        if stats.f.cdf(f_value, *freedom) <= share:
+            return 0.0  # even without any effect so large an F is likely enough
+        start = f_value * freedom[0]
+        return _root(lambda nc: float(stats.ncf.cdf(f_value, *freedom, nc)) - share, start, 1 + start, least=0.0)
+
+    low, high = at(1 - tail), at(tail)
+    return None if low is None or high is None else (low, high)
+
+
+def _root(function: Callable[[float], float], start: float, step: float, least: float = -math.inf) -> float | None:
+    """Return where a falling function crosses zero, from a bracket that grows around a guess."""
+    low = high = start
+    for doubling in range(_DOUBLINGS):
+        if low <= least or function(low) > 0:
+            break
+        low = max(least, low - step * 2**doubling)
+    for doubling in range(_DOUBLINGS):
+        if function(high) < 0:
+            break
+        high += step * 2**doubling
+    ends = (function(low), function(high))
+    if not all(map(math.isfinite, ends)) or ends[0] * ends[1] > 0:
         return None
-    value = float(np.mean(differences)) / spread
-    interval = _of_t(value * math.sqrt(n), n - 1, 1 / math.sqrt(n))
-    return _COHEN_D.size("Cohen's d (paired)", value, interval)
+    try:
+        found = float(optimize.brentq(function, low, high))
+    except ValueError:  # beyond what can be computed with floating-point numbers
+        return None
+    return found if math.isfinite(found) else None
 
 
-def cliffs_delta(first: NDArray[np.float64], second: NDArray[np.float64]) -> EffectSize:
+def cliffs_delta(pairs: Sequence[tuple[Floats, Floats]]) -> EffectSize | None:
     """Return Cliff's delta: how much more often the first group's value is the larger of a pair than the smaller.
 
     Its interval is the asymmetric one of Feng and Cliff (Monte Carlo Evaluation of Ordinal d with Improved Confidence
     Interval, 2004), with their bound for groups that do not overlap.
 
+    Args:
+        pairs: the values of the first and the second group, once for each combination of the other factors; delta is
+            the mean over these.
+
     Example:
-        >>> round(cliffs_delta(np.array([10.0, 20.0]), np.array([20.0, 30.0])).value, 3)
+        >>> round(cliffs_delta([(np.array([10.0, 20.0]), np.array([20.0, 30.0]))]).value, 3)
         -0.75
     """
-    dominance = np.sign(first[:, None] - second[None, :])
-    value = float(dominance.mean())
-    return _ROMANO.size("Cliff's delta", value, _delta_interval(dominance, value))
+    pairs = [(one, other) for one, other in pairs if len(one) and len(other)]
+    if not pairs:
+        return None
+    dominances = [np.sign(one[:, None] - other[None, :]) for one, other in pairs]
+    deltas = [float(each.mean()) for each in dominances]
+    value = float(np.mean(deltas))
+    return _ROMANO.size("Cliff's delta", value, _delta_interval(dominances, deltas, value))
 
 
-def vargha_delaney(first: NDArray[np.float64], second: NDArray[np.float64]) -> EffectSize:
+def vargha_delaney(delta: EffectSize) -> EffectSize:
     """Return Vargha and Delaney's A12: how probably a value of the first group is larger than one of the second.
 
     It is Cliff's delta on another scale, and so is its interval.
     """
-    delta = cliffs_delta(first, second)
     interval = delta.interval
     if interval is not None:
         interval = Interval((interval.low + 1) / 2, (interval.high + 1) / 2, interval.level, interval.method)
     return _VARGHA.size("Vargha-Delaney A12", (delta.value + 1) / 2, interval, neutral=0.5)
 
 
-def paired_rank_biserial(differences: NDArray[np.float64]) -> EffectSize | None:
+def paired_rank_biserial(differences: Floats) -> EffectSize | None:
     """Return the matched-pairs rank-biserial correlation (Kerby, The Simple Difference Formula, 2014)."""
     nonzero = differences[differences != 0]
     if not len(nonzero):
         return None
 
-    def share(of: NDArray[np.float64], axis: int = -1) -> Any:
+    def share(of: Floats, axis: int = -1) -> Any:
         ranks = stats.rankdata(np.abs(of), axis=axis)
         return np.sum(ranks * np.sign(of), axis=axis) / np.sum(ranks, axis=axis)
 
     return _COHEN_R.size("rank-biserial correlation", float(share(nonzero)), bootstrap_interval((nonzero,), share))
-
-
-def eta_squared(f_value: float, freedom: tuple[float, float], *, is_partial: bool = False) -> EffectSize:
-    """Return eta squared of a one-way analysis of variance from its F; partial, of one effect among several."""
-    between, within = freedom
-    value = f_value * between / (f_value * between + within)
-    name = "partial eta squared" if is_partial else "eta squared"
-    return _COHEN_ETA.size(name, value, _of_f(f_value, between, within))
-
-
-def eta_squared_of_ranks(groups: Sequence[NDArray[np.float64]]) -> EffectSize:
-    """Return eta squared of a Kruskal-Wallis test: (H - k + 1) / (n - k), at least 0.
-
-    Source: Tomczak and Tomczak, The need to report effect size estimates revisited, 2014. The interval is a
-    bootstrap's.
-    """
-
-    def of(*samples: NDArray[np.float64], axis: int = -1) -> Any:
-        h = stats.kruskal(*samples, axis=axis).statistic
-        k, n = len(samples), sum(sample.shape[axis] for sample in samples)
-        return np.maximum(0.0, (h - k + 1) / (n - k))
-
-    return _COHEN_ETA.size("eta squared (H)", float(of(*groups)), bootstrap_interval(tuple(groups), of))
-
-
-def kendalls_w(chi_squared: float, blocks: int, treatments: int) -> EffectSize:
-    """Return Kendall's W of a Friedman test: how much the blocks agree on the order of the treatments, 0..1."""
-    return _COHEN_R.size("Kendall's W", chi_squared / (blocks * (treatments - 1)), None)
 
 
 def correlation_magnitude(value: float) -> Magnitude:
@@ -170,56 +229,27 @@ def correlation_magnitude(value: float) -> Magnitude:
     return _COHEN_R.magnitude(value)
 
 
-def _of_t(t_value: float, freedom: float, scale: float) -> Interval | None:
-    """Return the interval of an effect by inverting the noncentral t distribution."""
-    reach = 10 * (1 + abs(t_value))
-    tail = (1 - _LEVEL) / 2
-    try:
-        low, high = (
-            optimize.brentq(lambda nc, share=share: special.nctdtr(freedom, nc, t_value) - share, -reach, reach)
-            for share in (1 - tail, tail)
-        )
-    except ValueError:  # beyond what can be computed with floating-point numbers
-        return None
-    return Interval(low * scale, high * scale, _LEVEL, _NONCENTRAL_T)
-
-
-def _of_f(f_value: float, between: float, within: float) -> Interval | None:
-    """Return the interval of eta squared by inverting the noncentral F distribution (Steiger 2004)."""
-    tail = (1 - _LEVEL) / 2
-    total = between + within + 1
-    try:
-        ends = [_noncentrality(f_value, between, within, share) for share in (1 - tail, tail)]
-    except ValueError:  # as above
-        return None
-    return Interval(ends[0] / (ends[0] + total), ends[1] / (ends[1] + total), _LEVEL, _NONCENTRAL_F)
-
-
-def _noncentrality(f_value: float, between: float, within: float, share: float) -> float:
-    if stats.f.cdf(f_value, between, within) <= share:
-        return 0.0  # even without any effect so large an F is likely enough
-    largest = math.log(50 * f_value * between + 1000)
-    found = optimize.brentq(lambda log: special.ncfdtr(between, within, math.exp(log), f_value) - share, -20, largest)
-    return math.exp(found)
-
-
-def _delta_interval(dominance: NDArray[np.float64], delta: float) -> Interval | None:
-    n, m = dominance.shape
+def _delta_interval(dominances: Sequence[Floats], deltas: Sequence[float], delta: float) -> Interval | None:
     method = "Feng and Cliff 2004"
-    if min(n, m) < _LEAST_FOR_SPREAD:
+    sizes = [each.shape for each in dominances]
+    if min(map(min, sizes)) < _LEAST_FOR_SPREAD:
         return None
     z = float(stats.norm.ppf(1 - (1 - _LEVEL) / 2))
     if abs(delta) == 1:
-        smaller = min(n, m)
+        smaller = min(sum(shape[side] for shape in sizes) for side in (0, 1))
         inner = max(0.0, (smaller - z**2) / (smaller + z**2))
         return Interval(min(inner * delta, delta), max(inner * delta, delta), _LEVEL, method)
-    t = float(stats.t.ppf(1 - (1 - _LEVEL) / 2, n + m - 2))
-    by_row, by_column = dominance.mean(axis=1), dominance.mean(axis=0)
-    rows = float(np.sum((by_row - delta) ** 2))
-    columns = float(np.sum((by_column - delta) ** 2))
-    cells = float(np.sum((dominance - delta) ** 2))
-    variance = (m**2 * rows + n**2 * columns - cells) / (n * m * (n - 1) * (m - 1))
-    variance = max(variance, (1 - delta**2) / (n * m - 1))
+    t = float(stats.t.ppf(1 - (1 - _LEVEL) / 2, sum(n + m - 2 for n, m in sizes)))
+    variance = sum(map(_delta_variance, dominances, deltas)) / len(deltas) ** 2
     root = t * math.sqrt(variance) * math.sqrt((1 - delta**2) ** 2 + t**2 * variance)
     scale = 1 - delta**2 + t**2 * variance
     return Interval((delta - delta**3 - root) / scale, (delta - delta**3 + root) / scale, _LEVEL, method)
+
+
+def _delta_variance(dominance: Floats, delta: float) -> float:
+    n, m = dominance.shape
+    rows = float(np.sum((dominance.mean(axis=1) - delta) ** 2))
+    columns = float(np.sum((dominance.mean(axis=0) - delta) ** 2))
+    cells = float(np.sum((dominance - delta) ** 2))
+    variance = (m**2 * rows + n**2 * columns - cells) / (n * m * (n - 1) * (m - 1))
+    return float(max(variance, (1 - delta**2) / (n * m - 1)))

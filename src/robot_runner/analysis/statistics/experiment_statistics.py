@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from robot_runner.analysis.statistics.choice import choose_test, normality, quantile_pairs
+from robot_runner.analysis.statistics.assumptions import equal_variances, normality, quantile_pairs
 from robot_runner.analysis.statistics.correlations import correlations_of, drift_of
 from robot_runner.analysis.statistics.descriptive import describe
 from robot_runner.analysis.statistics.design import design_of
-from robot_runner.analysis.statistics.outcome import ExperimentStatistics, HypothesisOutcome, MeasureStatistics
-from robot_runner.analysis.statistics.post_hoc import adjusted, compare_pairs
+from robot_runner.analysis.statistics.families import concluded
+from robot_runner.analysis.statistics.outcome import ExperimentStatistics, MeasureStatistics
+from robot_runner.analysis.statistics.post_hoc import carry_out_contrast, compare_pairs, missing_intervals
 from robot_runner.analysis.statistics.power import power_of
 from robot_runner.analysis.statistics.robustness import doubtful_runs, standing_effects, standing_hypotheses
 from robot_runner.analysis.statistics.tested import NotComputed
-from robot_runner.analysis.statistics.tests import carry_out
-from robot_runner.analysis.wording import p_in_words
+from robot_runner.analysis.statistics.tests import Choices, carry_out, model_of
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import AnalysisError, did_you_mean
@@ -27,13 +27,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from robot_runner.analysis.results import Results
-    from robot_runner.analysis.statistics.choice import Choice
     from robot_runner.analysis.statistics.design import Design, MeasureData
     from robot_runner.analysis.statistics.outcome import Description, Power
-    from robot_runner.analysis.statistics.tested import AssumptionCheck, Effect, MeasureTest, PostHoc
-    from robot_runner.core.design.analysis_plan import Hypothesis
+    from robot_runner.analysis.statistics.tested import AssumptionCheck, ContrastTest
+    from robot_runner.core.design.analysis_plan import AnalysisPlan, Hypothesis
 
-__all__ = ["analyse", "judge", "measure_statistics"]
+__all__ = ["analyse", "measure_statistics"]
 
 
 _Found = TypeVar("_Found")
@@ -60,38 +59,61 @@ class _Gathered:
 
 
 def measure_statistics(
-    design: Design, name: str, *, alpha: float, correction: Correction, is_planned: bool
+    design: Design, name: str, choices: Choices, *, plan: AnalysisPlan | None = None
 ) -> MeasureStatistics:
-    """Compute the statistics of one measure from the runs that are done."""
+    """Compute the statistics of one measure from the runs that are done; p-values are not adjusted yet.
+
+    Args:
+        design: of the experiment.
+        name: the measure.
+        choices: what was chosen for the analysis beforehand.
+        plan: what was planned; None where nothing was, or where it is not kept.
+    """
     gathered = _Gathered()
     column = design.results.columns[name]
     data = design.data(name)
+    is_primary = plan is not None and name in plan.measures
+    is_planned = plan is not None and name in (*plan.measures, *plan.secondary)
     if data is None or not len(data.frame) or float(np.max(np.abs(data.values))) > _LARGEST:
         why = "the measure is not a number." if data is None else "no run that is done has a value."
         if data is not None and len(data.frame):
             why = f"the measure has values beyond {_LARGEST:g}, too large to compute with."
-        gathered.missing.append(NotComputed(f"statistics of {name}", why))
-        return MeasureStatistics(name, column.unit, column.origin, is_planned, not_computed=tuple(gathered.missing))
-    choice = gathered.take(choose_test(data, alpha))
-    test = carry_out(data, choice, alpha) if choice else None
-    post_hoc = _compared(gathered, data, choice, test, alpha, correction)
-    residuals = choice.fit.residuals if choice else data.residuals()
+        missing = (NotComputed(f"statistics of {name}", why),)
+        return MeasureStatistics(name, column.unit, column.origin, is_planned, is_primary, not_computed=missing)
+    found = model_of(data, choices.estimand, choices.statistic)
+    gathered.take(found)
+    model = None if isinstance(found, NotComputed) else found
+    test = None if model is None else carry_out(data, model, choices)
+    post_hoc, missed = ((), ()) if model is None or test is None else compare_pairs(data, model, test, choices)
+    gathered.missing += missed
+    if test is not None:
+        gathered.missing += missing_intervals(test, post_hoc)
+    claimed = [] if model is None or plan is None else [each for each in plan.hypotheses if _is_contrast(each, name)]
+    contrasts: list[ContrastTest | None] = [
+        gathered.take(carry_out_contrast(model, each, choices)) for each in claimed if model is not None
+    ]
     return MeasureStatistics(
         name,
         column.unit,
         column.origin,
         is_planned,
+        is_primary,
         overall=describe(data.described_groups([])[0]),
         by_treatment=tuple(each for factor in data.factors for each in _described(gathered, data, (factor,))),
         by_combination=_described(gathered, data, data.factors) if len(data.factors) > 1 else (),
-        assumptions=_assumptions(gathered, data, choice, alpha),
-        quantiles=quantile_pairs(residuals, tuple(data.frame[RUN_ID])),
+        assumptions=_assumptions(gathered, data, choices.alpha),
+        quantiles=quantile_pairs(data.residuals(), tuple(data.frame[RUN_ID])),
         test=test,
         post_hoc=post_hoc,
-        drift=gathered.take(drift_of(data, alpha, column.unit)),
-        power=_power(gathered, data, alpha),
+        contrasts=tuple(each for each in contrasts if each is not None),
+        drift=gathered.take(drift_of(data, choices.alpha, column.unit)),
+        power=_power(gathered, data, choices.alpha),
         not_computed=tuple(dict.fromkeys(gathered.missing)),
     )
+
+
+def _is_contrast(hypothesis: Hypothesis, measure: str) -> bool:
+    return hypothesis.measure == measure and (hypothesis.contrast is not None or hypothesis.within is not None)
 
 
 def _described(gathered: _Gathered, data: MeasureData, factors: tuple[str, ...]) -> tuple[Description, ...]:
@@ -112,72 +134,15 @@ def _power(gathered: _Gathered, data: MeasureData, alpha: float) -> Power | None
     return gathered.take(power_of(data.groups(data.factors), alpha, is_blocked=data.is_blocked))
 
 
-def _compared(
-    gathered: _Gathered,
-    data: MeasureData,
-    choice: Choice | None,
-    test: MeasureTest | None,
-    alpha: float,
-    correction: Correction,
-) -> tuple[PostHoc, ...]:
-    if choice is None or test is None:
-        return ()
-    post_hoc, missing = compare_pairs(data, choice, test, alpha, correction)
-    gathered.missing += missing
-    return post_hoc
-
-
-def _assumptions(
-    gathered: _Gathered, data: MeasureData, choice: Choice | None, alpha: float
-) -> tuple[AssumptionCheck, ...]:
-    """Return what the choice rests on, then the normality of each group."""
-    deciding = [gathered.take(check) for check in choice.checks] if choice else []
+def _assumptions(gathered: _Gathered, data: MeasureData, alpha: float) -> tuple[AssumptionCheck, ...]:
+    """Return how residuals are distributed, whether spreads differ, then how each group is distributed."""
     groups = data.groups(data.factors) if data.factors else []
+    all_groups = [normality(data.residuals(), alpha), equal_variances(groups, alpha)] if groups else []
     if len(groups) > _MOST_DESCRIBED:
         groups = []
-    of_groups = [gathered.take(normality(group.values, alpha, group.treatments)) for group in groups]
-    return tuple(check for check in (*deciding, *of_groups) if check is not None)
-
-
-def judge(
-    hypotheses: Sequence[Hypothesis], measures: Sequence[MeasureStatistics], alpha: float, correction: Correction
-) -> tuple[HypothesisOutcome, ...]:
-    """Return the outcome of each hypothesis; p-values are adjusted for the number of hypotheses that were tested."""
-    by_name = {measure.name: measure for measure in measures}
-    effects = [_effect(hypothesis, by_name.get(hypothesis.measure)) for hypothesis in hypotheses]
-    tested = [effect.p_value for effect in effects if effect is not None and effect.p_value is not None]
-    after = iter(adjusted(tested, correction))
-    outcomes = []
-    for hypothesis, effect in zip(hypotheses, effects, strict=True):
-        if effect is None or effect.p_value is None:
-            why = _reason(hypothesis, by_name.get(hypothesis.measure))
-            outcomes.append(HypothesisOutcome(hypothesis, None, None, None, f"It could not be tested: {why}"))
-        else:
-            outcomes.append(_outcome(hypothesis, effect, effect.p_value, next(after), alpha))
-    return tuple(outcomes)
-
-
-def _effect(hypothesis: Hypothesis, measure: MeasureStatistics | None) -> Effect | None:
-    if measure is None or measure.test is None:
-        return None
-    return next((each for each in measure.test.effects if set(each.factors) == set(hypothesis.factors)), None)
-
-
-def _outcome(
-    hypothesis: Hypothesis, effect: Effect, p_value: float, adjusted_p_value: float, alpha: float
-) -> HypothesisOutcome:
-    is_supported = adjusted_p_value < alpha
-    verdict = "The data support it" if is_supported else "The data do not support it, which is no proof of the contrary"
-    conclusion = f"{verdict} ({p_in_words(adjusted_p_value)} after correction). {effect.conclusion}"
-    return HypothesisOutcome(hypothesis, p_value, adjusted_p_value, is_supported, conclusion)
-
-
-def _reason(hypothesis: Hypothesis, measure: MeasureStatistics | None) -> str:
-    if measure is None:
-        return f"there is no measure {hypothesis.measure}."
-    if measure.test is None:
-        return measure.not_computed[0].why if measure.not_computed else "there is no test."
-    return f"the test has no effect of {' x '.join(hypothesis.factors)}."
+    checks = [*all_groups, *(normality(group.values, alpha, group.treatments) for group in groups)]
+    found = [gathered.take(check) for check in checks]
+    return tuple(check for check in found if check is not None)
 
 
 _ALPHA = 0.05
@@ -217,40 +182,45 @@ def analyse(
     chosen_correction = correction or (plan.correction if plan else Correction.HOLM)
     if not 0 < chosen_alpha < 1:
         raise AnalysisError(f"alpha is {chosen_alpha!r}", where="analyse", fix="Give a number between 0 and 1.")
-    keeps_plan = plan is not None and (chosen_alpha, chosen_correction) == (plan.alpha, plan.correction)
-    planned = plan.measures if plan is not None and keeps_plan else ()
-    design = design_of(results)
-
-    def compute(design: Design, name: str) -> MeasureStatistics:
-        is_planned = name in planned
-        return measure_statistics(design, name, alpha=chosen_alpha, correction=chosen_correction, is_planned=is_planned)
-
-    computed = tuple(compute(design, name) for name in _chosen(results, measures, planned))
-    numeric = [data for each in computed if each.overall and (data := design.data(each.name)) is not None]
-    correlations, missing = correlations_of(numeric[:_MOST_CORRELATED], chosen_correction)
-    hypotheses = plan.hypotheses if plan is not None and keeps_plan else ()
-    judged = judge(hypotheses, computed, chosen_alpha, chosen_correction)
+    kept = plan if plan is not None and (chosen_alpha, chosen_correction) == (plan.alpha, plan.correction) else None
+    planned = (*kept.measures, *kept.secondary) if kept is not None else ()
+    design = design_of(results, blocks=kept.blocks if kept is not None else None)
+    choices = Choices(chosen_alpha, chosen_correction)
+    if kept is not None:
+        choices = replace(choices, estimand=kept.estimand, statistic=kept.statistic)
+    names = _chosen(results, measures, planned)
+    # Errors are controlled among all primary measures, whichever are asked for.
+    others = [name for name in (kept.measures if kept else ()) if name in results.columns and name not in names]
+    computed = [measure_statistics(design, name, choices, plan=kept) for name in (*names, *others)]
     doubtful = doubtful_runs(results)
-    without = tuple(
-        compute(replace(design, without=frozenset(doubtful[each.name])), each.name)
+    again = {
+        each.name: measure_statistics(
+            replace(design, without=frozenset(doubtful[each.name])), each.name, choices, plan=kept
+        )
         for each in computed
         if each.name in doubtful and each.test is not None
+    }
+    done, judged = concluded(computed, kept, chosen_alpha, chosen_correction)
+    redone, rejudged = concluded(
+        [again.get(each.name, each) for each in computed], kept, chosen_alpha, chosen_correction
     )
-    again = {each.name: each for each in without}
-    rejudged = judge(hypotheses, [again.get(each.name, each) for each in computed], chosen_alpha, chosen_correction)
+    told = done[: len(names)]
+    without = tuple(each for each in redone[: len(names)] if each.name in again)
+    numeric = [data for each in told if each.overall and (data := design.data(each.name)) is not None]
+    correlations, missing = correlations_of(numeric[:_MOST_CORRELATED], chosen_correction)
     return ExperimentStatistics(
         alpha=chosen_alpha,
         correction=chosen_correction,
-        is_planned=keeps_plan,
+        is_planned=kept is not None,
         design=design.summary(),
-        measures=computed,
+        measures=told,
         correlations=correlations,
         hypotheses=judged,
-        warnings=tuple(_warnings(design, computed)),
+        warnings=tuple(_warnings(design, told)),
         not_computed=(*missing, *_not_correlated(numeric)),
         without_doubtful=without,
         standings=(
-            *standing_effects(computed, without, doubtful),
+            *standing_effects(told, without, doubtful),
             *standing_hypotheses(judged, rejudged, {name: doubtful[name] for name in again}),
         ),
     )

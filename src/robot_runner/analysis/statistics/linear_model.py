@@ -1,46 +1,37 @@
-"""Linear models of a measure: analysis of variance (type II), residuals, contrasts, and the aligned rank transform.
+"""Models that share what single combinations do not tell: of too few runs, or of blocks that are not complete.
 
-The transform (Wobbrock, Findlater, Gergle and Higgins, The Aligned Rank Transform for Nonparametric Factorial Analyses
-Using Only ANOVA Procedures, CHI 2011) does without normal residuals: for each effect the values are aligned (stripped
-of all other effects), ranked, and analysed; only that effect is read off.
+Runs of their own have one variance (least squares); blocks have a random mean each (linear mixed model, REML), and what
+is modelled is the mean of a combination within a block, so that repeated runs of a block are not taken for independent.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 from scipy import stats
 
+from robot_runner.analysis.statistics.contrasts import Contrast
 from robot_runner.analysis.statistics.descriptive import quiet
+from robot_runner.analysis.statistics.design import VALUE
+from robot_runner.analysis.statistics.layout import MOST_FACTORS, kron
+from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from robot_runner.analysis.statistics.design import MeasureData
 
-__all__ = [
-    "LinearFit",
-    "TermTest",
-    "Terms",
-    "aligned",
-    "aligned_ranks",
-    "coded_frame",
-    "fit_aligned",
-    "fit_linear",
-    "formula_of",
-    "terms_of",
-]
+    Floats = NDArray[np.float64]
 
-
-#: Interactions of more factors can hardly be interpreted, and use up the degrees of freedom.
-_MOST_FACTORS_IN_TERM = 3
+__all__ = ["FittedModel", "fit_model"]
 
 #: A mean for each of more combinations takes long to fit, and nobody can read them.
 _MOST_CELLS = 500
@@ -48,258 +39,193 @@ _MOST_CELLS = 500
 #: Residuals smaller than this, beside the values, are what rounding leaves behind.
 _NO_VARIATION = 1e-10
 
-
-@dataclass(frozen=True, slots=True)
-class Terms:
-    """Which effects a model has.
-
-    Attributes:
-        effects: the factors of each effect, main effects first.
-        note: why interactions are left out; empty where none is.
-        is_full: whether each combination has a mean of its own.
-    """
-
-    effects: tuple[tuple[str, ...], ...]
-    note: str
-    is_full: bool
-
-
-@dataclass(frozen=True, slots=True)
-class TermTest:
-    """The F-test of one effect."""
-
-    f_value: float
-    freedom: tuple[float, float]
-    p_value: float
+_BLOCK = " block"
 
 
 @dataclass(frozen=True)
-class LinearFit:
-    """A fitted model.
+class FittedModel:
+    """A fitted model, whose effects are of type III: each combination counts the same.
 
     Attributes:
-        data: what it was fitted to.
-        terms: the effects that it has, besides blocks.
-        response: the values that were fitted, or their ranks.
+        factors: the factors, with their treatments.
+        terms: the factors of each effect, main effects first.
+        blocks: the block of each value, or nothing where there are none.
         results: as statsmodels returns them.
+        note: why interactions are left out; empty where none is.
     """
 
-    data: MeasureData
-    terms: Terms
-    response: NDArray[np.float64]
+    factors: Mapping[str, Sequence[str]]
+    terms: tuple[tuple[str, ...], ...]
+    blocks: NDArray[np.str_] | None
     results: Any
+    note: str
 
     @property
-    def residuals(self) -> NDArray[np.float64]:
+    def method(self) -> TestMethod:
+        """Which model it is."""
+        return TestMethod.LINEAR_MODEL if self.blocks is None else TestMethod.MIXED_MODEL
+
+    @property
+    def spread(self) -> float:
+        """The standard deviation of what the model leaves unexplained."""
+        return math.sqrt(float(self.results.scale))
+
+    @property
+    def residuals(self) -> Floats:
         """What the model leaves unexplained."""
         return np.asarray(self.results.resid, dtype=np.float64)
 
-    @property
-    def freedom(self) -> int:
-        """Degrees of freedom of the residuals."""
-        return int(self.results.df_resid)
+    def effects(self) -> Iterator[EffectTest]:
+        """Yield the test of each effect: Wald's statistic as an F, with degrees of freedom by containment."""
+        cells = [self._row(dict(zip(self.factors, levels, strict=True))) for levels in product(*self.factors.values())]
+        for factors in self.terms:
+            place = self._place(factors)
+            beta, covariance = self._beta[place], self._covariance[place, place]
+            wald = float(beta @ np.linalg.solve(covariance, beta))
+            freedom = (float(len(beta)), self._freedom(factors))
+            f_value = wald / freedom[0]
+            p_value = float(stats.f.sf(f_value, *freedom)) if freedom[1] > 0 else math.nan
+            variance = float(np.mean((np.stack(cells)[:, place] @ beta) ** 2))
+            yield EffectTest(factors, self.method.value, "F", f_value, freedom, p_value, variance)
+
+    def difference(self, weights: Sequence[tuple[Mapping[str, str], float]]) -> Contrast:
+        """Estimate a weighted sum of marginal means.
+
+        Args:
+            weights: treatments by factor, with the weight of their mean.
+        """
+        row = np.sum([weight * self._marginal_row(treatments) for treatments, weight in weights], axis=0)
+        error = math.sqrt(max(0.0, float(row @ self._covariance @ row)))
+        named = {name for treatments, _ in weights for name in treatments}
+        freedom = min(self._freedom(factors) for factors in self.terms if set(factors) <= named)
+        return Contrast(*map(np.asarray, (row @ self._beta, error, freedom)))
+
+    def _marginal_row(self, treatments: Mapping[str, str]) -> Floats:
+        levels = [[treatments[name]] if name in treatments else of for name, of in self.factors.items()]
+        rows = [self._row(dict(zip(self.factors, each, strict=True))) for each in product(*levels)]
+        return np.asarray(np.mean(rows, axis=0))
+
+    def _row(self, treatments: Mapping[str, str]) -> Floats:
+        return _row(self.factors, self.terms, treatments)
+
+    def _place(self, factors: Sequence[str]) -> slice:
+        """Return the columns of an effect in the design; the first is the mean of all combinations."""
+        before = self.terms[: self.terms.index(tuple(factors))]
+        start = 1 + sum(map(self._size, before))
+        return slice(start, start + self._size(factors))
 
     @property
-    def has_variation(self) -> bool:
-        """Whether anything is left unexplained, so that effects can be compared with it."""
-        scale = float(np.max(np.abs(self.response - self.response.mean()), initial=0.0))
-        return self.freedom > 0 and float(np.max(np.abs(self.residuals))) > _NO_VARIATION * max(scale, 1e-300)
+    def _beta(self) -> Floats:
+        found = self.results.params if self.blocks is None else self.results.fe_params
+        return np.asarray(found, dtype=np.float64)
 
     @property
-    def is_estimable(self) -> bool:
-        """Whether the runs tell the effects from each other."""
-        effects = self._exog[:, [not name.startswith("C(b)") for name in self.results.model.exog_names]]
-        return bool(np.linalg.matrix_rank(effects) == effects.shape[1])
+    def _covariance(self) -> Floats:
+        count = len(self._beta)
+        return np.asarray(self.results.cov_params(), dtype=np.float64)[:count, :count]
 
-    @cached_property
-    def tests(self) -> Mapping[tuple[str, ...], TermTest]:
-        """The test of each effect, with sums of squares of type II."""
-        return self._tests(None)
-
-    @cached_property
-    def robust_tests(self) -> Mapping[tuple[str, ...], TermTest]:
-        """The same, where variances differ: with the covariance HC3 (MacKinnon and White 1985)."""
-        return self._tests("hc3")
-
-    def with_robust_covariance(self) -> LinearFit:
-        """Return the fit with standard errors that hold where variances differ (HC3)."""
-        return replace(self, results=self.results.get_robustcov_results("HC3"))
-
-    def _tests(self, robust: str | None) -> Mapping[tuple[str, ...], TermTest]:
-        from statsmodels.stats.anova import anova_lm  # noqa: PLC0415 - takes a second to import
-
-        with quiet():
-            table = anova_lm(self.results, typ=2, robust=robust)
-        return {
-            effect: TermTest(
-                float(table.loc[label, "F"]),
-                (float(table.loc[label, "df"]), float(self.results.df_resid)),
-                float(table.loc[label, "PR(>F)"]),
-            )
-            for effect in self.terms.effects
-            for label in [_term(effect, self.data.factors)]
-        }
-
-    def freedom_within(self, effect: Sequence[str]) -> float:
-        """Return the degrees of freedom that an effect is tested with in a mixed model with a random mean per block.
+    def _freedom(self, factors: Sequence[str]) -> float:
+        """Return the degrees of freedom that an effect is tested with.
 
         Those between blocks where differences within blocks do not tell all of the effect, else those within
         (containment, as R's nlme: Pinheiro and Bates, Mixed-Effects Models in S and S-PLUS, 2000, section 2.4.2).
         """
-        if not self._is_between_blocks(effect):
-            return float(self.freedom)
-        between = sum(self._size(each) for each in self.terms.effects if self._is_between_blocks(each))
-        return float(len(set(self.data.blocks)) - 1 - between)
+        if self.blocks is None:
+            return float(self.results.df_resid)
+        if not self._is_between_blocks(factors):
+            return float(len(self._exog) - np.linalg.matrix_rank(self._with_blocks))
+        between = sum(self._size(each) for each in self.terms if self._is_between_blocks(each))
+        return float(len(set(self.blocks)) - 1 - between)
 
-    def _is_between_blocks(self, effect: Sequence[str]) -> bool:
-        mine = {f"C(f{self.data.factors.index(factor)}, Sum)" for factor in effect}
-        names = self.results.model.exog_names
-        others = self._exog[:, [{part.partition("[")[0] for part in name.split(":")} != mine for name in names]]
-        told = np.linalg.matrix_rank(self._exog) - np.linalg.matrix_rank(others)
-        return bool(told < self._size(effect))
-
-    def _size(self, effect: Sequence[str]) -> int:
-        return int(np.prod([len(self.data.levels(factor)) - 1 for factor in effect]))
-
-    def treatment_rows(self, factor: str) -> dict[str, NDArray[np.float64]]:
-        """Return, for each treatment of a factor, the row of the design whose fit is its marginal mean."""
-        if self.terms.is_full:
-            cells = self.combination_rows()
-            place = self.data.factors.index(factor)
-            return {
-                level: np.mean([row for treatments, row in cells.items() if treatments[place] == level], axis=0)
-                for level in self.data.levels(factor)
-            }
-        mine = self._columns(lambda name: name.startswith(f"C(f{self.data.factors.index(factor)},"))
-        exog, levels = self._exog, self.data.frame[factor].to_numpy(dtype=str)
-        return {level: np.where(mine, exog[levels == level][0], 0.0) for level in self.data.levels(factor)}
-
-    def combination_rows(self) -> dict[tuple[str, ...], NDArray[np.float64]]:
-        """Return, for each combination, the row of the design whose fit is its mean, whatever the block."""
-        of_blocks = self._columns(lambda name: name.startswith("C(b)"))
-        exog = np.where(of_blocks, 0.0, self._exog)
-        rows: dict[tuple[str, ...], NDArray[np.float64]] = {}
-        treatments = self.data.frame[list(self.data.factors)].astype(str).itertuples(index=False, name=None)
-        for place, combination in enumerate(treatments):
-            rows.setdefault(combination, exog[place])
-        return rows
-
-    def contrast(self, difference: NDArray[np.float64]) -> Any:
-        """Return statsmodels' t-test of a difference between two rows of the design."""
-        with quiet():
-            return self.results.t_test(difference)
-
-    @property
-    def _exog(self) -> NDArray[np.float64]:
+    @cached_property
+    def _exog(self) -> Floats:
         return np.asarray(self.results.model.exog, dtype=np.float64)
 
-    def _columns(self, belongs: Any) -> NDArray[np.bool_]:
-        return np.array([":" not in name and belongs(name) for name in self.results.model.exog_names])
+    @cached_property
+    def _with_blocks(self) -> Floats:
+        return np.column_stack([self._exog, pd.get_dummies(self.blocks).to_numpy(dtype=np.float64)])
+
+    def _is_between_blocks(self, factors: Sequence[str]) -> bool:
+        place = self._place(factors)
+        others = np.delete(self._with_blocks, np.arange(place.start, place.stop), axis=1)
+        told = np.linalg.matrix_rank(self._with_blocks) - np.linalg.matrix_rank(others)
+        return bool(told < self._size(factors))
+
+    def _size(self, factors: Sequence[str]) -> int:
+        return int(np.prod([len(self.factors[name]) - 1 for name in factors]))
 
 
-def terms_of(data: MeasureData) -> Terms | None:
-    """Return the effects that the runs suffice to estimate, or None where they do not even for the main effects."""
-    factors = data.factors
-    levels = [len(data.levels(factor)) for factor in factors]
-    blocks = len(set(data.blocks)) - 1 if data.is_blocked else 0
-    cells = data.frame.groupby(list(factors), observed=True).ngroups
-    most = min(len(factors), _MOST_FACTORS_IN_TERM)
-    everything = tuple(effect for size in range(1, most + 1) for effect in combinations(factors, size))
-    possible = int(np.prod(levels))
-    if cells == possible <= _MOST_CELLS and len(data.frame) - blocks > cells:
-        is_full = most == len(factors)
-        note = "" if is_full else f"Interactions of more than {most} factors are left out."
-        return Terms(everything, note, is_full)
-    if len(data.frame) - blocks <= 1 + sum(level - 1 for level in levels):
-        return None
+def fit_model(data: MeasureData, response: Floats | None = None) -> FittedModel | NotComputed:
+    """Fit the model that the runs suffice for.
+
+    Args:
+        data: the measure.
+        response: takes the place of the values, as their ranks.
+    """
+    from statsmodels.regression.linear_model import OLS  # noqa: PLC0415 - takes a second to import
+    from statsmodels.regression.mixed_linear_model import MixedLM  # noqa: PLC0415 - as above
+
+    frame = _means_in_blocks(data, response if response is not None else data.values)  # noqa: PD011 - no data frame
+    factors = {name: data.levels(name) for name in data.factors}
+    blocks = frame[_BLOCK].to_numpy(dtype=str) if data.is_blocked else None
+    terms, note = _terms(factors, frame, 0 if blocks is None else len(set(blocks)) - 1)
+    if not terms:
+        return NotComputed("the test", "there are too few runs for the number of treatments.")
+    treatments = frame[list(factors)].to_dict("records")
+    exog = np.stack([_row(factors, terms, {str(name): each[name] for name in each}) for each in treatments])
+    values = frame[VALUE].to_numpy(dtype=np.float64)
+    if np.linalg.matrix_rank(exog) < exog.shape[1]:
+        why = "the factors go together so closely that their effects cannot be told apart."
+        return NotComputed("the test", why)
+    with quiet():  # blocks that do not differ: their variance is at its bound, 0
+        plain = OLS(values, exog).fit()
+        if np.max(np.abs(plain.resid)) <= _NO_VARIATION * max(float(np.max(np.abs(values - values.mean()))), 1e-300):
+            why = "within each combination all values are equal, so that chance has no measure."
+            return NotComputed("the test", why)
+        if blocks is None:
+            return FittedModel(factors, terms, None, plain, note)
+        try:
+            results = MixedLM(values, exog, groups=blocks).fit(reml=True)
+        except np.linalg.LinAlgError:
+            return NotComputed("the test", "the mixed model of the blocks could not be fitted.")
+    return FittedModel(factors, terms, blocks, results, note)
+
+
+def _means_in_blocks(data: MeasureData, response: Floats) -> pd.DataFrame:
+    """Return one row a value: of blocks, the mean of each combination that a block holds."""
+    frame = data.frame[list(data.factors)].astype(str).assign(**{VALUE: response})
+    if not data.is_blocked:
+        return frame
+    frame[_BLOCK] = data.blocks
+    return frame.groupby([_BLOCK, *data.factors], sort=False, as_index=False)[VALUE].mean()
+
+
+def _terms(
+    factors: Mapping[str, Sequence[str]], frame: pd.DataFrame, blocks: int
+) -> tuple[tuple[tuple[str, ...], ...], str]:
+    """Return the effects that the values suffice to estimate, and why others are left out."""
+    names = tuple(factors)
+    cells = frame.groupby(list(names)).ngroups
+    possible = int(np.prod([len(levels) for levels in factors.values()]))
+    if cells == possible <= _MOST_CELLS and len(frame) - blocks > cells:
+        most = min(len(names), MOST_FACTORS)
+        note = "" if most == len(names) else f"Interactions of more than {most} factors are left out."
+        return tuple(effect for size in range(1, most + 1) for effect in combinations(names, size)), note
+    if len(frame) - blocks <= 1 + sum(len(levels) - 1 for levels in factors.values()):
+        return (), ""
     why = "some combinations have no run" if cells < possible else "there are too few runs a combination"
     if cells > _MOST_CELLS:
         why = f"there are {cells:,} combinations"
-    return Terms(tuple((factor,) for factor in factors), f"Interactions cannot be estimated: {why}.", is_full=False)
+    note = f"Interactions cannot be estimated: {why}." if len(names) > 1 else ""
+    return tuple((name,) for name in names), note
 
 
-def fit_linear(data: MeasureData, terms: Terms, response: NDArray[np.float64] | None = None) -> LinearFit:
-    """Fit a linear model by least squares, with a mean for each block where the design has blocks.
-
-    Args:
-        data: the measure.
-        terms: the effects.
-        response: takes the place of the values, as their ranks.
-    """
-    from statsmodels.formula.api import ols  # noqa: PLC0415 - takes a second to import
-
-    frame = coded_frame(data, response)
-    # Where each combination has runs the matrix is of full rank: a decomposition will do that takes less time.
-    method = "qr" if terms.is_full and not data.is_blocked else "pinv"
-    with quiet():  # a matrix without full rank: blocks that a factor is constant in
-        results = ols(formula_of(data, terms.effects), frame).fit(method=method)
-    return LinearFit(data, terms, frame["y"].to_numpy(), results)
+def _row(factors: Mapping[str, Sequence[str]], terms: Sequence[Sequence[str]], treatments: Mapping[str, str]) -> Floats:
+    """Return the row of the design of one combination, with effects coded to sum up to zero."""
+    coded = {name: _sum_code(len(levels), levels.index(treatments[name])) for name, levels in factors.items()}
+    parts = [kron([coded[name] for name in effect], np.ones(1)) for effect in terms]
+    return np.concatenate([np.ones(1), *parts])
 
 
-def formula_of(data: MeasureData, effects: Sequence[Sequence[str]], *, with_blocks: bool = True) -> str:
-    """Return a formula in which factors go by their place, as their names may hold anything."""
-    parts = [_term(effect, data.factors) for effect in effects]
-    return "y ~ " + " + ".join([*parts, *(["C(b)"] if data.is_blocked and with_blocks else [])])
-
-
-def coded_frame(data: MeasureData, response: NDArray[np.float64] | None = None) -> pd.DataFrame:
-    """Return the data under the names that formulas have for them: `y`, `f0`, `f1`, ..., `b`.
-
-    Treatments and blocks go by their numbers, as their names may hold what formulas are made of.
-
-    Args:
-        data: the measure.
-        response: takes the place of the values, as their ranks.
-    """
-    columns: dict[str, Any] = {"y": data.values if response is None else response}  # noqa: PD011 - no data frame
-    for place, factor in enumerate(data.factors):
-        levels = data.levels(factor)
-        numbers = data.frame[factor].astype(str).map({level: number for number, level in enumerate(levels)})
-        columns[f"f{place}"] = pd.Categorical.from_codes(
-            numbers.to_numpy(), [f"l{number}" for number in range(len(levels))]
-        )
-    if data.is_blocked:
-        columns["b"] = [f"b{number}" for number in pd.factorize(data.blocks, sort=True)[0]]
-    return pd.DataFrame(columns)
-
-
-def _term(effect: Sequence[str], factors: Sequence[str]) -> str:
-    return ":".join(f"C(f{factors.index(factor)}, Sum)" for factor in effect)
-
-
-#: Aligned values that differ by less than this, beside the largest, are ties that rounding has torn apart.
-_TIE = 1e-9
-
-
-def aligned(data: MeasureData, effect: Sequence[str]) -> NDArray[np.float64]:
-    """Return the values aligned for one effect: the residual of the combination's mean, plus the effect's estimate.
-
-    The estimate of an interaction is made of the means over all sets of its factors, with alternating signs.
-    """
-    values = pd.Series(data.values)
-    columns = data.frame
-
-    def mean_over(factors: Sequence[str]) -> NDArray[np.float64]:
-        if not factors:
-            return np.full(len(values), values.mean())
-        keys = [columns[factor].astype(str).to_numpy() for factor in factors]
-        return np.asarray(values.groupby(keys).transform("mean"), dtype=np.float64)
-
-    estimate = np.zeros(len(values))
-    for size in range(len(effect) + 1):
-        sign = (-1) ** (len(effect) - size)
-        for subset in combinations(effect, size):
-            estimate += sign * mean_over(subset)
-    return np.asarray(values - mean_over(data.factors) + estimate, dtype=np.float64)
-
-
-def aligned_ranks(data: MeasureData, effect: Sequence[str]) -> NDArray[np.float64]:
-    """Return the ranks of the values aligned for one effect; values that differ by rounding only are ties."""
-    values = aligned(data, effect)
-    step = _TIE * max(float(np.max(np.abs(values))), 1e-300)
-    return np.asarray(stats.rankdata(np.round(values / step)), dtype=np.float64)
-
-
-def fit_aligned(data: MeasureData, terms: Terms, effect: Sequence[str]) -> LinearFit:
-    """Fit the full model to the ranks of the values aligned for one effect."""
-    return fit_linear(data, terms, aligned_ranks(data, effect))
+def _sum_code(count: int, place: int) -> Floats:
+    return np.full(count - 1, -1.0) if place == count - 1 else np.eye(count - 1)[place]

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.statistics.tested import (
         AssumptionCheck,
+        ContrastTest,
         Interval,
         Magnitude,
         MeasureTest,
@@ -130,19 +131,18 @@ class RepetitionsNeeded:
 class Power:
     """What the number of runs suffices for.
 
+    The power for the observed effect is not among it: it says no more than the p-value does (Hoenig and Heisey, The
+    abuse of power, 2001).
+
     Attributes:
         effect_name: `Cohen's d` or `Cohen's f`.
-        observed_effect: as estimated from the data.
-        achieved_power: the power for an effect as large as the observed one, 0..1.
-        target_power: the power that the other figures are for.
+        target_power: the power that the figures are for.
         detectable_effect: the smallest effect that would be found with the target power; None if there is none.
-        needed: runs a group for a small, a medium, a large and the observed effect.
+        needed: runs a group for a small, a medium and a large effect.
         note: how to read it.
     """
 
     effect_name: str
-    observed_effect: float
-    achieved_power: float
     alpha: float
     target_power: float
     detectable_effect: float | None
@@ -181,11 +181,13 @@ class MeasureStatistics:
         name: its column.
         origin: `measured`, `simulated`, `estimated`, or None where it is not known.
         is_planned: whether the analysis of it was fixed before the experiment; exploratory otherwise.
+        is_primary: whether it is one of those that the plan is about.
         overall: all runs together; None where it is not a number.
         by_treatment: one a treatment of each factor, factors in their order.
         by_combination: one a combination, where there are two and more factors.
-        assumptions: what the choice of the test rests on first (residuals), then each group.
-        post_hoc: empty where no effect has more than two treatments.
+        assumptions: how residuals are distributed, whether spreads differ, then each group; they decide nothing.
+        post_hoc: pairs of treatments of each factor; of combinations where factors interact.
+        contrasts: of the hypotheses that name one.
         not_computed: what could not be computed and why.
     """
 
@@ -193,6 +195,7 @@ class MeasureStatistics:
     unit: str
     origin: str | None
     is_planned: bool
+    is_primary: bool = False
     overall: Description | None = None
     by_treatment: tuple[Description, ...] = ()
     by_combination: tuple[Description, ...] = ()
@@ -200,6 +203,7 @@ class MeasureStatistics:
     quantiles: QuantilePairs | None = None
     test: MeasureTest | None = None
     post_hoc: tuple[PostHoc, ...] = ()
+    contrasts: tuple[ContrastTest, ...] = ()
     drift: Drift | None = None
     power: Power | None = None
     not_computed: tuple[NotComputed, ...] = ()
@@ -242,7 +246,7 @@ class HypothesisOutcome:
 
     Attributes:
         p_value: of the effect that it is about; None where it could not be tested.
-        adjusted_p_value: after correction for the number of hypotheses.
+        adjusted_p_value: after correction for the family of tests.
         is_supported: whether the data speak for it at alpha; None where it could not be tested.
         conclusion: one sentence.
     """

@@ -29,9 +29,8 @@ _COHEN_D = {"small": 0.2, "medium": 0.5, "large": 0.8}
 _COHEN_F = {"small": 0.1, "medium": 0.25, "large": 0.4}
 
 _NOTE = (
-    "Figures are for a parametric test of independent groups, with as many runs in each as in the groups on average "
-    "(harmonic mean). The power for the observed effect says no more than the p-value does; plan with the effect that "
-    "matters to you."
+    "Figures are for a test of independent groups with equal spreads, with as many runs in each as in the groups on "
+    "average (harmonic mean). Plan with the effect that matters to you."
 )
 _NOTE_ON_BLOCKS = "Blocks are left out of account: where they differ from each other, the power is higher than this."
 
@@ -47,24 +46,19 @@ def power_of(groups: Sequence[Group], alpha: float, *, is_blocked: bool = False)
     sizes = [len(group.values) for group in groups]
     if len(groups) < 2 or min(sizes) < 2:  # noqa: PLR2004 - a single run has no spread
         return NotComputed("power", "the power of a test takes two groups of two runs each.")
-    within = sum(float(np.sum((group.values - group.values.mean()) ** 2)) for group in groups)
-    deviation = math.sqrt(within / (sum(sizes) - len(groups)))
-    if deviation == 0:
+    if all(np.ptp(group.values) == 0 for group in groups):
         return NotComputed("power", "within each group all values are equal.")
     each = len(sizes) / sum(1 / size for size in sizes)
-    effect = _observed(groups, sizes, deviation)
     count = len(groups)
     named = _COHEN_D if count == 2 else _COHEN_F  # noqa: PLR2004
     return Power(
         effect_name="Cohen's d" if count == 2 else "Cohen's f",  # noqa: PLR2004
-        observed_effect=effect,
-        achieved_power=_power(effect, each, count, alpha),
         alpha=alpha,
         target_power=_TARGET,
         detectable_effect=_detectable(each, count, alpha),
         needed=tuple(
             RepetitionsNeeded(size, name, runs)
-            for name, size in {**named, "observed": effect}.items()
+            for name, size in named.items()
             if (runs := repetitions_needed(size, count, alpha=alpha)) is not None
         ),
         note=f"{_NOTE} {_NOTE_ON_BLOCKS}" if is_blocked else _NOTE,
@@ -93,15 +87,6 @@ def repetitions_needed(effect: float, groups: int, *, alpha: float = 0.05, power
     while _power(effect, enough, groups, alpha) < power:
         enough *= 2
     return bisect_left(range(enough), power, lo=2, key=lambda runs: _power(effect, runs, groups, alpha))
-
-
-def _observed(groups: Sequence[Group], sizes: Sequence[int], deviation: float) -> float:
-    means = [float(group.values.mean()) for group in groups]
-    if len(groups) == 2:  # noqa: PLR2004
-        return abs(means[0] - means[1]) / deviation
-    grand = sum(mean * size for mean, size in zip(means, sizes, strict=True)) / sum(sizes)
-    spread = sum(size * (mean - grand) ** 2 for mean, size in zip(means, sizes, strict=True)) / sum(sizes)
-    return math.sqrt(spread) / deviation
 
 
 def _power(effect: float, runs: float, groups: int, alpha: float) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -13,9 +13,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AssumptionCheck",
+    "Check",
     "Comparison",
+    "ContrastTest",
     "Effect",
     "EffectSize",
+    "EffectTest",
     "Interval",
     "Magnitude",
     "MeasureTest",
@@ -69,21 +72,36 @@ class TestMethod(Enum):
 
     __test__ = False  # no tests for pytest
 
-    STUDENT_T = "Student's t-test"
     WELCH_T = "Welch's t-test"
-    MANN_WHITNEY = "Mann-Whitney U test"
-    PAIRED_T = "paired t-test"
-    WILCOXON = "Wilcoxon signed-rank test"
-    ANOVA = "one-way ANOVA"
     WELCH_ANOVA = "Welch's ANOVA"
-    KRUSKAL_WALLIS = "Kruskal-Wallis test"
-    FACTORIAL_ANOVA = "factorial ANOVA"
-    ROBUST_ANOVA = "factorial ANOVA with heteroscedasticity-consistent covariance (HC3)"
-    ALIGNED_RANKS = "aligned-rank-transform ANOVA"
-    BLOCKED_ANOVA = "ANOVA with blocks"
-    FRIEDMAN = "Friedman test"
+    ANOVA_TYPE = "ANOVA-type test"
+    WELCH_JAMES = "Welch-James tests of marginal means"
+    PAIRED_T = "paired t-test"
+    BLOCKS = "tests of contrasts within blocks"
+    LINEAR_MODEL = "linear model with one variance"
     MIXED_MODEL = "linear mixed model"
-    MIXED_ALIGNED_RANKS = "aligned-rank-transform mixed model"
+
+
+class EffectTest(NamedTuple):
+    """What was computed for one effect.
+
+    The numbers are arrays where several experiments were computed at once.
+
+    Attributes:
+        factors: one name, or several for an interaction.
+        test: which test it is, as in `Welch's t`.
+        statistic_name: `t` or `F`.
+        freedom: degrees of freedom, one or two.
+        variance: the mean of the squared effects on all combinations.
+    """
+
+    factors: tuple[str, ...]
+    test: str
+    statistic_name: str
+    statistic: Any
+    freedom: tuple[Any, ...]
+    p_value: Any
+    variance: Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +124,7 @@ class EffectSize:
 
 @dataclass(frozen=True, slots=True)
 class AssumptionCheck:
-    """Whether a test's assumption holds.
+    """How the values are distributed, as a figure that describes; no test is chosen by it.
 
     Attributes:
         name: `Shapiro-Wilk` or `Levene`.
@@ -142,26 +160,50 @@ class QuantilePairs:
 
 
 @dataclass(frozen=True, slots=True)
+class Check:
+    """The same test of the ranks of all values, or of their means where ranks are tested: does a conclusion hang on it?
+
+    Attributes:
+        of: `ranks` or `means`.
+        p_value: before adjustment; None where it could not be computed.
+        agrees: whether it comes to the same side of alpha as the test beside it; None where that is not known.
+    """
+
+    of: str
+    statistic_name: str
+    statistic: float | None
+    degrees_of_freedom: tuple[float, ...]
+    p_value: float | None
+    agrees: bool | None
+
+
+@dataclass(frozen=True, slots=True)
 class Effect:
     """One line of a table of tests: the effect of a factor, or of several together (their interaction).
 
     Attributes:
         factors: one name, or several for an interaction.
-        statistic_name: as in `t`, `U`, `F`, `H`, `chi2`, `W`, `z`.
-        degrees_of_freedom: none, one or two.
-        p_value: None where it could not be computed.
-        is_significant: whether the p-value is below alpha; None where there is none.
+        test: which test it is, as in `Welch's t`.
+        statistic_name: `t` or `F`.
+        degrees_of_freedom: one or two.
+        p_value: before adjustment; None where it could not be computed.
+        adjusted_p_value: after adjustment for the family of tests that it belongs to.
+        is_significant: whether the adjusted p-value is below alpha; None where there is none.
         effect_sizes: how much it is.
-        conclusion: one plain sentence.
+        check: the test of ranks beside it.
+        conclusion: one plain sentence, or two.
     """
 
     factors: tuple[str, ...]
+    test: str
     statistic_name: str
     statistic: float | None
     degrees_of_freedom: tuple[float, ...]
     p_value: float | None
+    adjusted_p_value: float | None
     is_significant: bool | None
     effect_sizes: tuple[EffectSize, ...]
+    check: Check | None
     conclusion: str
 
     @property
@@ -172,19 +214,27 @@ class Effect:
 
 @dataclass(frozen=True, slots=True)
 class MeasureTest:
-    """The test of a measure that fits the design.
+    """The test of a measure, as the design and the plan fix it.
 
     Attributes:
         method: the test.
+        estimand: what is compared: `mean`, `trimmed mean` or `rank`.
         reason: why this one, in a sentence.
         effects: its results, main effects first.
+        family: the tests among which errors are controlled together, in words; how many they are.
+        family_size: their number.
+        spread: the standard deviation that differences are divided by for Cohen's d; None where there is none.
         library: what computed it, with its version.
         notes: what else the reader has to know, such as that an interaction could not be estimated.
     """
 
     method: TestMethod
+    estimand: str
     reason: str
     effects: tuple[Effect, ...]
+    family: str
+    family_size: int
+    spread: float | None
     library: str
     notes: tuple[str, ...] = ()
 
@@ -195,10 +245,12 @@ class Comparison:
 
     Attributes:
         first, second: the treatments, as texts.
-        difference: the mean of the first less that of the second (medians where the test is of ranks).
-        interval: confidence interval of the difference, not adjusted for the number of comparisons.
-        p_value: before adjustment.
-        adjusted_p_value: after it.
+        difference: the estimate of the first less that of the second; each combination counts the same.
+        interval: confidence interval of the difference at 1 - alpha, not adjusted for the number of comparisons.
+        p_value: before adjustment; below alpha where the interval leaves out 0.
+        adjusted_p_value: after adjustment for the number of pairs, and no smaller than that of the effect.
+        is_significant: whether the adjusted p-value is below alpha.
+        check_p_value: of the same comparison of the ranks of all values (of means, where ranks are compared).
     """
 
     first: str
@@ -207,9 +259,11 @@ class Comparison:
     interval: Interval | None
     statistic_name: str
     statistic: float | None
+    degrees_of_freedom: float | None
     p_value: float | None
     adjusted_p_value: float | None
     is_significant: bool | None
+    check_p_value: float | None
     effect_sizes: tuple[EffectSize, ...]
 
 
@@ -221,11 +275,30 @@ class PostHoc:
         factors: whose treatments are compared; several where combinations are.
         method: the test of each pair, in words.
         correction: how p-values were adjusted.
-        is_of_means: whether differences are of means; of medians otherwise.
+        quantity: what differences are of: `means`, `trimmed means` or `relative ranks`.
     """
 
     factors: tuple[str, ...]
     method: str
     correction: Correction
-    is_of_means: bool
+    quantity: str
     comparisons: tuple[Comparison, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ContrastTest:
+    """A contrast that a hypothesis names, or the difference that it bounds.
+
+    Attributes:
+        statement: the hypothesis in words.
+        estimate: the weighted sum of means.
+        interval: at 1 - alpha; at 1 - 2 alpha where the hypothesis is one of equivalence, which it decides.
+        p_value: that the sum is not zero; of two one-sided tests where it is one of equivalence.
+    """
+
+    statement: str
+    estimate: float
+    interval: Interval
+    statistic: float
+    degrees_of_freedom: float
+    p_value: float

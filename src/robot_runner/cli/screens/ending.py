@@ -52,6 +52,8 @@ def whereabouts(finished: ExperimentFinished, progress: Progress) -> list[tuple[
     runs = ExperimentFolder.found_at(finished.folder).runs
     if runs.is_dir() and any(runs.iterdir()):
         facts.append(("", f"{shown_path(runs)}/<run>/ has what the run printed, and its raw data"))
+    if progress.gate_seconds >= 1:
+        facts.append(("Waited", f"{shown_duration(progress.gate_seconds)} at gates"))
     if progress.bad_values:
         facts.append(("Quality", f"{quality_in_words(progress.bad_values)} (`robot-runner explain` says why)"))
     if finished.excluded:

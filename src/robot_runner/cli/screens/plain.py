@@ -32,6 +32,7 @@ from robot_runner.core.execution.notices import (
     PreparationStarted,
     ProbeStarted,
     QuestionAsked,
+    RunRecord,
     WaitingForUser,
 )
 from robot_runner.core.execution.task import AttemptStatus
@@ -102,7 +103,7 @@ def shown_measure(published: PublishedMeasure | None) -> str:
 def treatments_in_words(task: RunTask | WaitingForUser, model: RunTableModel) -> str:
     """Return what a run varies, as `Task=Video, Repetition=3`."""
     parts = [f"{name}={shown_treatment(treatment)}" for name, treatment in task.combination.items()]
-    if task.is_warm_up:
+    if task.repetition == 0:
         parts.append("warm-up")
     elif model.repetitions > 1:
         parts.append(f"{REPETITION}={task.repetition}")
@@ -335,6 +336,8 @@ class PlainScreen:
                 self._console.file.flush()
             case AnswersRefused():
                 self._print(*refusals(notice))
+            case RunRecord(run_id, "asked", fields):
+                self._print(f"{run_id} waits until a person says that {fields['step']}: {fields['command']}")
             case GateWaiting() | GatePassed():
                 self._tell_of_gate(notice)
 

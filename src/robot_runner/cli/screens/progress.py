@@ -147,6 +147,10 @@ class Progress:
             self.current.shared = ""
         elif kind == "shared":
             self.current.shared = _said(fields["values"])
+        elif kind == "waiting":
+            self.current.shared = f"waiting until {fields['condition']}: {fields['seen']}".removesuffix(": ")
+        elif kind == "waited":
+            self.current.shared = ""
         elif kind == "failure" and not self.current.failure:
             self.current.failure = str(fields["problem"])
 

@@ -25,8 +25,11 @@ class RobotRunnerConfig(ExperimentConfig):
     # Where that folder is made; a relative path begins where this file is.
     results_output_path = Path("experiments")
 
-    # AUTO starts each run by itself; SEMI waits between two runs until you say so (to swap a battery, say).
+    # AUTO starts each run by itself; SEMI waits before each run until you say so.
     operation_type = OperationType.AUTO
+
+    # What you do before a run, and what you are asked then, a measure of that run: import OperatorStep and Question.
+    # operator_steps = [OperatorStep("swap the battery", every=5, ask=[Question("voltage", float, unit="V")])]
 
     # How long the robot rests between two runs.
     time_between_runs_in_ms = 0
@@ -90,7 +93,7 @@ class RobotRunnerConfig(ExperimentConfig):
         return {"EnergyPerMeter": energy / distance}
 
     def continue_experiment(self, context: RobotRunnerContext) -> None:
-        """Say what is to be done before the next run. SEMI only, before you are asked to press ENTER."""
+        """Say what is to be done before `context.next_run`. SEMI only, before you are asked to press ENTER."""
 
     def after_experiment(self, context: ExperimentContext) -> None:
         """Tidy up what `before_experiment` prepared. Called whatever happened in between."""

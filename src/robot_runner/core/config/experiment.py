@@ -37,6 +37,7 @@ class Experiment:
         spelling: how the run table's file spells headings and statuses.
         replication: which package is executed again and what was changed on purpose, for the manifest; None where
             the experiment is nobody's replication.
+        kept: how much of the config's source the folder keeps: the `file`, the notebook's `cell` alone, or `nothing`.
     """
 
     config_path: Path
@@ -52,6 +53,7 @@ class Experiment:
     folder: ExperimentFolder
     spelling: TableSpelling = OWN_SPELLING
     replication: Mapping[str, Any] | None = None
+    kept: str = "file"
 
     def table_layout(self, types: Mapping[str, str] | None = None, *, warms_up: bool = False) -> TableLayout:
         """Return the columns of the run table.

@@ -136,6 +136,7 @@ class LoadedConfig:
         spelling: how its run table's file spells headings and statuses.
         threads: the threads that it started while it was loaded and that go on.
         lacking: what it needs of the machine, and the machine has not.
+        kept: how much of its source the experiment's folder keeps, for the manifest.
     """
 
     source: ConfigSource
@@ -149,6 +150,7 @@ class LoadedConfig:
     spelling: TableSpelling = OWN_SPELLING
     threads: tuple[str, ...] = ()
     lacking: tuple[Finding, ...] = ()
+    kept: str = "file"
 
     @property
     def where(self) -> str:

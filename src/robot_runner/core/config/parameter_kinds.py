@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -33,6 +34,7 @@ __all__ = [
     "ROS_DISTRIBUTION",
     "ROS_GENERATION",
     "SECONDS",
+    "SMOKE",
     "TEXT",
     "Kind",
     "choice",
@@ -166,6 +168,12 @@ HOSTS = Kind(
     named_hosts,
 )
 LICENCE = Kind('an SPDX identifier such as "CC-BY-4.0", a URL', is_licence)
+SMOKE = Kind(
+    'names with values, such as {"BasicTurtlebot3.task_s": 1.0}',
+    lambda value: isinstance(value, Mapping) and all(isinstance(name, str) and name for name in value),
+    _not_from_text,
+    dict,
+)
 TEXT = Kind("a text", _is_text)
 OPERATOR_STEPS = replace(
     instances(OperatorStep, "a list of OperatorStep(...) in the config file; from outside, none"),

@@ -27,6 +27,7 @@ from robot_runner.core.config.parameter_kinds import (
     ROS_DISTRIBUTION,
     ROS_GENERATION,
     SECONDS,
+    SMOKE,
     TEXT,
     Kind,
     choice,
@@ -236,6 +237,12 @@ class StaticParameters:
         "What must not come true while a run is measured: conditions that are watched.",
         instances(Guard, "a list of Guard(...), such as [Guard(battery_below(15), GuardAction.STOP)]"),
         (),
+    )
+    smoke: Mapping[str, Any] = _declare(
+        "What `robot-runner smoke` sets to be quick: static parameters and attributes of the config by name, and "
+        "parameters of a plugin as `<plugin>.<parameter>`.",
+        SMOKE,
+        {},
     )
     watch_machines: bool = _declare(
         "Whether the computers that profilers measure are watched for what else goes on there: load by others, swap, "

@@ -228,4 +228,5 @@ def _experiment(
         local_modules=loaded.local_modules,
         folder=experiment_folder(parameters, loaded),
         spelling=loaded.spelling,
+        kept=loaded.kept,
     )

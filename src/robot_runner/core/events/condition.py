@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from robot_runner.core.errors import Finding
     from robot_runner.core.events.context import Clock, RobotRunnerContext
 
-__all__ = ["Condition", "Look", "LookAgain"]
+__all__ = ["Condition", "HeldFor", "Look", "LookAgain"]
 
 #: What is left of a wait is not slept, s: on a clock whose steps are longer than that it would never be over.
 _RESOLUTION = 1e-6
@@ -118,7 +118,7 @@ class Condition(ABC):
         if not 0 < seconds < float("inf"):
             fix = "Give held_for a number of seconds above 0."
             raise ConditionError(f"nothing can hold for {seconds!r} s", where=str(self), fix=fix)
-        return _HeldFor(self, seconds)
+        return HeldFor(self, seconds)
 
     def wait(self, context: RobotRunnerContext, *, timeout_s: float) -> Look:
         """Wait until it holds, on its clock; what was awaited, how long, and what was seen is recorded.
@@ -161,8 +161,8 @@ class Condition(ABC):
 
 
 @dataclass(frozen=True)
-class _HeldFor(Condition):
-    """Another condition, which must have held for a while."""
+class HeldFor(Condition):
+    """Another condition, which must have held for a while, as `Condition.held_for` makes it."""
 
     condition: Condition
     seconds: float
@@ -175,15 +175,19 @@ class _HeldFor(Condition):
         return f"{self.condition} for {self.seconds:g} s"
 
     def parts(self) -> Iterable[Condition]:
+        """Return the other condition."""
         return (self.condition,)
 
     def check(self, robot: str | None) -> Iterable[Finding]:
+        """Return what the other condition finds."""
         return self.condition.check(robot)
 
     def clock(self, context: RobotRunnerContext) -> Clock:
+        """Return the clock of the other condition."""
         return self.condition.clock(context)
 
     def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
+        """Watch the other condition, and take down since when it holds."""
         look_again, clock = self.condition.watch(context, opened), self.clock(context)
         since: float | None = None
 

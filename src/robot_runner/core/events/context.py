@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import time
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TypeVar, cast, runtime_checkable
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol, runtime_checkable
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.early_end import EndingInPlace
@@ -15,7 +14,7 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.outliving import program_name, spare
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from contextlib import AbstractContextManager
     from pathlib import Path
 
@@ -23,15 +22,14 @@ if TYPE_CHECKING:
     from robot_runner.core.events.early_end import Ending
     from robot_runner.core.events.host_access import HostAccess
     from robot_runner.core.events.outlook import ExperimentEnd, NextRun
+    from robot_runner.core.events.resources import Resources
     from robot_runner.core.events.window import MissionTimes, Phase, Window
 
 __all__ = [
     "Clock",
-    "Closable",
     "ExperimentContext",
     "HostDoor",
     "NoHosts",
-    "Resources",
     "RobotRunnerContext",
     "RunBroker",
     "StartedProgram",
@@ -66,52 +64,6 @@ class SystemClock:
         """Block the calling thread for this many real seconds."""
         if seconds > 0:
             time.sleep(seconds)
-
-
-# What several plugins of one run share: opened once, closed in reverse order when the run ends.
-
-
-class Closable(Protocol):
-    """Anything that is closed once it is no longer needed."""
-
-    def close(self) -> None:
-        """Let go of what is held."""
-        ...
-
-
-R = TypeVar("R", bound=Closable)
-
-
-class Resources:
-    """The links and devices that a run has opened, by key.
-
-    Example:
-        >>> class Line:
-        ...     def close(self) -> None:
-        ...         print("closed")
-        >>> with_line = Resources()
-        >>> with_line.open("serial", Line) is with_line.open("serial", Line)
-        True
-        >>> with_line.close()
-        closed
-    """
-
-    def __init__(self) -> None:
-        self._opened: dict[str, Closable] = {}
-        self._closing = ExitStack()
-
-    def open(self, key: str, opener: Callable[[], R]) -> R:
-        """Return what was opened under `key`, opening it first if it was not; it is closed with the run."""
-        if key not in self._opened:
-            opened = opener()
-            self._opened[key] = opened
-            self._closing.callback(opened.close)
-        return cast("R", self._opened[key])
-
-    def close(self) -> None:
-        """Close everything in reverse order; what one of them raises is raised after all were closed."""
-        self._opened.clear()
-        self._closing.close()
 
 
 class StartedProgram(Protocol):

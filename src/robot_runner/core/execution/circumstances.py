@@ -47,7 +47,12 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
     return {
         **described_circumstances(),  # first, so that none of them takes the place of what follows
         "experiment_name": experiment.parameters.experiment_name,
-        "config": {"file": experiment.config_path.name, "class": experiment.class_name},
+        "config": {
+            "file": experiment.config_path.name,
+            "class": experiment.class_name,
+            # A class from a notebook has no file of its own: what was kept of it is said.
+            **({} if experiment.kept == "file" else {"kept": experiment.kept}),
+        },
         # What was set from outside the config file: a replication has to know.
         "deviations": dict(experiment.overrides),
         "robot": experiment.parameters.robot,

@@ -18,11 +18,12 @@ from robot_runner.core.execution.mission_knowledge import (
     told_apart,
 )
 from robot_runner.core.execution.task import AttemptStatus
+from robot_runner.core.links.declared_host import Reboot
 from robot_runner.core.storage.journal import last_records
 from robot_runner.core.words import counted, enumerated, shown_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.core.config.parameters import Parameters
@@ -186,6 +187,7 @@ class Durations:
         self._pauses: deque[float] = deque(maxlen=_PAUSES)
         self._current: tuple[CombinationKey, float] | None = None
         self._ended: float | None = None
+        self._has_begun = False
         self._left: Counter[CombinationKey] = Counter()
         self._expected: float | None = None
         self._computed = self._cost = 0.0
@@ -243,7 +245,17 @@ class Durations:
         key, began = self._current
         seen = self._done if status == AttemptStatus.DONE.value else self._failed
         seen.take(key, max(0.0, at - began) - self._said.get(key, 0.0))
-        self._current, self._ended = None, at
+        self._current, self._ended, self._has_begun = None, at, True
+
+    def said_of(self, combination: Mapping[str, Any]) -> float | None:
+        """Return what is said of a run of this combination, s; None where nothing is."""
+        return self._said.get(combination_key(combination))
+
+    def learn(self, combination: Mapping[str, Any], seconds: float) -> None:
+        """Learn from a run that took so long and is done."""
+        key = combination_key(combination)
+        self._done.take(key, seconds - self._said.get(key, 0.0))
+        self._computed = 0.0
 
     def break_off(self) -> None:
         """Forget what has begun and not ended: it was interrupted, or the clock is another one from here."""
@@ -294,7 +306,7 @@ class Durations:
         of_runs = self._of_all()
         if of_runs is None:
             return Estimate(None, unknown=(self._why_not(), *self._unknown()))
-        pauses = runs - (0 if self.count else 1)
+        pauses = runs - (0 if self._has_begun else 1)
         parts = [f"{counted(runs, 'run')} of {shown_duration(of_runs / runs)}, {self._source()}"]
         if pauses and self.pause > 0:
             told = "as they were so far" if self._pauses else "time_between_runs_in_ms"
@@ -352,16 +364,25 @@ def durations_of(
     Raises:
         StorageError: the journal cannot be read.
     """
-    has_operator = parameters.operation_type is OperationType.SEMI or parameters.operator_steps
-    waits = ["the operator between two runs"] if has_operator else []
     durations = Durations(
         MissionKnowledge.of(config, plugins, events, parameters.robot),
         combinations,
         rest_s=parameters.time_between_runs_in_ms / 1000,
-        waits=waits,
+        waits=list(_waits(parameters)),
     )
     durations.learn_from(journal)
     return durations
+
+
+def _waits(parameters: Parameters) -> Iterator[str]:
+    """Yield what comes between two runs besides the rest."""
+    if parameters.operation_type is OperationType.SEMI or parameters.operator_steps:
+        yield "the operator between two runs"
+    if parameters.gates:
+        yield "the gates"
+    restarted = [name for name, host in parameters.hosts.items() if host.reboot is not Reboot.NEVER]
+    if restarted:
+        yield f"starting {enumerated(restarted)} anew"
 
 
 def _seconds(stamp: str) -> float:

@@ -19,27 +19,25 @@ from robot_runner.core.storage.table_columns import ColumnDescription, TableLayo
 from robot_runner.core.storage.table_schema import EXCLUSION, read_schema, write_schema
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from robot_runner.core.storage.layout import ExperimentFolder
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
-__all__ = ["checked_reason", "exclude_runs", "include_runs"]
+__all__ = ["exclude_runs", "include_runs"]
 
 
-def checked_reason(reason: str) -> str:
-    """Return a reason on one line.
+def _on_one_line(reason: str) -> str:
+    return " ".join(reason.split())
 
-    Raises:
-        ExecutionError: it says nothing, or holds control characters.
-    """
-    text = " ".join(reason.split())
+
+def _reason_findings(reason: str) -> Iterator[Finding]:
+    text = _on_one_line(reason)
     if not text:
         fix = 'Say why, for whoever reads the results: --reason "the door was open".'
-        raise ExecutionError("the reason is empty", where="--reason", fix=fix)
-    if not text.isprintable():
-        raise ExecutionError(f"the reason holds control characters: {text!r}", where="--reason", fix="Leave them out.")
-    return text
+        yield Finding.error("--reason", "the reason is empty", fix)
+    elif not text.isprintable():
+        yield Finding.error("--reason", f"the reason holds control characters: {text!r}", "Leave them out.")
 
 
 def exclude_runs(folder: ExperimentFolder, expressions: Sequence[str], reason: str) -> tuple[str, ...]:
@@ -56,9 +54,9 @@ def exclude_runs(folder: ExperimentFolder, expressions: Sequence[str], reason: s
     Raises:
         RobotRunnerError: there are no such runs, there is no reason, or somebody executes the experiment.
     """
-    reason = checked_reason(reason)
     with _correcting(folder) as table:
-        chosen = table.chosen(expressions)
+        chosen = table.chosen(expressions, _reason_findings(reason))
+        reason = _on_one_line(reason)
         new = [run_id for run_id in chosen if table.excluded.reason(run_id) != reason]
         table.record("excluded", new, reason=reason)
         for run_id in new:
@@ -76,13 +74,13 @@ def include_runs(folder: ExperimentFolder, expressions: Sequence[str], reason: s
         RobotRunnerError: there are no such runs, none of them is left out, or somebody executes the experiment.
     """
     with _correcting(folder) as table:
-        chosen = table.chosen(expressions)
+        chosen = table.chosen(expressions, _reason_findings(reason) if reason else ())
         out = [run_id for run_id in chosen if table.excluded.reason(run_id) is not None]
         if not out:
             present = ", ".join(table.excluded.present) or "none is"
             fix = f"Name runs that are excluded: {present}."
             raise ExecutionError("none of these runs is excluded", where=str(folder.root), fix=fix)
-        table.record("included", out, **({"reason": checked_reason(reason)} if reason else {}))
+        table.record("included", out, **({"reason": _on_one_line(reason)} if reason else {}))
         for run_id in out:
             table.rows.exclude(run_id, None)
     return tuple(out)
@@ -96,9 +94,10 @@ class _Table:
     excluded: ExcludedRuns
     journal: Journal
 
-    def chosen(self, expressions: Sequence[str]) -> list[str]:
+    def chosen(self, expressions: Sequence[str], findings: Iterable[Finding]) -> list[str]:
         chooser = RunChooser(self.rows.planned, has_repetition=self.rows.layout.has_repetition)
         places = chooser.choose("RUNS", expressions).places
+        chooser.findings += findings
         chooser.refuse()
         return [self.rows.run_id(place) for place in places]
 

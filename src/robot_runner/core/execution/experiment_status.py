@@ -155,6 +155,7 @@ def read_status(folder: Path) -> ExperimentStatus:
         seconds_left=left.after(history.since_left if holder else 0.0) if left is not None else None,
         left_is_least=left is not None and left.is_least,
         bad_values=history.bad_values,
+        waiting_for=history.waiting_for if holder else None,
         warm_ups=len(history.warm_ups),
         warm_ups_done=sum(statuses.get(run) is RunStatus.DONE for run in history.warm_ups),
         batches=tuple(int(each["runs"]) for each in manifest.get("design", {}).get("batches", ())),
@@ -297,14 +298,16 @@ class _History:
     def _take_attempt_started(self, record: Mapping[str, Any]) -> None:
         self.current_run, self.current_event = record["run"], None
         self._take_left(record)
-        self._begun.pop(record["run"], None)
-        self._begun[record["run"]] = None
+        if record.get("repetition") != 0:  # a warm-up run comes before each session, whatever the table's order
+            self._begun.pop(record["run"], None)
+            self._begun[record["run"]] = None
 
     def _take_event(self, record: Mapping[str, Any]) -> None:
         self.current_event = record["event"]
 
     def _take_attempt_finished(self, record: Mapping[str, Any]) -> None:
         ends = {"done": RunStatus.DONE, "failed": RunStatus.FAILED}
+        self.waiting_for = None
         self._ends[record["run"]] = self._since_table[record["run"]] = ends.get(record["status"], RunStatus.TODO)
         self.failures[record["run"]] = record["failure"] or ""
         told = {
@@ -342,6 +345,13 @@ class _History:
         if "next_run" in record:
             asked = record.get("questions", ())
             self.waiting_for = {"next_run": record["next_run"], "step": record.get("step", ""), "questions": asked}
+
+    def _take_asked(self, record: Mapping[str, Any]) -> None:
+        self.waiting_for = {"next_run": record["run"], "step": record["step"], "questions": ()}
+
+    def _take_answered(self, record: Mapping[str, Any]) -> None:
+        del record
+        self.waiting_for = None
 
     def _take_continued(self, record: Mapping[str, Any]) -> None:
         del record

@@ -14,6 +14,7 @@ import errno
 import fcntl
 import os
 import signal
+import sys
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -53,8 +54,9 @@ class RunMark:
     def sign(self) -> None:
         """Mark this process as the run, and the programs that it starts from now on."""
         os.environ[_VARIABLE] = str(self._folder.root.resolve())
-        os.ftruncate(self.descriptor, 0)
-        os.pwrite(self.descriptor, str(os.getpid()).encode(), 0)
+        if sys.platform != "linux":  # there, a run whose parent dies is not told
+            os.ftruncate(self.descriptor, 0)
+            os.pwrite(self.descriptor, str(os.getpid()).encode(), 0)
 
 
 def left_over(folder: ExperimentFolder) -> list[int]:
@@ -144,7 +146,10 @@ def _is_locked(folder: ExperimentFolder) -> bool:
 
 
 def _ask_to_stop(folder: ExperimentFolder) -> None:
-    """Send SIGTERM to the run, which leads a group of its own; where it has ended meanwhile, to nobody."""
+    """Send SIGTERM to the run, which leads a group of its own; where it has ended meanwhile, to nobody.
+
+    On Linux the run got that when its keeper died, and the file is empty.
+    """
     with suppress(OSError, ValueError, OverflowError):
         run = int(folder.alive.read_text(encoding="utf-8"))
         if run > 1 and os.getpgid(run) == run:

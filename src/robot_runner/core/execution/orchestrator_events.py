@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.watched_combination import WatchedCombination
 from robot_runner.core.errors import ExecutionError
-from robot_runner.core.events.context import ExperimentContext, Resources, RobotRunnerContext, SystemClock
+from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext, SystemClock
 from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.events.manager import CallbackFailure, Emission, RobotRunnerEvents
 from robot_runner.core.events.outlook import ExperimentEnd, NextRun
+from robot_runner.core.events.resources import Resources
 from robot_runner.core.execution.event_deadline import DeadlinePassed, EventDeadline
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.run_ending import failure_fields

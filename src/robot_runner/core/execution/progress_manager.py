@@ -8,25 +8,17 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self
 
-from robot_runner.core.config.plugin_checks import check_treatments
 from robot_runner.core.config.treatment_makers import PREPARED, known_treatments
-from robot_runner.core.design.columns import REPETITION
-from robot_runner.core.design.watched_combination import unread
-from robot_runner.core.errors import ExecutionError, Finding
-from robot_runner.core.events.manager import RUN_EVENTS, RobotRunnerEvents
-from robot_runner.core.events.measure import OPERATOR_OWNER
+from robot_runner.core.execution.begun_experiment import begun_manifest, refuse_unfit_treatments
 from robot_runner.core.execution.circumstances import (
     keep_config,
-    manifest_of,
     note_clock,
-    restored_manifest,
-    resumed_manifest,
 )
 from robot_runner.core.execution.durations import durations_of
-from robot_runner.core.execution.extension import refuse_unplanned, unplanned_additions
 from robot_runner.core.execution.left_over import await_left_over
 from robot_runner.core.execution.mission_knowledge import combination_key
-from robot_runner.core.execution.recovery import config_changes, selected_places
+from robot_runner.core.execution.recovery import selected_places
+from robot_runner.core.execution.run_findings import UnreadFactors, missing_measures
 from robot_runner.core.execution.table_on_disk import TableOnDisk
 from robot_runner.core.execution.table_recovery import recover_table, texts_of
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome, RunTask, seed_of_run
@@ -34,13 +26,14 @@ from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import Journal, utc_now
 from robot_runner.core.storage.layout import drop_empty_log, keep_log, keep_refused, put_earlier_attempt_away
 from robot_runner.core.storage.lock import ExperimentLock, forget_pause
-from robot_runner.core.storage.manifest import read_manifest, write_manifest
+from robot_runner.core.storage.manifest import write_manifest
 from robot_runner.core.storage.safe_write import fsync_folder, storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.errors import Finding
     from robot_runner.core.execution.durations import Durations, TimeLeft
     from robot_runner.core.execution.probe import Probe
     from robot_runner.core.execution.recovered_table import RecoveredTable
@@ -49,24 +42,9 @@ if TYPE_CHECKING:
 __all__ = ["PendingRun", "ProgressManager"]
 
 #: What a run reports that is kept in the journal; measures are kept with the end of the attempt.
-_KEPT = frozenset(
-    {
-        "event",
-        "window",
-        "phase",
-        "shared",
-        "finding",
-        "refused",
-        "failure",
-        "clock",
-        "bound",
-        "waited",
-        "guard",
-        "subject",
-        "mission_stopped",
-        "outlives",
-    }
-)
+_OF_RUN = ("event", "window", "phase", "shared", "finding", "refused", "failure", "clock", "bound")
+_OF_ATTENDANCE = ("waited", "guard", "asked", "answered", "subject", "mission_stopped", "outlives")
+_KEPT = frozenset((*_OF_RUN, *_OF_ATTENDANCE))
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +88,7 @@ class ProgressManager:
         self._prepare = prepare
         self._failed: dict[str, str] = {}
         self._findings: list[Finding] = []
-        self._unread: dict[str, Finding] | None = None
+        self._unread = UnreadFactors(experiment)
         self._resources = ExitStack()
         self._last_outcome = RunOutcome(AttemptStatus.INTERRUPTED)
 
@@ -122,14 +100,17 @@ class ProgressManager:
             forget_pause(self._folder.pause)  # of one that was killed
             left_over = await_left_over(self._folder, self._experiment.parameters.grace_in_s)
             self._findings += [left_over] if left_over is not None else []
-            self._manifest = self._load_manifest()
-            self._findings += refuse_unplanned(self._experiment, self._manifest)
+            accept_changes = self._resumption.accept_changes
+            self._manifest, odd = begun_manifest(self._experiment, accept_changes=accept_changes)
+            self._findings += odd
             if self._resumption.selection:
                 self._manifest["executions"][-1]["selection"] = self._resumption.selection
             started = time.monotonic()
             recovered = recover_table(self._experiment, self._manifest, self._resumption)
             self._selected = selected_places(recovered.rows, self._resumption, self._experiment.model.warm_up)
-            self._refuse_unfit_treatments(recovered)
+            refuse_unfit_treatments(
+                self._experiment, self._manifest, recovered, self._selected, accept_changes=accept_changes
+            )
             self._take(recovered)
             prepared = self._prepare(known_treatments(self._folder))
             self._manifest |= prepared
@@ -227,7 +208,7 @@ class ProgressManager:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What looked odd in the table on disk and in the runs."""
-        return (*self._findings, *(self._unread or {}).values())
+        return (*self._findings, *self._unread.findings)
 
     def pending(self) -> Iterator[PendingRun]:
         """Yield the runs to execute, in order: those to do, those that failed, those asked for again."""
@@ -298,11 +279,11 @@ class ProgressManager:
         """
         keep_log(self._folder, task.run_id)
         self._durations.end(time.monotonic(), outcome.status.value, is_last=is_last)
-        self._findings += [*outcome.findings, *self._missing_measures(task, outcome)]
+        self._findings += [*outcome.findings, *missing_measures(self._experiment, task, outcome)]
         if outcome.status is AttemptStatus.FAILED and is_last:
             self._failed[task.run_id] = str(outcome.failure)
         self._keep_outcome(task, outcome, {"is_last": is_last})
-        return self._look_for_readers(task, outcome) if outcome.status is AttemptStatus.DONE else ()
+        return self._unread.take(task, outcome)
 
     def amend_outcome(self, task: RunTask, later: RunOutcome) -> None:
         """Keep what was published and found after the last attempt had been recorded, if anything was.
@@ -316,7 +297,8 @@ class ProgressManager:
         if later.measures == before.measures and not found:
             return
         outcome = replace(before, stamps=later.stamps, measures=later.measures, findings=later.findings)
-        no_more = set(self._missing_measures(task, before)).difference(self._missing_measures(task, outcome))
+        missing = missing_measures(self._experiment, task, outcome)
+        no_more = set(missing_measures(self._experiment, task, before)).difference(missing)
         self._findings = [each for each in self._findings if each not in no_more] + list(found)
         # The later end of an attempt takes the place of the earlier.
         self._keep_outcome(task, outcome, {"is_last": True, "is_amended": True})
@@ -329,7 +311,7 @@ class ProgressManager:
             run=task.run_id,
             attempt=task.attempt,
             **facts,
-            **_plain(outcome),
+            **outcome.fields(),
             **self._left(),
         )
         if self._table.take_outcome(task.run_id, outcome):
@@ -379,35 +361,6 @@ class ProgressManager:
             if not each.run:
                 self._manifest["design"]["is_reordered"] = True
 
-    def _load_manifest(self) -> dict[str, Any]:
-        lost = restored_manifest(self._experiment)
-        if lost is not None:
-            self._findings.append(lost.finding)
-            return lost.manifest
-        if self._folder.manifest.exists():
-            if not self._resumption.accept_changes and (changes := config_changes(self._experiment)):
-                experiment, manifest = self._experiment, read_manifest(self._folder.manifest)
-                unplanned = unplanned_additions(experiment.config_path, experiment.model, manifest)
-                raise ExecutionError.of_findings([*changes, *unplanned])
-            return resumed_manifest(self._experiment, read_manifest(self._folder.manifest))
-        return manifest_of(self._experiment)
-
-    def _refuse_unfit_treatments(self, recovered: RecoveredTable) -> None:
-        """See that plugins can be built with the treatments of a table that was written or changed by hand.
-
-        Raises:
-            ExecutionError: one of them cannot be.
-        """
-        by_hand = self._manifest["design"]["source"] != "config" or self._resumption.accept_changes
-        if not by_hand or (not recovered.is_on_disk and not self._folder.run_table.exists()):
-            return
-        experiment = self._experiment
-        combinations = (recovered.rows.combination(place) for place in self._selected)
-        found = check_treatments(experiment.plugins, experiment.model, experiment.parameters.robot, combinations)
-        refused = [finding for finding in found if finding.is_error]
-        if refused:
-            raise ExecutionError.of_findings(refused)
-
     def _take(self, recovered: RecoveredTable) -> None:
         self._table = recovered
         self._rows = recovered.rows
@@ -431,54 +384,3 @@ class ProgressManager:
     def _left(self) -> dict[str, Any]:
         left = self.time_left
         return {} if left is None else {"left": left.facts()}
-
-    def _look_for_readers(self, task: RunTask, outcome: RunOutcome) -> tuple[Finding, ...]:
-        """Return what nobody read in the first run that is done; what a later run reads is not told at the end."""
-        if not any(map(self._experiment.events.subscribers, (RobotRunnerEvents.BEFORE_RUN, *RUN_EVENTS))):
-            return ()  # a plan that is still to be filled: nothing happens in a run that could be misread
-        if self._unread is None:
-            varied = [factor.name for factor in self._experiment.model.factors if len(factor.treatments) > 1]
-            # A factor of that name counts repetitions, as in the paper's Listing 1.
-            self._unread = {
-                name: unread(task.run_id, name)
-                for name in varied
-                if name not in outcome.readers and name.casefold() != REPETITION.casefold()
-            }
-            return tuple(self._unread.values())
-        for name in outcome.readers:
-            self._unread.pop(name, None)
-        return ()
-
-    def _missing_measures(self, task: RunTask, outcome: RunOutcome) -> list[Finding]:
-        if outcome.status is not AttemptStatus.DONE:
-            return []
-        return [
-            Finding.warning(f"{task.run_id}, {column.owner}", f"{column.name} has no value", _missing_fix(column.owner))
-            for column in self._experiment.columns.in_table
-            if column.owner != OPERATOR_OWNER  # a person is asked before some runs only
-            if outcome.measures.get(column.name) is None or outcome.measures[column.name].value is None
-        ]
-
-
-def _plain(outcome: RunOutcome) -> dict[str, Any]:
-    measures = {
-        name: {
-            "value": measure.value,
-            "owner": measure.owner,
-            "origin": measure.origin.value,
-            **({"doubts": list(measure.doubts)} if measure.doubts else {}),
-        }
-        for name, measure in outcome.measures.items()
-    }
-    return {
-        "status": outcome.status.value,
-        "seconds": round(outcome.seconds, 6),
-        "stamps": dict(outcome.stamps),
-        "measures": measures,
-        "failure": str(outcome.failure) if outcome.failure else None,
-        "readers": dict(outcome.readers),
-    }
-
-
-def _missing_fix(owner: str) -> str:
-    return "Return it from populate_run_data." if owner == "config" else "Look at the log of the run."

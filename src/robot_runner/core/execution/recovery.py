@@ -6,10 +6,11 @@ import ast
 import difflib
 from dataclasses import dataclass
 from enum import Enum
+from itertools import repeat
 from operator import is_
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.columns import BATCH, REPETITION, WARM_UP
+from robot_runner.core.design.columns import BATCH, EXCLUDED, REPETITION, STATUS, WARM_UP
 from robot_runner.core.design.selection import Chosen, RunChooser
 from robot_runner.core.design.warm_up import with_warm_ups_again
 from robot_runner.core.errors import ExecutionError, Finding
@@ -105,8 +106,9 @@ def selected_places(rows: RunTableRows, resumption: Resumption, warm_up: WarmUp 
     Raises:
         ExecutionError: what was named is not in the table, or cannot be executed; everything is listed.
     """
+    left = _left(rows)
     if not resumption.selection:
-        return _with_warm_ups(rows, [place for place in range(len(rows)) if _is_left(rows, place)], warm_up)
+        return _with_warm_ups(rows, left, warm_up)
     chooser = RunChooser(rows.planned, has_repetition=rows.layout.has_repetition)
     redo, only, skip, first = (
         chooser.choose(f"--{option}", getattr(resumption, option)) for option in ("redo", "only", "skip", "first")
@@ -114,14 +116,11 @@ def selected_places(rows: RunTableRows, resumption: Resumption, warm_up: WarmUp 
     again, skipped = set(redo.places), set(skip.places)
     chooser.findings += _contradictions(rows, again, skipped, {"--only": only, "--first": first, "--redo": redo})
     chooser.refuse()
-    alone = {*only.places, *again} if resumption.only else set(range(len(rows)))
-    wanted = [
-        place
-        for place in range(len(rows))
-        if (_is_left(rows, place) or place in again) and place in alone and place not in skipped
-    ]
-    ahead = [place for place in first.places if place in set(wanted)]
-    return _with_warm_ups(rows, [*ahead, *(place for place in wanted if place not in set(ahead))], warm_up, skipped)
+    wanted = {*left, *again} - skipped
+    if resumption.only:
+        wanted &= {*only.places, *again}
+    ahead = [place for place in first.places if place in wanted]
+    return _with_warm_ups(rows, [*ahead, *sorted(wanted.difference(ahead))], warm_up, skipped)
 
 
 def _with_warm_ups(
@@ -135,8 +134,11 @@ def _with_warm_ups(
     return with_warm_ups_again(list(rows.planned), selected, done, warm_up)
 
 
-def _is_left(rows: RunTableRows, place: int) -> bool:
-    return rows.status(place) is not RunStatus.DONE and rows.excluded(place) is None
+def _left(rows: RunTableRows) -> list[int]:
+    """Return the places of the runs that are neither done nor left out."""
+    reasons = rows.values(EXCLUDED) if rows.layout.has_exclusions else repeat(None)
+    states = zip(rows.values(STATUS), reasons, strict=False)
+    return [place for place, (status, reason) in enumerate(states) if status is not RunStatus.DONE and reason is None]
 
 
 def _contradictions(

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.watched_combination import WatchedCombination
 from robot_runner.core.errors import MeasureError, did_you_mean
-from robot_runner.core.events.context import Resources, RobotRunnerContext
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.early_end import EndingInPlace, MissionStopped, RunInterrupted
 from robot_runner.core.events.manager import CLOSED_BY, CallbackFailure, Emission, RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER, Origin
 from robot_runner.core.events.measure_broker import MeasureBroker
+from robot_runner.core.events.resources import Resources
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.run_ending import RunEnding

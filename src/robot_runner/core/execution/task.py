@@ -128,6 +128,26 @@ class RunOutcome:
     readers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     seconds: float = 0.0
 
+    def fields(self) -> dict[str, Any]:
+        """Return the same as plain data, for the journal."""
+        measures = {
+            name: {
+                "value": measure.value,
+                "owner": measure.owner,
+                "origin": measure.origin.value,
+                **({"doubts": list(measure.doubts)} if measure.doubts else {}),
+            }
+            for name, measure in self.measures.items()
+        }
+        return {
+            "status": self.status.value,
+            "seconds": round(self.seconds, 6),
+            "stamps": dict(self.stamps),
+            "measures": measures,
+            "failure": str(self.failure) if self.failure else None,
+            "readers": dict(self.readers),
+        }
+
 
 # What a run reports while it is executed, on its way to the orchestrator: one JSON record a line through a pipe.
 

@@ -50,7 +50,8 @@ def become_interpreter(experiment: Experiment, task: RunTask, report: RecordWrit
     os.set_inheritable(report.descriptor, True)  # noqa: FBT003 - the system's own signature
     description = {
         "config": str(experiment.config_path),
-        "set": dict(experiment.overrides),
+        # Of a replication, the config that is executed lies in the package, and its results go elsewhere.
+        "set": {**experiment.overrides, "results_output_path": str(experiment.folder.root.parent)},
         "task": _described(experiment, task),
         "revisions": describe_revisions(experiment.model.factors),
         "records": report.descriptor,

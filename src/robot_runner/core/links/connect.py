@@ -15,7 +15,8 @@ from robot_runner.core.links.robot import RobotName
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from robot_runner.core.events.context import Clock, Resources, RobotRunnerContext
+    from robot_runner.core.events.context import Clock, RobotRunnerContext
+    from robot_runner.core.events.resources import Resources
     from robot_runner.core.links.host import HostLink
     from robot_runner.core.links.kinds import FoundRobot
     from robot_runner.core.links.robot import RobotLink

@@ -9,7 +9,8 @@ from robot_runner.core.entry_points import entry_points, named_entry_point
 
 if TYPE_CHECKING:
     from robot_runner.core.errors import Finding
-    from robot_runner.core.events.context import Clock, Resources
+    from robot_runner.core.events.context import Clock
+    from robot_runner.core.events.resources import Resources
     from robot_runner.core.links.host import HostLink
     from robot_runner.core.links.robot import RobotLink, RobotName
     from robot_runner.core.links.serial_line import SerialLine

@@ -18,7 +18,8 @@ from robot_runner.core.sampling.series import Series
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from robot_runner.core.events.context import Clock, Closable
+    from robot_runner.core.events.context import Clock
+    from robot_runner.core.events.resources import Closable
     from robot_runner.core.sampling.quality import SampleQuality
 
 __all__ = ["PeriodicSampler", "Sampling", "TickingClock"]

@@ -28,13 +28,16 @@ def done_runs(journal: Path) -> set[str]:
 def executed_order(journal: Path) -> list[str]:
     """Return the ids of the runs that were begun, in the order in which the last attempt at each was.
 
+    Warm-up runs are passed over: they come before each session, whatever the table's order.
+
     Raises:
         StorageError: the journal cannot be read.
     """
     last: dict[str, None] = {}
     for record in read_journal(journal, kinds={"attempt_started"}):
-        last.pop(record["run"], None)
-        last[record["run"]] = None
+        if record.get("repetition") != 0:
+            last.pop(record["run"], None)
+            last[record["run"]] = None
     return list(last)
 
 

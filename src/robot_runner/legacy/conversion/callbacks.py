@@ -184,11 +184,20 @@ def _convert_pair(pair: ast.Tuple, edits: Edits) -> None:
 
 
 def convert_continue(config: ast.ClassDef, names: CallbackNames, edits: Edits) -> None:
-    """Have the callback of `continue` return True: it has asked the user itself."""
-    for method in _methods(config):
-        if names.renamed.get(method.name, method.name) == "continue_experiment":
-            indent = " " * (method.col_offset + _INDENT)
-            edits.insert(edits.end_of(method.body[-1]), f"\n{indent}return True  # the user was asked here")
+    """Have the callback of `continue` return True: it has asked the user itself. So has `before_experiment`."""
+    methods = {names.renamed.get(method.name, method.name): method for method in _methods(config)}
+    asking = methods.get("continue_experiment")
+    if asking is None:
+        return
+    indent = " " * (asking.col_offset + _INDENT)
+    said = f"\n{indent}return True  # the user was asked here"
+    by_itself = f"\n{indent}return True  # the first run starts by itself"
+    before = methods.get("before_experiment")
+    if before is not None:
+        edits.insert(edits.end_of(before.body[-1]), by_itself)
+    else:
+        said += f"\n\n{' ' * asking.col_offset}def before_experiment(self):{by_itself}"
+    edits.insert(edits.end_of(asking.body[-1]), said)
 
 
 def convert_rows_of_before_run(config: ast.ClassDef, session: Session, edits: Edits) -> None:

@@ -138,7 +138,8 @@ def _split(text: str | None) -> list[str]:
 
 def _done_runs(folder: ExperimentFolder) -> list[str]:
     rows = read_run_table(folder.run_table, TableLayout.of_schema(read_schema(folder.schema)))
-    return [rows.run_id(place) for place in range(len(rows)) if rows.status(place) is RunStatus.DONE]
+    places = (place for place in range(len(rows)) if rows.excluded(place) is None)
+    return [rows.run_id(place) for place in places if rows.status(place) is RunStatus.DONE]
 
 
 def _chosen(done: Sequence[str], wanted: str | None) -> Sequence[str]:
@@ -146,7 +147,9 @@ def _chosen(done: Sequence[str], wanted: str | None) -> Sequence[str]:
     for run_id in chosen:
         if run_id not in done:
             fix = did_you_mean(run_id, done) if done else "Execute the experiment first."
-            raise UsageError(f"no run {run_id!r} is done", where="robot-runner fit-power-model", fix=fix)
+            raise UsageError(
+                f"no run {run_id!r} is done, or it is excluded", where="robot-runner fit-power-model", fix=fix
+            )
     return chosen or done
 
 

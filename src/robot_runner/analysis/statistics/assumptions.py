@@ -1,0 +1,116 @@
+"""How the values of a measure are distributed: figures that describe, and that no test is chosen by."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import stats
+
+from robot_runner.analysis.statistics.descriptive import quiet
+from robot_runner.analysis.statistics.tested import AssumptionCheck, NotComputed, QuantilePairs
+from robot_runner.analysis.wording import p_in_words
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from robot_runner.analysis.statistics.design import Group
+
+__all__ = ["LEVENE", "SHAPIRO_WILK", "equal_variances", "normality", "quantile_pairs"]
+
+
+SHAPIRO_WILK = "Shapiro-Wilk"
+LEVENE = "Levene"
+
+#: scipy computes the test for no fewer, and its p-value holds for no more (Royston 1995).
+_LEAST = 3
+_MOST = 5000
+
+_LEAST_FOR_VARIANCE = 2
+
+#: Distances that differ by less, beside the values, are the same but for rounding.
+_SAME = 1e-12
+
+
+def normality(
+    values: NDArray[np.float64],
+    alpha: float,
+    treatments: Mapping[str, str] | None = None,
+    *,
+    subject: str = "the residuals",
+) -> AssumptionCheck | NotComputed:
+    """Check by Shapiro and Wilk's test whether values may come from a normal distribution.
+
+    Args:
+        values: residuals of all groups together, or the values of one group.
+        alpha: below this p-value they are taken not to.
+        treatments: the group; empty for residuals.
+        subject: what the values are, where they are no group's.
+
+    Example:
+        >>> normality(np.array([4.1, 5.0, 5.2, 5.9, 6.3]), alpha=0.05).holds
+        True
+    """
+    group = dict(treatments or {})
+    what = f"{SHAPIRO_WILK} test of {' / '.join(group.values()) or subject}"
+    if len(values) < _LEAST:
+        return NotComputed(what, f"the test takes {_LEAST} values, and there {_are(len(values))}.")
+    if len(values) > _MOST:
+        return NotComputed(what, f"the test's p-value holds for up to {_MOST} values, and there are {len(values)}.")
+    if np.ptp(values) == 0:
+        return NotComputed(what, "all values are equal.")
+    with quiet():
+        result = stats.shapiro(values)
+    if not np.isfinite([result.statistic, result.pvalue]).all():
+        return NotComputed(what, "the values hardly vary.")
+    holds = bool(result.pvalue >= alpha)
+    whose = f"The values of {' / '.join(group.values())}" if group else subject[0].upper() + subject[1:]
+    verdict = "may be normally distributed" if holds else "are not normally distributed"
+    conclusion = f"{whose} {verdict} (W = {result.statistic:.3f}, {p_in_words(result.pvalue)})."
+    return AssumptionCheck(SHAPIRO_WILK, group, float(result.statistic), float(result.pvalue), holds, conclusion)
+
+
+def equal_variances(groups: Sequence[Group], alpha: float) -> AssumptionCheck | NotComputed:
+    """Check by Levene's test, around medians (Brown and Forsythe 1974), whether groups may have equal variances."""
+    what = f"{LEVENE} test"
+    samples = [group.values for group in groups if len(group.values)]
+    if len(samples) < _LEAST_FOR_VARIANCE:
+        return NotComputed(what, "there is only one group.")
+    if min(map(len, samples)) < _LEAST_FOR_VARIANCE:
+        return NotComputed(what, "a group has a single value, which has no variance.")
+    # So are any two values, but for rounding.
+    if all(np.ptp(np.abs(each - np.median(each))) <= _SAME * np.max(np.abs(each)) for each in samples):
+        return NotComputed(what, "within each group all values are equally far from the median.")
+    with quiet():
+        result = stats.levene(*samples, center="median")
+    if not np.isfinite([result.statistic, result.pvalue]).all():
+        return NotComputed(what, "the values hardly vary.")
+    holds = bool(result.pvalue >= alpha)
+    verdict = "may be equal" if holds else "differ"
+    conclusion = f"The variances of the groups {verdict} (F = {result.statistic:.3f}, {p_in_words(result.pvalue)})."
+    return AssumptionCheck(LEVENE, {}, float(result.statistic), float(result.pvalue), holds, conclusion)
+
+
+def quantile_pairs(residuals: NDArray[np.float64], run_ids: Sequence[str]) -> QuantilePairs | None:
+    """Return the points of a normal Q-Q figure, as R's `qqnorm` and `qqline` draw them; None for fewer than three."""
+    count = len(residuals)
+    if count < _LEAST or np.ptp(residuals) == 0:
+        return None
+    order = np.argsort(residuals, kind="stable")
+    offset = 3 / 8 if count <= 10 else 1 / 2  # noqa: PLR2004 - R's ppoints
+    theoretical = stats.norm.ppf((np.arange(1, count + 1) - offset) / (count + 1 - 2 * offset))
+    low, high = np.quantile(residuals, [0.25, 0.75])
+    slope = float((high - low) / (stats.norm.ppf(0.75) - stats.norm.ppf(0.25)))
+    return QuantilePairs(
+        tuple(map(float, theoretical)),
+        tuple(map(float, residuals[order])),
+        tuple(run_ids[place] for place in order),
+        slope,
+        float(low - slope * stats.norm.ppf(0.25)),
+    )
+
+
+def _are(count: int) -> str:
+    return "is 1" if count == 1 else f"are {count}" if count else "is none"

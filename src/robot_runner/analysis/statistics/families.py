@@ -1,0 +1,263 @@
+"""P-values adjusted for the family of tests that they belong to, and what is concluded from them.
+
+Everything that is said of one comparison is said here, from the same numbers: the sentence on an effect, the pairs of
+its treatments, and the hypotheses about it cannot contradict each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from robot_runner.analysis.statistics.outcome import HypothesisOutcome
+from robot_runner.analysis.statistics.post_hoc import adjusted
+from robot_runner.analysis.wording import p_in_words, with_unit
+from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Estimand, Family
+from robot_runner.core.words import counted, enumerated
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from robot_runner.analysis.statistics.outcome import MeasureStatistics
+    from robot_runner.analysis.statistics.tested import Comparison, ContrastTest, Effect, MeasureTest, PostHoc
+    from robot_runner.core.design.analysis_plan import Hypothesis
+
+__all__ = ["concluded", "judge"]
+
+#: What was tested: an effect by its measure and factors, or the contrast of a hypothesis by its statement.
+_Key = tuple[str, frozenset[str]]
+
+_PAIR = 2
+
+
+@dataclass(frozen=True, slots=True)
+class _Adjusted:
+    """A p-value after adjustment, and the family that it was adjusted for."""
+
+    p_value: float
+    family: str
+    size: int
+
+
+def concluded(
+    measures: Sequence[MeasureStatistics], plan: AnalysisPlan | None, alpha: float, correction: Correction
+) -> tuple[tuple[MeasureStatistics, ...], tuple[HypothesisOutcome, ...]]:
+    """Return measures with adjusted p-values and conclusions, and the outcome of each hypothesis.
+
+    Args:
+        measures: as they were computed one by one.
+        plan: what was fixed beforehand; None where nothing was, or where it is not kept.
+        alpha: the level of significance.
+        correction: how p-values are adjusted.
+    """
+    found = dict(_adjusted(measures, plan, correction))
+    done = tuple(_measure(measure, found, alpha) for measure in measures)
+    hypotheses = plan.hypotheses if plan is not None else ()
+    return done, tuple(judge(hypothesis, done, found, alpha) for hypothesis in hypotheses)
+
+
+def _adjusted(
+    measures: Sequence[MeasureStatistics], plan: AnalysisPlan | None, correction: Correction
+) -> Iterator[tuple[_Key, _Adjusted]]:
+    left = dict(_p_values(measures))
+    families = [*_planned(left, measures, plan), *((f"the effects on {each.name}", _of(each)) for each in measures)]
+    for name, keys in families:
+        tests = {key: left.pop(key) for key in keys if key in left}
+        for (key, _), value in zip(tests.items(), adjusted(list(tests.values()), correction), strict=True):
+            yield key, _Adjusted(value, name, len(tests))
+
+
+def _p_values(measures: Sequence[MeasureStatistics]) -> Iterator[tuple[_Key, float]]:
+    for measure in measures:
+        for effect in measure.test.effects if measure.test is not None else ():
+            if effect.p_value is not None:
+                yield (measure.name, frozenset(effect.factors)), effect.p_value
+        for each in measure.contrasts:
+            yield (f"hypothesis {each.statement}", frozenset()), each.p_value
+
+
+def _of(measure: MeasureStatistics) -> list[_Key]:
+    effects = measure.test.effects if measure.test is not None else ()
+    contrasts = [(f"hypothesis {each.statement}", frozenset[str]()) for each in measure.contrasts]
+    return [*((measure.name, frozenset(effect.factors)) for effect in effects), *contrasts]
+
+
+def _planned(
+    left: Mapping[_Key, float], measures: Sequence[MeasureStatistics], plan: AnalysisPlan | None
+) -> Iterator[tuple[str, list[_Key]]]:
+    if plan is None or plan.family is Family.MEASURE:
+        return
+    if plan.family is Family.HYPOTHESES:
+        yield "the hypotheses", [key for each in plan.hypotheses if (key := _claimed(each)) in left]
+    else:
+        keys = [key for each in measures if each.name in plan.measures for key in _of(each)]
+        yield "all effects on the primary measures", keys
+
+
+def _claimed(hypothesis: Hypothesis) -> _Key:
+    if hypothesis.contrast is not None or hypothesis.within is not None:
+        return f"hypothesis {hypothesis.statement}", frozenset()
+    return hypothesis.measure, frozenset(hypothesis.factors)
+
+
+def _measure(measure: MeasureStatistics, found: Mapping[_Key, _Adjusted], alpha: float) -> MeasureStatistics:
+    test = measure.test
+    if test is None:
+        return measure
+    known = [found[key] for key in _of(measure) if key in found]
+    effects = [
+        _effect(measure, effect, found.get((measure.name, frozenset(effect.factors))), alpha) for effect in test.effects
+    ]
+    interacting = [effect.factors for effect in effects if len(effect.factors) > 1 and effect.is_significant]
+    compared = {1: None, **{len(each): each for each in interacting}}
+    shown = compared[max(compared)]
+    post_hoc = tuple(
+        _pairs(each, effect, alpha)
+        for each in measure.post_hoc
+        for effect in effects
+        if effect.factors == each.factors and (len(each.factors) == 1 or each.factors == shown)
+    )
+    worded = tuple(_worded(measure, test, effect, _pairs_of(post_hoc, effect)) for effect in effects)
+    of = known[0] if known else None
+    told = replace(test, effects=worded, family=of.family if of else "", family_size=of.size if of else 0)
+    return replace(measure, test=told, post_hoc=post_hoc)
+
+
+def _effect(measure: MeasureStatistics, effect: Effect, found: _Adjusted | None, alpha: float) -> Effect:
+    pairs = _pairs_of(measure.post_hoc, effect)
+    if len(pairs) == 1 and len(effect.factors) == 1:
+        effect = replace(effect, effect_sizes=pairs[0].effect_sizes)
+    if found is None:
+        return effect
+    return replace(effect, adjusted_p_value=found.p_value, is_significant=found.p_value < alpha)
+
+
+def _pairs(post_hoc: PostHoc, effect: Effect, alpha: float) -> PostHoc:
+    """Return pairs with p-values no smaller than that of the effect: none differs where it is not shown."""
+    least = effect.adjusted_p_value
+
+    def adjust(pair: Comparison) -> Comparison:
+        if pair.adjusted_p_value is None or least is None:
+            return pair
+        value = least if len(post_hoc.comparisons) == 1 else max(least, pair.adjusted_p_value)
+        return replace(pair, adjusted_p_value=value, is_significant=value < alpha)
+
+    return replace(post_hoc, comparisons=tuple(map(adjust, post_hoc.comparisons)))
+
+
+def _pairs_of(post_hoc: Sequence[PostHoc], effect: Effect) -> tuple[Comparison, ...]:
+    return next((each.comparisons for each in post_hoc if each.factors == effect.factors), ())
+
+
+# What is said of an effect.
+
+
+def _worded(measure: MeasureStatistics, test: MeasureTest, effect: Effect, pairs: Sequence[Comparison]) -> Effect:
+    if effect.p_value is None:
+        return replace(effect, conclusion=f"The effect of {enumerated(effect.factors)} was not computed.")
+    words = _claim(measure, test, effect, pairs)
+    return replace(effect, conclusion=f"{words}{_beside(effect)}")
+
+
+def _claim(measure: MeasureStatistics, test: MeasureTest, effect: Effect, pairs: Sequence[Comparison]) -> str:
+    figures = _figures(effect)
+    if not effect.is_significant:
+        what = (
+            f"an interaction of {enumerated(effect.factors)}"
+            if len(effect.factors) > 1
+            else f"an effect of {effect.factors[0]}"
+        )
+        return f"The data do not show {what} on {measure.name} ({figures}); that is no proof that there is none."
+    size = next(iter(effect.effect_sizes), None)
+    sized = "" if size is None else f"; the effect is {size.magnitude.value}, {size.name} = {size.value:.2f}"
+    if len(effect.factors) > 1:
+        others = enumerated(effect.factors[1:])
+        return f"The effect of {effect.factors[0]} on {measure.name} depends on {others} ({figures}{sized})."
+    return f"{effect.factors[0]} has an effect on {measure.name}{_difference(measure, test, pairs)} ({figures}{sized})."
+
+
+def _figures(effect: Effect) -> str:
+    freedom = ", ".join(
+        f"{each:g}" if float(each).is_integer() else f"{each:.2f}" for each in effect.degrees_of_freedom
+    )
+    figures = f"{effect.statistic_name}({freedom}) = {effect.statistic:.3g}, {p_in_words(effect.p_value or 0.0)}"
+    if effect.adjusted_p_value is not None and effect.adjusted_p_value != effect.p_value:
+        figures += f", {p_in_words(effect.adjusted_p_value)} after correction"
+    return figures
+
+
+def _difference(measure: MeasureStatistics, test: MeasureTest, pairs: Sequence[Comparison]) -> str:
+    """Return which treatments differ most and by how much, as the pairs have it."""
+    distinct = [pair for pair in pairs if pair.is_significant]
+    if not distinct:
+        return ", though no two treatments differ by themselves after correction" if pairs else ""
+    pair = max(distinct, key=lambda each: abs(each.difference))
+    if test.estimand == Estimand.RANK.value:
+        return f": values of {pair.first} rank {_more(pair)} than those of {pair.second}"
+    amount = with_unit(abs(pair.difference), measure.unit)
+    if len(pairs) > 1:
+        return f": the largest difference of {test.estimand}s is {amount}, of {pair.first} and {pair.second}"
+    return f": the {test.estimand} of {pair.first} is {_more(pair)} than that of {pair.second} by {amount}"
+
+
+def _more(pair: Comparison) -> str:
+    return "higher" if pair.difference > 0 else "lower"
+
+
+def _beside(effect: Effect) -> str:
+    """Return a sentence where the check beside the test comes to another verdict."""
+    check = effect.check
+    if check is None or check.agrees is not False or check.p_value is None:
+        return ""
+    p_value = p_in_words(check.p_value)
+    if effect.p_value is not None and check.p_value > effect.p_value:
+        return f" The same test of {check.of} does not show it ({p_value}): it hangs on how large some values are."
+    return f" The same test of {check.of} does show one ({p_value}): the treatments may differ in other ways."
+
+
+# Hypotheses.
+
+
+def judge(
+    hypothesis: Hypothesis, measures: Sequence[MeasureStatistics], found: Mapping[_Key, _Adjusted], alpha: float
+) -> HypothesisOutcome:
+    """Return the outcome of a hypothesis, from the adjusted p-value of what it claims."""
+    measure = next((each for each in measures if each.name == hypothesis.measure), None)
+    adjusted_p = found.get(_claimed(hypothesis))
+    tested = _tested(hypothesis, measure)
+    if measure is None or adjusted_p is None or tested is None or tested.p_value is None:
+        return HypothesisOutcome(
+            hypothesis, None, None, None, f"It could not be tested: {_reason(hypothesis, measure)}"
+        )
+    is_supported = adjusted_p.p_value < alpha
+    verdict = "The data support it" if is_supported else "The data do not support it, which is no proof of the contrary"
+    figures = f"{p_in_words(adjusted_p.p_value)} after correction for {counted(adjusted_p.size, 'test')}"
+    conclusion = f"{verdict} ({figures}). {_told(tested, measure)}"
+    return HypothesisOutcome(hypothesis, tested.p_value, adjusted_p.p_value, is_supported, conclusion)
+
+
+def _tested(hypothesis: Hypothesis, measure: MeasureStatistics | None) -> Effect | ContrastTest | None:
+    if measure is None or measure.test is None:
+        return None
+    if hypothesis.contrast is not None or hypothesis.within is not None:
+        return next((each for each in measure.contrasts if each.statement == hypothesis.statement), None)
+    return next((each for each in measure.test.effects if set(each.factors) == set(hypothesis.factors)), None)
+
+
+def _told(tested: Effect | ContrastTest, measure: MeasureStatistics) -> str:
+    if hasattr(tested, "conclusion"):
+        return tested.conclusion
+    low, high = (with_unit(end, measure.unit) for end in (tested.interval.low, tested.interval.high))
+    return (
+        f"The contrast is estimated as {with_unit(tested.estimate, measure.unit)}, with {tested.interval.level:.0%} "
+        f"confidence between {low} and {high}."
+    )
+
+
+def _reason(hypothesis: Hypothesis, measure: MeasureStatistics | None) -> str:
+    if measure is None:
+        return f"there is no measure {hypothesis.measure}."
+    if measure.test is None:
+        return measure.not_computed[0].why if measure.not_computed else "there is no test."
+    missed = [each.why for each in measure.not_computed if repr(hypothesis.statement) in each.what]
+    return missed[0] if missed else f"the test has no effect of {' x '.join(hypothesis.factors)}."

@@ -1,0 +1,282 @@
+"""The layout of an experiment: which means are compared by which contrasts. It is told by the design alone.
+
+Runs of their own are compared as they are. In blocks, the runs of a combination within a block are reduced to their
+mean, so that blocks are the units: what differs between blocks by chance, their response to treatments included, is the
+chance that effects are compared with.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import linalg, stats
+
+from robot_runner.analysis.statistics.contrasts import Moments
+from robot_runner.core.design.analysis_plan import Estimand
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from robot_runner.analysis.statistics.design import MeasureData
+
+    Floats = NDArray[np.float64]
+    Numbers = NDArray[np.intp]
+
+__all__ = ["MOST_FACTORS", "EffectContrast", "Layout", "kron", "layout_of", "relative_ranks", "trimmed_from"]
+
+#: Interactions of more factors can hardly be interpreted.
+MOST_FACTORS = 3
+
+#: A mean for each of more combinations takes long to compute, and nobody can read them.
+_MOST_CELLS = 500
+
+#: Of the blocks, the share that has to be complete so that the others are left out.
+_COMPLETE = 0.75
+
+#: The share that is cut off at either end for a trimmed mean (Wilcox, Introduction to Robust Estimation, 2012).
+_TRIMMED = 0.2
+
+_PAIR = 2
+
+
+@dataclass(frozen=True, slots=True)
+class EffectContrast:
+    """The contrasts that an effect consists of, orthonormal: of groups of units, and of the cells within each.
+
+    Attributes:
+        factors: one name, or several for an interaction.
+        between: (contrasts, groups).
+        within: (contrasts, cells within a group).
+    """
+
+    factors: tuple[str, ...]
+    between: Floats
+    within: Floats
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Layout:
+    """How runs make up the means that are compared.
+
+    Attributes:
+        factors: the factors, with their treatments.
+        between: the factors that differ between units; the others differ within each.
+        is_blocked: whether units are blocks; else each run is one.
+        rows: which runs are used, by their place among the runs with a value; sorted by unit and cell.
+        starts: where each cell of a unit begins among `rows`.
+        sizes: how many units each group has; units are sorted by group.
+        effects: what is tested, main effects first.
+        left_out: runs of blocks that are not complete.
+        is_replicated: whether a cell of a block has several runs.
+    """
+
+    factors: dict[str, list[str]]
+    between: tuple[str, ...]
+    is_blocked: bool
+    rows: Numbers
+    starts: Numbers
+    sizes: Numbers
+    effects: tuple[EffectContrast, ...]
+    left_out: tuple[int, ...] = ()
+    is_replicated: bool = False
+
+    @property
+    def within(self) -> tuple[str, ...]:
+        """The factors that differ within each unit."""
+        return tuple(name for name in self.factors if name not in self.between)
+
+    @property
+    def cells(self) -> int:
+        """How many combinations there are."""
+        return int(np.prod([len(levels) for levels in self.factors.values()]))
+
+    def moments(self, values: Floats, estimand: Estimand = Estimand.MEAN) -> Moments:
+        """Return the means of all cells with their errors.
+
+        Args:
+            values: of all runs that have one, (..., runs).
+            estimand: what is estimated of each cell.
+        """
+        taken = values[..., self.rows]
+        if estimand is Estimand.RANK:
+            taken = relative_ranks(taken)
+        if not self.is_blocked:
+            return _of_runs(taken, self.sizes, estimand)
+        counts = np.diff(np.append(self.starts, len(self.rows)))
+        cells = np.add.reduceat(taken, self.starts, axis=-1) / counts
+        units = int(self.sizes.sum())
+        return _of_units(cells.reshape(*cells.shape[:-1], units, -1), self.sizes)
+
+    def weights(self, treatments: dict[str, str]) -> Floats:
+        """Return the weights of the cells in the mean of some treatments, each combination counting the same.
+
+        Args:
+            treatments: by factor; over the treatments of all other factors the mean is taken.
+        """
+
+        def part(names: Sequence[str]) -> Floats:
+            rows = [
+                np.array([float(level == treatments[name]) for level in self.factors[name]])
+                if name in treatments
+                else np.full(len(self.factors[name]), 1 / len(self.factors[name]))
+                for name in names
+            ]
+            return kron(rows, np.ones(1))
+
+        return np.outer(part(self.between), part(self.within))
+
+
+def kron(parts: Sequence[Floats], start: Floats) -> Floats:
+    """Return the Kronecker product of several arrays, the last one's index changing fastest."""
+    for part in parts:
+        start = np.asarray(np.kron(start, part), dtype=np.float64)
+    return start
+
+
+def relative_ranks(values: Floats) -> Floats:
+    """Return ranks as shares, 0..1: a mean of them is how probably a value is larger than one of all runs."""
+    return np.asarray((stats.rankdata(values, axis=-1) - 0.5) / values.shape[-1], dtype=np.float64)
+
+
+def trimmed_from(size: int) -> int:
+    """Return how many of so many values are cut off at either end."""
+    return int(_TRIMMED * size)
+
+
+def _of_runs(values: Floats, sizes: Numbers, estimand: Estimand) -> Moments:
+    """Return the moments of independent runs, sorted by cell."""
+    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+    if estimand is not Estimand.TRIMMED_MEAN:
+        means = np.add.reduceat(values, starts, axis=-1) / sizes
+        squares = np.add.reduceat((values - np.repeat(means, sizes, axis=-1)) ** 2, starts, axis=-1)
+        errors = squares / ((sizes - 1) * sizes)
+        return Moments(means[..., None], errors[..., None, None], np.asarray(sizes - 1.0))
+    found = [_trimmed(values[..., start : start + size]) for start, size in zip(starts, sizes, strict=True)]
+    means, errors = (np.stack([each[part] for each in found], axis=-1) for part in (0, 1))
+    left = np.array([size - 2 * trimmed_from(int(size)) for size in sizes], dtype=np.float64)
+    return Moments(means[..., None], errors[..., None, None], left - 1)
+
+
+def _trimmed(values: Floats) -> tuple[Floats, Floats]:
+    """Return the trimmed mean and its squared error (Yuen 1974): of the winsorised values, for what is left."""
+    size = values.shape[-1]
+    cut = trimmed_from(size)
+    ordered = np.sort(values, axis=-1)
+    left = size - 2 * cut
+    winsorised = np.clip(ordered, ordered[..., [cut]], ordered[..., [size - cut - 1]])
+    squares = np.var(winsorised, axis=-1, ddof=1) * (size - 1)
+    return ordered[..., cut : size - cut].mean(axis=-1), squares / (left * (left - 1))
+
+
+def _of_units(values: Floats, sizes: Numbers) -> Moments:
+    """Return the moments of units that hold all cells within, sorted by group: (..., units, cells)."""
+    ends = np.cumsum(sizes)
+    means, errors = [], []
+    for start, end in zip(ends - sizes, ends, strict=True):
+        mine = values[..., start:end, :]
+        mean = mine.mean(axis=-2)
+        rest = mine - mean[..., None, :]
+        means.append(mean)
+        errors.append(np.einsum("...uc,...ud->...cd", rest, rest) / ((end - start - 1) * (end - start)))
+    return Moments(np.stack(means, axis=-2), np.stack(errors, axis=-3), np.asarray(sizes - 1.0))
+
+
+def layout_of(data: MeasureData) -> Layout | None:
+    """Return the layout of a measure's runs; None where some means or their spread are not known.
+
+    Then a model has to share what is known: of combinations without runs or with a single one, of incomplete blocks.
+    """
+    factors = {name: data.levels(name) for name in data.factors}
+    if np.prod([len(levels) for levels in factors.values()]) > _MOST_CELLS:
+        return None
+    codes = {
+        name: data.frame[name].astype(str).map({level: place for place, level in enumerate(levels)}).to_numpy(int)
+        for name, levels in factors.items()
+    }
+    return _blocked(factors, codes, data.blocks) if data.is_blocked else _independent(factors, codes)
+
+
+def _code(factors: dict[str, list[str]], codes: dict[str, Numbers], names: Sequence[str]) -> Numbers:
+    """Return the number of each run's combination of some factors, the last one changing fastest."""
+    number = np.zeros(len(next(iter(codes.values()))), dtype=np.intp)
+    for name in names:
+        number = number * len(factors[name]) + codes[name]
+    return number
+
+
+def _size(factors: dict[str, list[str]], names: Sequence[str]) -> int:
+    return int(np.prod([len(factors[name]) for name in names], dtype=np.int64))
+
+
+def _independent(factors: dict[str, list[str]], codes: dict[str, Numbers]) -> Layout | None:
+    cell = _code(factors, codes, tuple(factors))
+    sizes = np.bincount(cell, minlength=_size(factors, tuple(factors)))
+    if sizes.min() < _PAIR:
+        return None
+    rows = np.argsort(cell, kind="stable")
+    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+    effects = _effects(factors, tuple(factors))
+    return Layout(factors, tuple(factors), False, rows, starts, sizes, effects)  # noqa: FBT003 - a field
+
+
+def _blocked(factors: dict[str, list[str]], codes: dict[str, Numbers], blocks: NDArray[np.str_]) -> Layout | None:
+    _, block = np.unique(blocks, return_inverse=True)
+    count = int(block.max()) + 1
+    between = tuple(name for name in factors if _is_constant(codes[name], block, count))
+    within = tuple(name for name in factors if name not in between)
+    cell, group = _code(factors, codes, within), _code(factors, codes, between)
+    held = np.zeros((count, _size(factors, within)), dtype=np.intp)
+    np.add.at(held, (block, cell), 1)
+    complete = held.min(axis=1) > 0
+    group_of = np.zeros(count, dtype=np.intp)
+    group_of[block] = group
+    sizes = np.bincount(group_of[complete], minlength=_size(factors, between))
+    if complete.mean() < _COMPLETE or sizes.min() < _PAIR:
+        return None
+    used = np.flatnonzero(complete[block])
+    rows = used[np.lexsort((cell[used], block[used], group[used]))]
+    keys = np.stack([block[rows], cell[rows]])
+    starts = np.concatenate([[0], np.flatnonzero(np.any(np.diff(keys, axis=1), axis=0)) + 1])
+    return Layout(
+        factors,
+        between,
+        is_blocked=True,
+        rows=rows,
+        starts=starts,
+        sizes=sizes,
+        effects=_effects(factors, between),
+        left_out=tuple(map(int, np.flatnonzero(~complete[block]))),
+        is_replicated=bool(held.max() > 1),
+    )
+
+
+def _is_constant(codes: Numbers, block: Numbers, count: int) -> bool:
+    lowest, highest = np.full(count, codes.max()), np.zeros(count, dtype=np.intp)
+    np.minimum.at(lowest, block, codes)
+    np.maximum.at(highest, block, codes)
+    return bool(np.all(lowest == highest))
+
+
+def _effects(factors: dict[str, list[str]], between: Sequence[str]) -> tuple[EffectContrast, ...]:
+    within = [name for name in factors if name not in between]
+
+    def matrix(names: Sequence[str], effect: Sequence[str]) -> Floats:
+        parts = [
+            linalg.helmert(len(factors[name]))
+            if name in effect
+            else np.full((1, len(factors[name])), len(factors[name]) ** -0.5)
+            for name in names
+        ]
+        return kron(parts, np.ones((1, 1)))
+
+    most = min(len(factors), MOST_FACTORS)
+    return tuple(
+        EffectContrast(effect, matrix(list(between), effect), matrix(within, effect))
+        for size in range(1, most + 1)
+        for effect in combinations(factors, size)
+    )

@@ -1,0 +1,74 @@
+"""What an experiment finds that goes on: its manifest, and treatments that were put into its table by hand."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.config.plugin_checks import check_treatments
+from robot_runner.core.errors import ExecutionError, Finding
+from robot_runner.core.execution.circumstances import manifest_of, restored_manifest, resumed_manifest
+from robot_runner.core.execution.extension import refuse_unplanned, unplanned_additions
+from robot_runner.core.execution.recovery import config_changes
+from robot_runner.core.storage.manifest import read_manifest
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.execution.recovered_table import RecoveredTable
+
+__all__ = ["begun_manifest", "refuse_unfit_treatments"]
+
+
+def begun_manifest(experiment: Experiment, *, accept_changes: bool) -> tuple[dict[str, Any], tuple[Finding, ...]]:
+    """Return the manifest of an experiment that starts or goes on, and what looks odd in it.
+
+    Raises:
+        ExecutionError: the config differs from what was executed, and that is not accepted, or plans runs that the
+            experiment does not have.
+    """
+    manifest, findings = _found(experiment, accept_changes=accept_changes)
+    return manifest, (*findings, *refuse_unplanned(experiment, manifest))
+
+
+def _found(experiment: Experiment, *, accept_changes: bool) -> tuple[dict[str, Any], tuple[Finding, ...]]:
+    lost = restored_manifest(experiment)
+    if lost is not None:
+        return lost.manifest, (lost.finding,)
+    if not experiment.folder.manifest.exists():
+        return manifest_of(experiment), ()
+    manifest = read_manifest(experiment.folder.manifest)
+    if not accept_changes and (changes := config_changes(experiment)):
+        unplanned = unplanned_additions(experiment.config_path, experiment.model, manifest)
+        raise ExecutionError.of_findings([*changes, *unplanned])
+    return resumed_manifest(experiment, manifest), ()
+
+
+def refuse_unfit_treatments(
+    experiment: Experiment,
+    manifest: Mapping[str, Any],
+    recovered: RecoveredTable,
+    places: Iterable[int],
+    *,
+    accept_changes: bool,
+) -> None:
+    """See that plugins can be built with the treatments of a table that was written or changed by hand.
+
+    Args:
+        experiment: what is executed.
+        manifest: tells where the table comes from.
+        recovered: the table.
+        places: of the runs that are to be executed.
+        accept_changes: whether the table may differ from the plan.
+
+    Raises:
+        ExecutionError: one of them cannot be.
+    """
+    by_hand = manifest["design"]["source"] != "config" or accept_changes
+    if not by_hand or (not recovered.is_on_disk and not experiment.folder.run_table.exists()):
+        return
+    combinations = (recovered.rows.combination(place) for place in places)
+    found = check_treatments(experiment.plugins, experiment.model, experiment.parameters.robot, combinations)
+    refused = [finding for finding in found if finding.is_error]
+    if refused:
+        raise ExecutionError.of_findings(refused)

@@ -1,0 +1,183 @@
+"""Whether sentences, tests, pairs, intervals and effect sizes of a report agree with each other, by its JSON alone."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["disagreements"]
+
+#: P-values of one comparison that were computed on two ways differ by rounding.
+_SAME = 1e-9
+_MAGNITUDES = ("negligible", "small", "medium", "large")
+
+
+def disagreements(report: dict[str, Any]) -> list[str]:
+    """Return what contradicts itself in a report, as `report.json` has it; nothing where all agree.
+
+    Example:
+        >>> disagreements({"statistics": {"alpha": 0.05, "measures": [], "without_doubtful": [], "hypotheses": []}})
+        []
+    """
+    statistics = report["statistics"]
+    alpha = statistics["alpha"]
+    found: list[str] = []
+    for measure in (*statistics["measures"], *statistics["without_doubtful"]):
+        found += [f"{measure['name']}: {each}" for each in _of_measure(measure, alpha)]
+    for outcome in statistics["hypotheses"]:
+        found += [f"{outcome['hypothesis']['statement']}: {each}" for each in _of_hypothesis(outcome, statistics)]
+    return found
+
+
+def _of_measure(measure: dict[str, Any], alpha: float) -> Iterator[str]:
+    test = measure["test"]
+    if test is None:
+        if measure["post_hoc"] or not (measure["not_computed"] or measure["overall"] is None):
+            yield "there are pairs without a test, or no reason why there is no test"
+        return
+    pairs = {tuple(each["factors"]): each["comparisons"] for each in measure["post_hoc"]}
+    for effect in test["effects"]:
+        yield from _of_effect(effect, pairs.get(tuple(effect["factors"]), []), alpha)
+    for post_hoc in measure["post_hoc"]:
+        for pair in post_hoc["comparisons"]:
+            yield from _of_pair(pair, alpha)
+        adjusted = [
+            each["adjusted_p_value"] for each in post_hoc["comparisons"] if each["adjusted_p_value"] is not None
+        ]
+        raw = [each["p_value"] for each in post_hoc["comparisons"] if each["p_value"] is not None]
+        if len(adjusted) != len(raw) or any(
+            after < before - _SAME for after, before in zip(adjusted, raw, strict=True)
+        ):
+            yield f"pairs of {post_hoc['factors']} have adjusted p-values below those before adjustment"
+    for name, value in _reasons_missing(measure):
+        yield f"{name} has no {value}, and nothing says why"
+
+
+def _of_effect(effect: dict[str, Any], pairs: list[dict[str, Any]], alpha: float) -> Iterator[str]:
+    what = " x ".join(effect["factors"])
+    p_value, adjusted, significant = effect["p_value"], effect["adjusted_p_value"], effect["is_significant"]
+    if p_value is None:
+        if "was not computed" not in effect["conclusion"] or significant is not None:
+            yield f"{what} has no p-value, and its sentence claims something"
+        return
+    if adjusted is None or adjusted < p_value - _SAME or significant is not (adjusted < alpha):
+        yield f"{what} is {'' if significant else 'not '}significant with p = {p_value} and {adjusted} adjusted"
+    claims = " has an effect on " in effect["conclusion"] or " depends on " in effect["conclusion"]
+    if claims is not significant or ("do not show" in effect["conclusion"]) is significant:
+        yield f"{what} is {'' if significant else 'not '}significant, and its sentence says: {effect['conclusion']}"
+    for size in effect["effect_sizes"]:
+        yield from _of_size(what, size, p_value, alpha)
+    first = effect["effect_sizes"][0] if effect["effect_sizes"] else None
+    if significant and first is not None and f"is {first['magnitude']}" not in effect["conclusion"]:
+        yield f"{what} is {first['magnitude']}, and its sentence says: {effect['conclusion']}"
+    yield from _of_check(what, effect, alpha)
+    yield from _against_pairs(what, effect, pairs)
+
+
+def _of_check(what: str, effect: dict[str, Any], alpha: float) -> Iterator[str]:
+    check = effect["check"]
+    if check is None or check["p_value"] is None:
+        return
+    agrees = (check["p_value"] < alpha) == (effect["p_value"] < alpha)
+    told = "The same test of " in effect["conclusion"]
+    if check["agrees"] is not agrees or told is agrees:
+        yield f"{what}: the check has p = {check['p_value']}, and the sentence says: {effect['conclusion']}"
+
+
+def _against_pairs(what: str, effect: dict[str, Any], pairs: list[dict[str, Any]]) -> Iterator[str]:
+    known = [pair for pair in pairs if pair["p_value"] is not None]
+    if not effect["is_significant"] and any(pair["is_significant"] for pair in known):
+        yield f"{what} is not significant, and a pair of its treatments is"
+    if len(effect["factors"]) > 1:
+        return
+    if len(pairs) == 1 and len(known) == 1:
+        (pair,) = known
+        if abs(pair["p_value"] - effect["p_value"]) > _SAME or pair["is_significant"] != effect["is_significant"]:
+            yield f"{what} has p = {effect['p_value']}, and its only pair {pair['p_value']}"
+        if pair["effect_sizes"] != effect["effect_sizes"]:
+            yield f"{what} and its only pair have different effect sizes"
+    nobody = effect["is_significant"] and known and not any(pair["is_significant"] for pair in known)
+    if bool(nobody) is not ("no two treatments differ" in effect["conclusion"]):
+        yield f"{what}: the sentence and the pairs differ on whether two treatments differ: {effect['conclusion']}"
+    yield from _against_largest(what, effect, known)
+
+
+def _against_largest(what: str, effect: dict[str, Any], pairs: list[dict[str, Any]]) -> Iterator[str]:
+    """An effect over all treatments is no larger, by its name, than the largest difference of two of them."""
+    shares = [each for each in effect["effect_sizes"] if each["name"].endswith("omega squared")]
+    sizes = [each for pair in pairs for each in pair["effect_sizes"] if each["name"] == "Cohen's d"]
+    if shares and len(sizes) == len(pairs) > 1:
+        largest = max(_MAGNITUDES.index(each["magnitude"]) for each in sizes)
+        if _MAGNITUDES.index(shares[0]["magnitude"]) > largest:
+            yield f"{what} is {shares[0]['magnitude']}, and the largest difference {_MAGNITUDES[largest]}"
+    told = re.search(r" is (higher|lower) than that of ", effect["conclusion"])
+    if told and len(pairs) == 1 and (told[1] == "higher") is not (pairs[0]["difference"] > 0):
+        yield f"{what}: the sentence has the wrong direction: {effect['conclusion']}"
+
+
+def _of_pair(pair: dict[str, Any], alpha: float) -> Iterator[str]:
+    what = f"{pair['first']} and {pair['second']}"
+    p_value, interval = pair["p_value"], pair["interval"]
+    if (p_value is None) is not (interval is None):
+        yield f"{what} have a p-value without an interval, or the other way round"
+        return
+    if p_value is None:
+        return
+    if pair["is_significant"] is not (pair["adjusted_p_value"] < alpha):
+        yield f"{what} are judged against their adjusted p-value {pair['adjusted_p_value']}"
+    leaves_out = not interval["low"] <= 0 <= interval["high"]
+    if leaves_out is not (p_value < alpha) and abs(p_value - alpha) > _SAME:
+        yield f"{what} have p = {p_value} and an interval from {interval['low']} to {interval['high']}"
+    if not interval["low"] <= pair["difference"] <= interval["high"]:
+        yield f"{what} differ by {pair['difference']}, outside their interval"
+    for size in pair["effect_sizes"]:
+        if size["name"].endswith(" d"):
+            yield from _of_size(what, size, p_value, alpha)
+            if size["value"] * pair["difference"] < 0:
+                yield f"{what} differ in one direction, and {size['name']} in the other"
+
+
+def _of_size(what: str, size: dict[str, Any], p_value: float, alpha: float) -> Iterator[str]:
+    interval = size["interval"]
+    if interval is None or not size["name"].endswith((" d", "omega squared")):
+        return
+    if not interval["low"] - _SAME <= size["value"] <= interval["high"] + _SAME:
+        yield f"{what}: {size['name']} = {size['value']} lies outside its interval"
+    leaves_out = interval["low"] > 0 or interval["high"] < 0
+    if leaves_out is not (p_value < alpha) and abs(p_value - alpha) > _SAME:
+        yield f"{what}: p = {p_value}, and {size['name']} lies between {interval['low']} and {interval['high']}"
+
+
+def _reasons_missing(measure: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    told = [each["what"] for each in measure["not_computed"]]
+    compared = [*measure["test"]["effects"], *(pair for each in measure["post_hoc"] for pair in each["comparisons"])]
+    for each in compared:
+        for size in each["effect_sizes"]:
+            if size["interval"] is None and not any(what.startswith(f"interval of {size['name']}") for what in told):
+                yield size["name"], "interval"
+
+
+def _of_hypothesis(outcome: dict[str, Any], statistics: dict[str, Any]) -> Iterator[str]:
+    hypothesis, supported = outcome["hypothesis"], outcome["is_supported"]
+    if supported is None:
+        if "could not be tested" not in outcome["conclusion"]:
+            yield f"the sentence says: {outcome['conclusion']}"
+        return
+    if supported is not (outcome["adjusted_p_value"] < statistics["alpha"]):
+        yield f"p = {outcome['adjusted_p_value']} does not go with its verdict"
+    if supported is not ("support it" in outcome["conclusion"] and "do not support" not in outcome["conclusion"]):
+        yield f"the sentence says: {outcome['conclusion']}"
+    measure = next((each for each in statistics["measures"] if each["name"] == hypothesis["measure"]), None)
+    if (
+        measure is None
+        or measure["test"] is None
+        or hypothesis["contrast"] is not None
+        or hypothesis["within"] is not None
+    ):
+        return
+    for effect in measure["test"]["effects"]:
+        if set(effect["factors"]) == set(hypothesis["factors"]) and effect["is_significant"] is not supported:
+            yield f"its effect is {'' if effect['is_significant'] else 'not '}significant"

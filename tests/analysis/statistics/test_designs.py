@@ -1,0 +1,324 @@
+"""The design and the plan fix the tests; the values never do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import special
+from tests.analysis.made_experiment import make_experiment
+from tests.analysis.statistics.reference_data import one_factor, split_plot, two_factors
+
+from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.statistics.contrasts import bootstrapped, welch_james
+from robot_runner.analysis.statistics.descriptive import describe
+from robot_runner.analysis.statistics.effect_sizes import cohens_d, noncentralities_of_f, noncentralities_of_t
+from robot_runner.analysis.statistics.layout import layout_of
+from robot_runner.analysis.statistics.linear_model import FittedModel
+from robot_runner.analysis.statistics.post_hoc import compare_pairs
+from robot_runner.analysis.statistics.tested import NotComputed, TestMethod
+from robot_runner.analysis.statistics.tests import Choices, carry_out, model_of
+from robot_runner.core.design.analysis_plan import Estimand
+from robot_runner.core.design.factor import Factor
+
+NORMAL = np.random.default_rng(5).normal(0, 1, 400)
+SKEWED = np.exp(2 * NORMAL)
+CHOICES = Choices()
+
+
+def groups(count, values, *, spread=None, size=20):
+    spread = spread or [1.0] * count
+    return {f"t{k}": list(10 + k + spread[k] * values[k * size : (k + 1) * size]) for k in range(count)}
+
+
+def cells(values, size=10, a="xy", b="pq"):
+    names = [(one, other) for one in a for other in b]
+    return {name: list(5 + values[place * size : (place + 1) * size]) for place, name in enumerate(names)}
+
+
+def in_blocks(values, *, blocks=8, a="xy", b="pq", runs=1):
+    order = [(block, one, other) for block in range(blocks) for one in a for other in b for _ in range(runs)]
+    return [(f"b{block}", one, other, float(values[place])) for place, (block, one, other) in enumerate(order)]
+
+
+def test_of(measure):
+    model = model_of(measure, Estimand.MEAN)
+    return model if isinstance(model, NotComputed) else carry_out(measure, model, CHOICES)
+
+
+test_of.__test__ = False
+
+DESIGNS = {
+    "two treatments": (lambda values: one_factor(groups(2, values)), TestMethod.WELCH_T, ["Welch's t"]),
+    "three treatments": (lambda values: one_factor(groups(3, values)), TestMethod.WELCH_ANOVA, ["Welch's ANOVA"]),
+    "many treatments of few runs": (
+        lambda values: one_factor(groups(8, values, size=4)),
+        TestMethod.WELCH_ANOVA,
+        ["Welch-James, parametric bootstrap"],
+    ),
+    "two factors": (lambda values: two_factors(cells(values)), TestMethod.WELCH_JAMES, ["Welch's t"] * 3),
+    "a factor of three treatments": (
+        lambda values: two_factors(cells(values, a="xyz")),
+        TestMethod.WELCH_JAMES,
+        ["Welch-James", "Welch's t", "Welch-James"],
+    ),
+    "two treatments in blocks": (
+        lambda values: one_factor(groups(2, values), in_blocks=True),
+        TestMethod.PAIRED_T,
+        ["t within blocks"],
+    ),
+    "three treatments in blocks": (
+        lambda values: one_factor(groups(3, values), in_blocks=True),
+        TestMethod.BLOCKS,
+        ["Huynh-Feldt"],
+    ),
+    "three treatments in few blocks": (
+        lambda values: one_factor(groups(3, values, size=5), in_blocks=True),
+        TestMethod.BLOCKS,
+        ["Greenhouse-Geisser"],
+    ),
+    "two factors in blocks": (
+        lambda values: split_plot(in_blocks(values, b="pqr", blocks=14)),
+        TestMethod.BLOCKS,
+        ["t within blocks", "Huynh-Feldt", "Huynh-Feldt"],
+    ),
+    "incomplete blocks": (
+        lambda values: split_plot([row for place, row in enumerate(in_blocks(values)) if place % 3]),
+        TestMethod.MIXED_MODEL,
+        ["linear mixed model"] * 3,
+    ),
+    "single runs": (
+        lambda values: two_factors(cells(values, size=1, a="wxyz", b="pqr")),
+        TestMethod.LINEAR_MODEL,
+        ["linear model with one variance"] * 2,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", DESIGNS)
+def test_the_design_fixes_the_test_whatever_the_values_are(name):
+    make, method, tests = DESIGNS[name]
+    for values in (NORMAL, SKEWED, NORMAL * np.linspace(0.1, 9, len(NORMAL))):
+        test = test_of(make(values))
+        assert (test.method, [effect.test for effect in test.effects]) == (method, tests)
+        assert test.reason.endswith(".")
+        assert all(effect.check is not None and effect.check.p_value is not None for effect in test.effects)
+
+
+def test_a_block_that_lacks_a_treatment_is_left_out_and_named():
+    lacking = groups(3, NORMAL)
+    lacking["t2"] = lacking["t2"][:-1]
+    measure = one_factor(lacking, in_blocks=True)
+    test = test_of(measure)
+    assert test.method is TestMethod.BLOCKS
+    assert "these runs are left out of the tests: r_20, r_40." in test.notes[0]
+    assert int(layout_of(measure).sizes[0]) == 19
+
+
+def test_repeated_runs_of_a_block_are_no_independent_runs():
+    # Blocks of ten runs each whose response to the treatment differs: of 10 blocks, not of 100 runs.
+    random = np.random.default_rng(8)
+    rows = [
+        (f"b{block}", a, "p", float(random.normal() + (a == "x") * response))
+        for block, response in enumerate(3 * random.normal(size=10))
+        for a in "xy"
+        for _ in range(10)
+    ]
+    measure = split_plot(rows)
+    measure = type(measure)("y", measure.frame, measure.every, ("A",), is_blocked=True)
+    (effect,) = test_of(measure).effects
+    assert effect.degrees_of_freedom == pytest.approx((9.0,))
+    wide = measure.frame.pivot_table(index=" block", columns="A", values=" value", observed=True)
+    differences = (wide["x"] - wide["y"]).to_numpy()
+    assert effect.statistic == pytest.approx(differences.mean() / (differences.std(ddof=1) / np.sqrt(10)))
+
+
+def test_a_factor_that_blocks_do_not_vary_is_compared_between_blocks():
+    rows = [
+        (f"b{block}", "x" if block < 6 else "y", b, 5 + NORMAL[place] + block)
+        for place, (block, b) in enumerate((block, b) for block in range(12) for b in "pq")
+    ]
+    between, within, _ = test_of(split_plot(rows)).effects
+    means = [np.mean([row[3] for row in rows if row[0] == f"b{block}"]) for block in range(12)]
+    variance = np.var(means[:6], ddof=1) / 6 + np.var(means[6:], ddof=1) / 6
+    assert between.statistic == pytest.approx((np.mean(means[:6]) - np.mean(means[6:])) / np.sqrt(variance))
+    assert between.degrees_of_freedom[0] <= 10
+    assert within.degrees_of_freedom[0] <= 10
+
+
+def test_combinations_without_spread_are_compared_all_the_same():
+    test = test_of(one_factor({"a": [1.0] * 4, "b": [2.0] * 4, "c": [1.0, 2.0, 3.0, 4.0]}))
+    assert test.effects[0].test == "ANOVA-type"
+    assert test.effects[0].p_value is not None
+
+
+def test_names_of_treatments_and_blocks_may_hold_what_formulas_are_made_of():
+    def compared(names, blocks):
+        rows = [
+            (blocks[block], a, b, 5 + NORMAL[place] + 3 * block + (a == names[1]))
+            for place, (block, a, b) in enumerate((block, a, b) for block in range(4) for a in names for b in "pq")
+        ]
+        measure = split_plot([row for place, row in enumerate(rows) if place % 5])
+        model = model_of(measure, Estimand.MEAN)
+        assert isinstance(model, FittedModel)
+        test = carry_out(measure, model, CHOICES)
+        found, _ = compare_pairs(measure, model, test, CHOICES)
+        return [effect.p_value for effect in test.effects], [
+            (each.difference, each.p_value) for each in found[0].comparisons
+        ]
+
+    plain = compared(("x", "y"), ("b0", "b1", "b2", "b3"))
+    odd = compared(("C(b)[T.0]:", "]:y ~ x"), ("08:00", "09:00", "10:00", "C(b)"))
+    assert odd == plain
+
+
+def test_too_few_runs_leave_no_interactions():
+    single = test_of(two_factors(cells(NORMAL, size=1, a="wxyz", b="pqr")))
+    assert single.notes == ("Interactions cannot be estimated: there are too few runs a combination.",)
+    empty = cells(NORMAL)
+    empty["y", "q"] = []
+    assert "Interactions cannot be estimated: some combinations have no run." in test_of(two_factors(empty)).notes
+
+
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [
+        (one_factor({"a": [1.0, 2.0, 3.0]}), "nothing to compare"),
+        (one_factor({"a": [1.0], "b": [2.0], "c": [3.0]}), "each treatment has a single run"),
+        (one_factor({"a": [1.0] * 4, "b": [1.0] * 4}), "all values are equal"),
+        (one_factor({"a": [1.0] * 4, "b": [2.0] * 4}), "within each combination all values are equal"),
+        (one_factor({"a": [1.0, 2.0, 3.0], "b": [2.0, 3.0, 4.0]}, in_blocks=True), "in the same way"),
+        (two_factors({("x", "p"): [1.0], ("y", "q"): [2.0]}), "too few runs"),
+    ],
+    ids=["one treatment", "one repetition", "all equal", "no variation", "no variation of blocks", "too few runs"],
+)
+def test_what_cannot_be_tested_says_why(data, why):
+    if len(data.levels("A")) == 1:
+        data = type(data)(data.name, data.frame, data.every, (), is_blocked=False)
+    found = test_of(data)
+    assert isinstance(found, NotComputed)
+    assert why in found.why
+
+
+def test_trimmed_means_of_blocks_are_refused_with_the_reason():
+    found = model_of(one_factor(groups(3, NORMAL), in_blocks=True), Estimand.TRIMMED_MEAN)
+    assert isinstance(found, NotComputed)
+    assert "trimmed means are compared of runs of their own" in found.why
+
+
+def test_the_bootstrap_agrees_with_the_approximation_where_that_holds():
+    layout = layout_of(one_factor(groups(4, NORMAL, size=25)))
+    moments = layout.moments(NORMAL[:100] + np.repeat([0.0, 0.2, 0.4, 0.6], 25))
+    (effect,) = layout.effects
+    found = welch_james(moments, effect.between, effect.within[0])
+    again = bootstrapped(moments, effect.between, effect.within[0])
+    assert float(again) == pytest.approx(float(found.p_value), abs=0.01)
+
+
+def test_intervals_of_d_do_not_depend_on_the_order_of_treatments():
+    assert np.isnan(special.nctdtr(18, 30, -2)), "what intervals were made of before"
+    random = np.random.default_rng(3)
+    for _ in range(150):
+        t_value, freedom = random.normal() * 10 ** random.uniform(-2, 3), 10 ** random.uniform(0.05, 4)
+        low, high = noncentralities_of_t(t_value, freedom, 0.95)
+        assert low <= t_value <= high
+        assert noncentralities_of_t(-t_value, freedom, 0.95) == pytest.approx((-high, -low), rel=1e-6)
+    assert noncentralities_of_f(0.2, (2, 10), 0.9) == (0.0, pytest.approx(1.36, abs=2))
+    assert cohens_d(1.0, 1e-9, 9.0, 1.0).interval is None, "beyond floating-point numbers there is none, and no NaN"
+
+
+def test_intervals_of_means_are_students():
+    (group,) = one_factor({"a": [4.1, 5.0, 5.2, 5.9, 6.3]}).described_groups([])
+    # t.test(c(4.1, 5.0, 5.2, 5.9, 6.3))$conf.int: 4.24276120 6.35723880
+    interval = describe(group).mean_interval
+    assert (interval.low, interval.high) == pytest.approx((4.24276120, 6.35723880), abs=5e-9)
+    assert interval.method == "t distribution"
+
+
+# The family, hypotheses and blocks of a plan.
+
+TASKS = Factor("Task", ["Video", "Idle"])
+SPEEDS = Factor("Speed", ["slow", "fast"])
+
+
+def analysed(tmp_path, plan, shift=0.0, **made):
+    random = np.random.default_rng(4)
+
+    def values(treatments, repetition):
+        return {"Energy": shift * (treatments["Task"] == "Video") + random.normal(), "CPU": random.normal()}
+
+    folder = make_experiment(
+        tmp_path / "e", [TASKS, SPEEDS], values, repetitions=8, measures=["Energy", "CPU"], analysis=plan, **made
+    )
+    return load_results(folder.root)
+
+
+@pytest.mark.parametrize(
+    ("plan", "sizes"),
+    [
+        ({"measures": ["Energy", "CPU"]}, (6, 6)),
+        ({"measures": ["Energy"], "secondary": ["CPU"]}, (3, 3)),
+        ({"measures": ["Energy", "CPU"], "family": "measure"}, (3, 3)),
+        (
+            {
+                "measures": ["Energy"],
+                "family": "hypotheses",
+                "hypotheses": [{"statement": "It does.", "measure": "Energy", "factors": ["Task"]}],
+            },
+            (1, 3),
+        ),
+    ],
+)
+def test_errors_are_controlled_among_the_family_of_the_plan(tmp_path, plan, sizes):
+    found = analyse(analysed(tmp_path, plan, shift=1.2))
+    assert tuple(found.measure(name).test.family_size for name in ("Energy", "CPU")) == sizes
+    assert [each.is_primary for each in found.measures] == [name in plan["measures"] for name in ("Energy", "CPU")]
+    task = found.measure("Energy").test.effects[0]
+    assert task.adjusted_p_value == pytest.approx(task.p_value * sizes[0])
+
+
+def test_asking_for_one_measure_changes_none_of_its_p_values(tmp_path):
+    results = analysed(tmp_path, {"measures": ["Energy", "CPU"]}, shift=1.0)
+    alone, among = analyse(results, measures=["Energy"]), analyse(results)
+    assert [each.name for each in alone.measures] == ["Energy"]
+    assert alone.measure("Energy").test == among.measure("Energy").test
+
+
+def test_a_contrast_and_a_bound_of_equivalence_are_judged(tmp_path):
+    def claim(statement, **more):
+        return {"statement": statement, "measure": "Energy", "factors": ["Task"], **more}
+
+    hypotheses = [
+        claim("Video costs more.", contrast={"Video": 1, "Idle": -1}),
+        claim("They are within 3 J.", within=3),
+        claim("They are within 0.1 J.", within=0.1),
+        claim("Music costs more.", contrast={"Music": 1, "Idle": -1}),
+    ]
+    found = analyse(analysed(tmp_path, {"measures": ["Energy"], "hypotheses": hypotheses}, shift=1.5))
+    assert [each.is_supported for each in found.hypotheses] == [True, True, False, None]
+    assert "its treatments are not those of Task: Video, Idle." in found.hypotheses[3].conclusion
+    contrast, bound, *_ = found.measure("Energy").contrasts
+    (pair,) = found.measure("Energy").post_hoc[0].comparisons
+    assert (contrast.estimate, contrast.p_value) == (pytest.approx(pair.difference), pytest.approx(pair.p_value))
+    assert -3 < bound.interval.low < bound.interval.high < 3
+    assert bound.interval.level == pytest.approx(0.9)
+
+
+def test_a_plan_names_the_blocks(tmp_path):
+    results = analysed(tmp_path, {"measures": ["Energy"], "blocks": "Repetition"})
+    measure = analyse(results).measure("Energy")
+    assert measure.test.method is TestMethod.BLOCKS
+    assert measure.test.effects[0].degrees_of_freedom == pytest.approx((7.0,))
+
+
+def test_a_check_that_disagrees_is_told(tmp_path):
+    random = np.random.default_rng(2)
+
+    def values(treatments, repetition):
+        base = random.normal() + 1.6 * (treatments["Task"] == "Video")
+        return {"Energy": 500.0 if (treatments["Task"], repetition) == ("Idle", 1) else base}
+
+    folder = make_experiment(tmp_path / "e", [TASKS], values, repetitions=12)
+    (effect,) = analyse(load_results(folder.root)).measure("Energy").test.effects
+    assert not effect.is_significant
+    assert effect.check.p_value < 0.05
+    assert effect.conclusion.endswith("): the treatments may differ in other ways.")

@@ -1,0 +1,39 @@
+"""Which runs were executed, and which of them out of the table's order."""
+
+from __future__ import annotations
+
+from itertools import combinations, permutations
+from typing import TYPE_CHECKING
+
+from robot_runner.core.storage.executed_runs import done_runs, executed_order, moved_runs
+from robot_runner.core.storage.journal import Journal
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+TABLE = ["r_1", "r_2", "r_3", "r_4", "r_5"]
+
+
+def test_the_fewest_runs_are_named_that_had_to_change_places() -> None:
+    for executed in permutations(TABLE):
+        moved = moved_runs(TABLE, executed)
+        stayed = [run for run in executed if run not in moved]
+        assert stayed == sorted(stayed)
+        more = [chosen for chosen in combinations(executed, len(stayed) + 1) if list(chosen) == sorted(chosen)]
+        assert more == []
+
+
+def test_runs_that_are_still_to_do_or_stand_in_no_table_moved_nowhere() -> None:
+    assert moved_runs(TABLE, ["r_2", "x_9", "r_4"]) == ()
+    assert moved_runs(TABLE, []) == ()
+
+
+def test_the_last_attempt_counts_and_warm_up_runs_do_not(tmp_path: Path) -> None:
+    with Journal(tmp_path / "journal.jsonl") as journal:
+        for run, repetition in (("w_1", 0), ("r_1", 1), ("r_2", 1), ("w_1", 0), ("r_1", 1), ("r_3", 1)):
+            journal.append("attempt_started", run=run, attempt=1, repetition=repetition)
+            journal.append("attempt_finished", run=run, attempt=1, status="failed" if run == "r_2" else "done")
+        journal.append("attempt_finished", run="r_3", attempt=2, status="interrupted")
+    assert executed_order(tmp_path / "journal.jsonl") == ["r_2", "r_1", "r_3"]
+    assert done_runs(tmp_path / "journal.jsonl") == {"w_1", "r_1"}
+    assert executed_order(tmp_path / "nowhere.jsonl") == []
