@@ -69,7 +69,7 @@ class RobotRunnerConfig(ExperimentConfig):
         return RunTableModel(
             [Factor("Placement", ["Computation", "Network"]), Factor("Width", [320, 640]), Factor("Speed", [0.1, 0.2])],
             repetitions=self.repetitions,
-            data_columns=["Energy", "Duration", "Distance", "Startup_time", "Detections"],
+            data_columns=["Energy", "Duration", "Distance", "StartupTime", "Detections"],
             shuffle=True,
             blocks="Placement",
             seed=1,

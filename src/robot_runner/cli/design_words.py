@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from robot_runner.cli.console import UserConsole
-    from robot_runner.core.design.batches import Batch
+    from robot_runner.core.design.batch import Batch
     from robot_runner.core.design.factor import Factor
     from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.design.run_table_model import RunTableModel

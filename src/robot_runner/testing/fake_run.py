@@ -18,7 +18,8 @@ from robot_runner.core.events.measure_broker import MeasureBroker
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.links.connect import SIMULATED, open_clock
-from robot_runner.core.links.declared_host import DeclaredHosts, named_hosts
+from robot_runner.core.links.declared_host import named_hosts
+from robot_runner.core.links.host_commands import DeclaredHosts
 from robot_runner.core.plugin import System
 from robot_runner.core.treatments import bind, factors_of
 

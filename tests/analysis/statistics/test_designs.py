@@ -9,10 +9,10 @@ from tests.analysis.made_experiment import make_experiment
 from tests.analysis.statistics.reference_data import one_factor, split_plot, two_factors
 
 from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.statistics.cell_layout import layout_of
 from robot_runner.analysis.statistics.contrasts import bootstrapped, welch_james
 from robot_runner.analysis.statistics.descriptive import describe
 from robot_runner.analysis.statistics.effect_sizes import cohens_d, noncentralities_of_f, noncentralities_of_t
-from robot_runner.analysis.statistics.layout import layout_of
 from robot_runner.analysis.statistics.linear_model import FittedModel
 from robot_runner.analysis.statistics.post_hoc import compare_pairs
 from robot_runner.analysis.statistics.tested import NotComputed, TestMethod

@@ -73,9 +73,6 @@ def test_json_holds_everything(robot_runner: Callable, half_done: Path) -> None:
         "pause_is_requested": False,
         "is_of_older_tool": False,
         "order": "",
-        "batches": [],
-        "warm_ups": 0,
-        "warm_ups_done": 0,
     }
 
 

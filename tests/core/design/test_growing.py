@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from collections import Counter
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_runner.core.design.batches import Batch, GrownRunTableModel, batches_of, first_batch, next_batch, records_of
+from robot_runner.core.design.batches import GrownRunTableModel, batches_of, first_batch, next_batch, records_of
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.growing import Additions, Begun, NewFactor, grown_design
 from robot_runner.core.design.listed_runs import ListedRun, ListedRunTableModel
@@ -19,6 +19,9 @@ from robot_runner.core.design.planned_runs import RunOrder
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.design.warm_up import WarmUp
 from robot_runner.core.errors import DesignError
+
+if TYPE_CHECKING:
+    from robot_runner.core.design.batch import Batch
 
 TASK, SPEED = Factor("Task", ["Video", "Network"]), Factor("Speed", [0.1, 0.2])
 

@@ -15,7 +15,8 @@ import pytest
 from tests.core.links.ssh_server import SshServer
 
 from robot_runner.core.errors import CommandError, ConfigError, LinkError
-from robot_runner.core.links.declared_host import DeclaredHosts, Host, Reboot, are_hosts
+from robot_runner.core.links.declared_host import Host, Reboot, are_hosts
+from robot_runner.core.links.host_commands import DeclaredHosts
 from robot_runner.testing import FakeClock, make_context
 
 if TYPE_CHECKING:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_runner.analysis.statistics.cell_layout import trimmed_from
 from robot_runner.analysis.statistics.contrasts import (
     DRAWS,
     Contrast,
@@ -18,7 +19,6 @@ from robot_runner.analysis.statistics.contrasts import (
     is_crowded,
     welch_james,
 )
-from robot_runner.analysis.statistics.layout import trimmed_from
 from robot_runner.analysis.statistics.tested import EffectTest, TestMethod
 from robot_runner.core.design.analysis_plan import Estimand, Statistic
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.statistics.layout import EffectContrast, Layout
+    from robot_runner.analysis.statistics.cell_layout import EffectContrast, Layout
 
     Floats = NDArray[np.float64]
 

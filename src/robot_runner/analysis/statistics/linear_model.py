@@ -16,10 +16,10 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
+from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS, kron
 from robot_runner.analysis.statistics.contrasts import Contrast
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.design import VALUE
-from robot_runner.analysis.statistics.layout import MOST_FACTORS, kron
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
 
 if TYPE_CHECKING:

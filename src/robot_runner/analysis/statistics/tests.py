@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from scipy import stats
 
+from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS, layout_of, relative_ranks
 from robot_runner.analysis.statistics.cell_means import BOOTSTRAP, CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.effect_sizes import omega_squared
-from robot_runner.analysis.statistics.layout import MOST_FACTORS, layout_of, relative_ranks
 from robot_runner.analysis.statistics.linear_model import FittedModel, fit_model
 from robot_runner.analysis.statistics.tested import Check, Effect, MeasureTest, NotComputed, TestMethod
 from robot_runner.analysis.wording import listed

@@ -21,7 +21,13 @@ from robot_runner.core.config import preparation
 from robot_runner.core.config.dialects import load_config
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.execution.recovery import Resumption
-from robot_runner.core.execution.smoke import Shortening, covering_runs, result_of, shortened_loader, study_estimate
+from robot_runner.core.execution.smoke_test import (
+    Shortening,
+    covering_runs,
+    result_of,
+    shortened_loader,
+    study_estimate,
+)
 from robot_runner.core.words import counted, shown_duration
 
 if TYPE_CHECKING:
@@ -32,7 +38,7 @@ if TYPE_CHECKING:
     from robot_runner.cli.executing import Execution
     from robot_runner.cli.parser import Parser
     from robot_runner.core.execution.durations import Estimate
-    from robot_runner.core.execution.smoke import SmokeResult
+    from robot_runner.core.execution.smoke_test import SmokeResult
 
 __all__ = ["add_arguments", "execute"]
 

@@ -7,12 +7,12 @@ the runs that were executed keep their ids, whatever becomes of the config.
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import count
 from re import fullmatch
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.batch import Batch, BatchRun, plain_treatment
 from robot_runner.core.design.columns import REPETITION, numbered_run_id
 from robot_runner.core.design.factor import Combination, Factor, factor_places
 from robot_runner.core.design.listed_runs import run_findings
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "EXTENDED",
-    "Batch",
-    "BatchRun",
     "GrownRunTableModel",
     "batches_of",
     "first_batch",
@@ -39,120 +37,6 @@ __all__ = [
 
 #: The kind of the journal's record of an extension: the batch that it added; the first one has the plan before it, too.
 EXTENDED = "extended"
-
-_PLAIN = (bool, int, float, str, type(None))
-
-
-@dataclass(frozen=True, slots=True)
-class BatchRun:
-    """A run of a batch, as the journal keeps it.
-
-    Attributes:
-        treatments: of the factors that there were, as they are written in the run table, by the factor's name.
-        repetition: from 1; 0 for a warm-up run.
-    """
-
-    run_id: str
-    treatments: Mapping[str, str]
-    repetition: int = 1
-    block: int | None = None
-
-    @property
-    def is_warm_up(self) -> bool:
-        """Whether it only warms up."""
-        return self.repetition == 0
-
-    @classmethod
-    def of(cls, run: PlannedRun) -> Self:
-        """Return what is kept of a planned run."""
-        texts = {name: str(treatment) for name, treatment in run.combination.items()}
-        return cls(run.run_id, texts, run.repetition, run.block)
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Return the run as plain data, without what is as in most runs."""
-        return {
-            "run": self.run_id,
-            "combination": dict(self.treatments),
-            "repetition": self.repetition,
-            **({"block": self.block} if self.block is not None else {}),
-        }
-
-    @classmethod
-    def of_mapping(cls, plain: Mapping[str, Any]) -> Self:
-        """Return the run that `as_mapping` made plain."""
-        return cls(plain["run"], plain["combination"], int(plain["repetition"]), plain.get("block"))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Batch:
-    """Runs that were planned together: those of the first plan, or those of an extension.
-
-    Attributes:
-        number: from 1, which is the first plan.
-        order: how they were put in order among themselves, with the seed.
-        repetitions: how often each combination is executed from this batch on, all batches together.
-        factors: all factors with all treatments from this batch on, in order, as `_plain_treatment` makes them plain.
-        chosen: the treatments among them that were added on the command line, so that a config need not have them.
-        defaults: the treatment that earlier runs count as having had, of each factor that this batch added, as text.
-        runs: in the order of execution.
-        at: when the batch was added (UTC); empty for the first plan.
-    """
-
-    number: int
-    order: RunOrder
-    repetitions: int
-    factors: Mapping[str, Sequence[Any]]
-    runs: Sequence[BatchRun]
-    chosen: Mapping[str, Sequence[str]] = field(default_factory=lambda: MappingProxyType({}))
-    defaults: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
-    at: str = ""
-
-    @property
-    def run_ids(self) -> list[str]:
-        """The ids of the runs that count: warm-up runs are left out."""
-        return [run.run_id for run in self.runs if not run.is_warm_up]
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Return the batch as plain data, for a record of the journal."""
-        return {
-            **self.summary(),
-            "factors": {name: list(treatments) for name, treatments in self.factors.items()},
-            "runs": [run.as_mapping() for run in self.runs],
-        }
-
-    def summary(self) -> dict[str, Any]:
-        """Return the batch without its runs as plain data, for the manifest."""
-        ids = self.run_ids
-        return {
-            "batch": self.number,
-            "runs": len(ids),
-            "first": ids[0] if ids else None,
-            "last": ids[-1] if ids else None,
-            "warm_ups": len(self.runs) - len(ids),
-            "seed": self.order.seed,
-            "shuffle": self.order.shuffle,
-            "blocks": self.order.blocks,
-            "repetitions": self.repetitions,
-            **({"chosen": {name: list(texts) for name, texts in self.chosen.items()}} if self.chosen else {}),
-            **({"defaults": dict(self.defaults)} if self.defaults else {}),
-            **({"at": self.at} if self.at else {}),
-        }
-
-    @classmethod
-    def of_mapping(cls, plain: Mapping[str, Any]) -> Self:
-        """Return the batch that `as_mapping` made plain."""
-        return cls(
-            number=int(plain["batch"]),
-            order=RunOrder(
-                shuffle=bool(plain["shuffle"]), blocks=plain.get("blocks"), seed=int(plain["seed"]), seed_is_given=True
-            ),
-            repetitions=int(plain["repetitions"]),
-            factors=plain["factors"],
-            runs=[BatchRun.of_mapping(run) for run in plain["runs"]],
-            chosen=plain.get("chosen", {}),
-            defaults=plain.get("defaults", {}),
-            at=str(plain.get("at", "")),
-        )
 
 
 def batches_of(records: Iterable[Mapping[str, Any]]) -> tuple[Batch, ...]:
@@ -177,11 +61,6 @@ def records_of(batches: Sequence[Batch]) -> Iterator[dict[str, Any]]:
     for batch in batches[1:]:
         base = {"base": batches[0].as_mapping()} if batch is batches[1] else {}
         yield batch.as_mapping() | base
-
-
-def _plain_treatment(treatment: Any) -> Any:
-    """Return a treatment as JSON has it; of an object of a user's, which JSON does not know, its text."""
-    return treatment if type(treatment) in _PLAIN else {"text": str(treatment)}
 
 
 class GrownRunTableModel(RunTableModel):
@@ -384,4 +263,4 @@ def _free_ids(runs: Sequence[PlannedRun]) -> Iterator[str]:
 
 
 def _plain(factors: Sequence[Factor]) -> dict[str, list[Any]]:
-    return {factor.name: list(map(_plain_treatment, factor.treatments)) for factor in factors}
+    return {factor.name: list(map(plain_treatment, factor.treatments)) for factor in factors}

@@ -19,7 +19,7 @@ from robot_runner.core.errors import DesignError, Finding
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from robot_runner.core.design.batches import Batch
+    from robot_runner.core.design.batch import Batch
     from robot_runner.core.design.columns import NamedColumn
     from robot_runner.core.design.exclusions import Exclusion, Exclusions
     from robot_runner.core.design.factor import Combination

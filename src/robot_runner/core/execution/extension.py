@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.plugin_checks import check_treatments
-from robot_runner.core.design.batches import EXTENDED, Batch, GrownRunTableModel, first_batch, next_batch, records_of
+from robot_runner.core.design.batches import EXTENDED, GrownRunTableModel, first_batch, next_batch, records_of
 from robot_runner.core.design.columns import WARM_UP
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.growing import Additions, Begun, grown_design
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.design.batch import Batch
     from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.execution.recovered_table import RecoveredTable

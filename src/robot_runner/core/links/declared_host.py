@@ -9,17 +9,15 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import ConfigError, Finding, LinkError, did_you_mean
+from robot_runner.core.errors import ConfigError, Finding, LinkError
 from robot_runner.core.links.host import LOCAL
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from robot_runner.core.events.condition import Condition
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.links.host_commands import HostCommands
 
-__all__ = ["DeclaredHosts", "Host", "Reboot", "are_hosts", "host_findings", "named_hosts"]
+__all__ = ["Host", "Reboot", "are_hosts", "host_findings", "named_hosts"]
 
 #: A host's name names a folder in each run's folder.
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
@@ -147,25 +145,3 @@ def host_findings(where: str, name: str, host: Host, robot: str | None) -> list[
     if host.ready is not None:
         found += host.ready.check(robot)
     return found
-
-
-@dataclass(frozen=True, slots=True)
-class DeclaredHosts:
-    """The hosts of a config, as a run's context opens them."""
-
-    hosts: Mapping[str, Host]
-
-    def open(self, name: str, context: RobotRunnerContext) -> HostCommands:
-        """Return the host of this name; all who ask in a run share its connection.
-
-        Raises:
-            LinkError: the config names no such host; the nearest is named.
-        """
-        from robot_runner.core.links.host_commands import HostCommands, open_shell  # noqa: PLC0415 - seldom needed
-
-        host = self.hosts.get(name)
-        if host is None:
-            fix = did_you_mean(name, self.hosts) or f"Name it in the config: hosts = {{{name!r}: 'pi@robot'}}."
-            raise LinkError(f"there is no host {name!r}", where="hosts", fix=fix)
-        shell = context.resources.open(f"shell on {name}", lambda: open_shell(host))
-        return HostCommands(name, host, shell, context)
