@@ -99,7 +99,7 @@ def _false_positives(design: NullDesign, random: np.random.Generator, count: int
     shown = f"{rates.min():.1f}" if len(rates) == 1 else f"{rates.min():.1f} to {rates.max():.1f}"
     # Of fewer experiments the last digit is not sure: two standard errors are granted.
     error = 2 * 100 * math.sqrt(_ALPHA * (1 - _ALPHA) / p_values.shape[1])
-    slack = error if p_values.shape[1] < count else 0.0
+    slack = error if p_values.shape[1] < _EXPERIMENTS else 0.0
     holds = rates.min() >= _LEAST - slack and rates.max() <= _MOST + slack and family <= _FAMILY + slack
     verdict = "" if design.expectation else "holds" if holds else "DOES NOT HOLD"
     bound = design.expectation or f"{_LEAST} to {_MOST} %, family {_FAMILY} %"
