@@ -32,8 +32,8 @@ def launch_mission(self, context):
         MOVE
 def stop_run(self, context):
     import time
-    if context.run_id == "r_2" and not self.flag("closing").exists():
-        self.flag("closing").write_text("")
+    if context.run_id == "r_2" and not self.flag("closed").exists():
+        self.flag("closed").write_text("")
         CLOSE
     self.note(f"ends {context.run_id}")
 def populate_run_data(self, context): return {"Energy": 1.5}
@@ -55,6 +55,7 @@ HANG = "import ctypes; m = ctypes.create_string_buffer(64); [ctypes.CDLL(None).p
 def moving(start: Start, *, move: str = "time.sleep(600)", close: str = "pass", grace: float = 5.0) -> Any:
     body = BODY.replace("MOVE", move).replace("CLOSE", close).replace("GRACE", str(grace))
     experiment = start(body)
+    experiment.config.with_name("may close").touch()
     experiment.wait_for("moving")
     return experiment
 
@@ -79,8 +80,13 @@ def is_alive(pid: int) -> bool:
 
 
 def again(start: Start, experiment: Any) -> Any:
-    """Execute it once more, to its end, and return that execution: no run was executed beside another."""
+    """Execute it once more, to its end, and return that execution."""
     second = start(config=experiment.config)
+    may_close = experiment.config.with_name("may close")
+    if not may_close.exists():
+        signed = f'"pid": {second.process.pid},'
+        wait_until(lambda: signed in (experiment.folder / ".lock").read_text(), "it has the lock")
+        may_close.touch()
     assert second.end() == 0, second.output
     assert second.statuses == ["Done"] * 4
     assert second.nobody_is_left()
@@ -88,8 +94,15 @@ def again(start: Start, experiment: Any) -> Any:
 
 
 def test_a_restart_waits_for_a_run_that_is_still_closing_and_says_so(start: Start) -> None:
-    first = moving(start, close="time.sleep(3); print('closed at last')")
+    close = [
+        "self.flag('may close').unlink()",
+        "self.flag('closing').touch()",
+        "while not self.flag('may close').exists(): time.sleep(0.01)",
+    ]
+    close += ["time.sleep(1)", "print('closed at last')"]
+    first = moving(start, close="\n        ".join(close), grace=60.0)
     kill(first, "orchestrator", "keeper")
+    first.wait_for("closing")
     second = again(start, first)
     assert re.search(r"its run was still alive and was waited for \(\d\.\d s\)", second.output), second.output
     story = first.wait_for("story").read_text().split("\n")

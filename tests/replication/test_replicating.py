@@ -230,7 +230,8 @@ def test_a_run_in_an_interpreter_of_its_own_writes_into_the_replication_and_know
     config = tmp_path / "study.py"
     body = GROWING.replace("import ExperimentConfig", "import ExperimentConfig, RunProcess")
     spawned = '    results_output_path = "results"\n    run_process = RunProcess.SPAWN\n'
-    told = '    def launch_mission(self, context):\n        (context.run_folder / "task").write_text(context.combination["Task"])\n'
+    told = "    def launch_mission(self, context):\n"
+    told += '        (context.run_folder / "task").write_text(context.combination["Task"])\n'
     config.write_text(body.replace('    results_output_path = "results"\n', spawned) + told, encoding="utf-8")
     original = execute(config)
     request = ExtensionRequest(added=Additions(treatments={"Task": ["Audio"]}), seed=3)

@@ -82,7 +82,7 @@ def test_the_treatments_of_a_run_reach_the_program(execute: Callable[..., Execut
     for number, (algorithm, speed) in enumerate(combinations, start=1):
         folder = done.folder / "runs" / f"r_{number}" / "Planner"
         assert (folder / "stdout.txt").read_text() == f"{algorithm} --speed={speed} {speed}\nready\n"
-        assert 0 < float(done.table[number - 1]["Startup_time"]) < 20
+        assert 0 < float(done.table[number - 1]["StartupTime"]) < 20
     started, ended = done.journal("subject")[:2]
     assert started["command"][-2:] == ["dwa", "--speed=0.1"]
     assert started["output"] == "runs/r_1/Planner"
@@ -146,7 +146,7 @@ def test_it_is_ready_once_a_condition_holds_in_real_time_whatever_clock_the_robo
     """
     done = execute(body)
     assert done.finished.failures == ()
-    assert 1 < float(done.table[0]["Startup_time"]) < 40
+    assert 1 < float(done.table[0]["StartupTime"]) < 40
     (waited,) = done.journal("waited")
     assert (waited["owner"], waited["holds"]) == ("Server", True) if "owner" in waited else waited["holds"]
 
@@ -163,7 +163,7 @@ def test_a_subject_of_the_experiment_is_started_once_and_told_of_in_each_run(
     assert len({record["pid"] for record in told}) == 1
     assert {record["output"] for record in told} == {"subjects/World/1"}
     assert (done.folder / "subjects/World/1/stdout.txt").read_text().startswith("started")
-    assert "Startup_time" not in done.table[0]
+    assert "StartupTime" not in done.table[0]
     assert alive(token) == []
 
 
@@ -195,7 +195,7 @@ def test_a_program_that_computes_something_is_the_mission(execute: Callable[...,
         assert self.plugins[0].wait(context, timeout_s=20) == 4
     """
     done = execute(body)
-    assert (done.finished.failures, done.table[0]["Exit_code"]) == ((), "4")
+    assert (done.finished.failures, done.table[0]["ExitCode"]) == ((), "4")
     refused = execute(body.replace("exit 4", "exit 5"), experiment_name="refused")
     assert "Program has died: exit code 5" in refused.finished.failures[0]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import BATCH, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.errors import StorageError, did_you_mean
-from robot_runner.core.events.measure import quality_text
+from robot_runner.core.events.measure import OPERATOR_OWNER, quality_text
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import executed_order, moved_runs
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -142,6 +142,7 @@ class _Explaining:
             yield "Warm-up", "the run was executed and kept, and is not analysed"
         yield "Executed", self._executed()
         yield from self._attempt_facts()
+        yield from (("Done before", step) for step in history.steps)
         if history.stopped:
             yield "Mission", history.stopped
         yield from history.waits
@@ -228,6 +229,9 @@ class _Explaining:
         yield from (("Doubt", doubt) for doubt in self._history.doubts.get(owner, ()) if doubt not in doubts)
 
     def _owner_facts(self, owner: str, measure: str) -> Iterator[tuple[str, str]]:
+        if owner == OPERATOR_OWNER:
+            yield "From", "a person, who was asked before the run"
+            return
         if owner == CONFIG_OWNER:
             yield "From", "the config"
             yield "Config", _shown(self._lines.of_measure(measure))

@@ -42,6 +42,7 @@ class RunHistory:
         gate_of: the attempt before which a gate was awaited last.
         commit: of the config's repository.
         subjects: software under test, with its command and where its output is.
+        steps: what a person did before the run, and noted of it.
     """
 
     attempt: int = 0
@@ -62,6 +63,7 @@ class RunHistory:
     gate_of: int = 0
     commit: str = ""
     subjects: list[str] = field(default_factory=list)
+    steps: list[str] = field(default_factory=list)
 
     @classmethod
     def read(cls, journal: Path, run_id: str) -> Self:
@@ -108,6 +110,10 @@ class RunHistory:
     def _take_stop(self, record: dict[str, Any]) -> None:
         self.stopped = f"stopped by {record.get('owner')}: {record.get('reason')}"
 
+    def _take_step(self, record: dict[str, Any]) -> None:
+        notes = "; ".join(f"{name}: {said}" for name, said in record["notes"].items() if said is not None)
+        self.steps.append(f"{record['step']}{f' ({notes})' if notes else ''}")
+
     def _take_subject(self, record: dict[str, Any]) -> None:
         if "command" in record:
             command = " ".join(map(str, record["command"]))
@@ -152,6 +158,7 @@ class RunHistory:
 _TAKEN_BY: dict[str, Callable[[RunHistory, dict[str, Any]], None]] = {
     "attempt_started": RunHistory._begin,
     "attempt_finished": RunHistory._end,
+    "operator_step": RunHistory._take_step,
     "event": RunHistory._take_event,
     **dict.fromkeys(EXCLUSION_KINDS, RunHistory._take_correction),
     "finding": RunHistory._take_finding,

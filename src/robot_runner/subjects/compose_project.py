@@ -36,6 +36,8 @@ class ComposeProject(Subject):
         project: the project's name, which tells it from others on the machine; left out, the plugin's name.
         is_built: whether images are built anew where their sources have changed.
         has_volumes_removed: whether its volumes go as well, so that each start begins with empty ones.
+        stop_signal: what it takes for "end".
+        grace_s: how long it may take for that before it is killed with all that it started, s.
         **options: as of every `Subject`.
 
     Raises:
@@ -56,9 +58,11 @@ class ComposeProject(Subject):
         project: str | None = None,
         is_built: bool = False,
         has_volumes_removed: bool = False,
+        stop_signal: signal.Signals = signal.SIGINT,
+        grace_s: float = _GRACE,
         **options: Any,
     ) -> None:
-        super().__init__(**{"stop_signal": signal.SIGINT, "grace_s": _GRACE, **options})
+        super().__init__(stop_signal=stop_signal, grace_s=grace_s, **options)
         if isinstance(services, str):
             raise PluginError(f"services is {services!r}", where=self.name, fix=f"Give a list: [{services!r}].")
         self.project = self.name.lower() if project is None else project

@@ -53,7 +53,7 @@ class Program(Subject):
         self.exit_codes = tuple(exit_codes)
         self.words()  # what is no word is found before anything is executed
         if self.exit_codes and self.per == "run":
-            ended = Measure("Exit_code", "", f"With what {self.name} ended by itself; none where it was stopped.")
+            ended = Measure("ExitCode", "", f"With what {self.name} ended by itself; none where it was stopped.")
             self.measures = (*self.measures, ended)
 
     def words(self) -> tuple[str, ...]:
@@ -101,4 +101,4 @@ class Program(Subject):
         super().populate_run_data(context)
         if self.exit_codes and self.per == "run":
             ended = self._ended
-            context.publish("Exit_code", ended.code if ended is not None and not ended.was_asked else None)
+            context.publish("ExitCode", ended.code if ended is not None and not ended.was_asked else None)

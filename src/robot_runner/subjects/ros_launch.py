@@ -42,6 +42,8 @@ class RosLaunch(Subject):
         file: the launch file's name in the package or folder.
         arguments: of the launch file, by name; `treatment(...)` may stand for any value.
         ros: 1 or 2; left out, the ROS that is sourced, or whose program is there.
+        stop_signal: what it takes for "end".
+        grace_s: how long it may take for that before it is killed with all that it started, s.
         **options: as of every `Subject`; `setup` names the setup file of a workspace.
 
     Raises:
@@ -61,9 +63,11 @@ class RosLaunch(Subject):
         *,
         arguments: Mapping[str, Any] | None = None,
         ros: int | None = None,
+        stop_signal: signal.Signals = signal.SIGINT,
+        grace_s: float = _GRACE,
         **options: Any,
     ) -> None:
-        super().__init__(**{"stop_signal": signal.SIGINT, "grace_s": _GRACE, **options})
+        super().__init__(stop_signal=stop_signal, grace_s=grace_s, **options)
         if ros not in {None, 1, 2}:
             raise PluginError(f"ros is {ros!r}", where=self.name, fix="Say 1 for ROS 1, 2 for ROS 2, or leave it out.")
         if ros is None and (self.surroundings.host is not None or self.surroundings.setup is not None):

@@ -24,7 +24,7 @@ from robot_runner.subjects.supervised_program import Start, SupervisedProgram, T
 from robot_runner.subjects.surroundings import Surroundings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
@@ -59,6 +59,7 @@ class Subject(System):
         PluginError: a parameter cannot be.
     """
 
+    measures: Sequence[Measure] = (Measure("StartupTime", "s", "From its start until it was ready, in real time."),)
     needs: ClassVar[str] = "The program; on another computer Python 3.6 and a key for ssh."
     bytes_per_run: int = 100_000
 
@@ -95,8 +96,7 @@ class Subject(System):
         self.ready_timeout_s = ready_timeout_s
         self.stop_signal = _signal(self.name, stop_signal)
         self.grace_s = grace_s
-        started = Measure("Startup_time", "s", f"From the start of {self.name} until it was ready.")
-        self.measures: Sequence[Measure] = (started,) if per == "run" else ()
+        self.measures = type(self).measures if per == "run" else ()
         self._program: SupervisedProgram | None = None
         self._startup_time: float | None = None
         self._ended: Ended | None = None
@@ -165,10 +165,8 @@ class Subject(System):
         """
         self._startup_time = self._ended = None
         begun_at = time.monotonic()
-        start = self._begin(context, context.raw_data_folder) if self.per == "run" else self._attached(context)
+        start = self._started(context) if self.per == "run" else self._attached(context)
         try:
-            if self._program is not None and self.per == "run" and self.last_words() is not None:
-                context.outlives(self._program.supervisor_pid)  # should the run be killed, its supervisor cleans up
             self._await_ready(context, start)
         except BaseException:
             self._end()
@@ -216,9 +214,11 @@ class Subject(System):
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish how long it took to be ready."""
         if self.per == "run":
-            context.publish("Startup_time", self._startup_time)
+            context.publish("StartupTime", self._startup_time)
 
-    def _begin(self, context: ExperimentContext, folder: Path) -> SupervisedProgram:
+    def _begin(
+        self, context: ExperimentContext, folder: Path, begun: Callable[[int], object] = lambda _: None
+    ) -> SupervisedProgram:
         start = Start(folder)
         around = self.surroundings
         task = Task(
@@ -232,13 +232,19 @@ class Subject(System):
             ssh_config=around.ssh_config,
             lock=self._lock(context),
         )
-        self._program = SupervisedProgram(folder, task, name=self.name)
+        self._program = SupervisedProgram(folder, task, name=self.name, begun=begun)
         return self._program
 
     def _lock(self, context: ExperimentContext) -> Path:
         """Return the file that is locked from each start of this subject until all of it has ended."""
         key = hashlib.sha256(f"{context.experiment_folder.absolute()}\0{self.name}".encode()).hexdigest()[:16]
         return user_cache() / "subjects" / f"{key}.lock"
+
+    def _started(self, context: RobotRunnerContext) -> Start:
+        if self.last_words() is None:
+            return self._begin(context, context.raw_data_folder)
+        # Should the run be killed, its supervisor is to clean up.
+        return self._begin(context, context.raw_data_folder, context.outlives)
 
     def _attached(self, context: RobotRunnerContext) -> Start:
         """Return the start of a subject that goes on through all runs; another process has started it."""

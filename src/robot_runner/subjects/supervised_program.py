@@ -20,7 +20,7 @@ from robot_runner.core.words import listed, one_line
 from robot_runner.subjects.remote_supervision import BOOTSTRAP, LEASE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
 __all__ = ["Ended", "Start", "SupervisedProgram", "Task", "shell_words", "tail", "user_cache"]
 
@@ -189,12 +189,13 @@ class SupervisedProgram(Start):
         folder: takes what it writes; made where it is not there.
         task: what is started.
         name: of the plugin that asks, for messages.
+        begun: told the process id of the supervisor, which is on this machine in any case, before it starts anything.
 
     Raises:
         PluginError: it cannot be started.
     """
 
-    def __init__(self, folder: Path, task: Task, *, name: str) -> None:
+    def __init__(self, folder: Path, task: Task, *, name: str, begun: Callable[[int], object] = lambda _: None) -> None:
         super().__init__(folder)
         folder.mkdir(parents=True, exist_ok=True)
         self._task = task
@@ -214,13 +215,9 @@ class SupervisedProgram(Start):
                 start_new_session=True,
                 pass_fds=turn,
             )
+        begun(self._supervisor.pid)
         self._say(task.line(self.stdout, self.stderr))
         self._await_start()
-
-    @property
-    def supervisor_pid(self) -> int:
-        """The process id of the supervisor, which is on this machine in any case."""
-        return self._supervisor.pid
 
     def stop(self) -> Ended:
         """End the program with everything that it started, and return how it ended; a second call returns the same."""

@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from itertools import count
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.watched_combination import WatchedCombination, unread
@@ -17,6 +18,7 @@ from robot_runner.core.events.measure_broker import MeasureBroker
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.links.connect import SIMULATED, open_clock
+from robot_runner.core.links.declared_host import DeclaredHosts, named_hosts
 from robot_runner.core.plugin import System
 from robot_runner.core.treatments import bind, factors_of
 
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import Clock
     from robot_runner.core.events.measure import Measure, MeasureValue
     from robot_runner.core.events.resources import Closable
+    from robot_runner.core.links.declared_host import Host
     from robot_runner.core.links.host import HostLink
     from robot_runner.core.links.robot import RobotLink
     from robot_runner.core.links.serial_line import SerialLine
@@ -194,6 +197,7 @@ def make_context(
     combination: Mapping[str, Any] | None = None,
     run_seed: int = 1,
     phases: Sequence[str] = (),
+    hosts: Mapping[str, Host | str] = MappingProxyType({}),
 ) -> RobotRunnerContext:
     """Return the context of a run for the first of `plugins`; `context_for` makes those of the others.
 
@@ -209,6 +213,7 @@ def make_context(
         combination: the treatment of each factor.
         run_seed: the seed of the run.
         phases: the phases for which measures are published, too.
+        hosts: the computers that `context.host` opens, as a config names them.
 
     Raises:
         LinkError: `robot` cannot be reached.
@@ -245,6 +250,7 @@ def make_context(
         owner=plugins[0].name if plugins else CONFIG_OWNER,
         times=MissionTimes(clock, broker.report, phases),
         broker=broker,
+        hosts=DeclaredHosts(named_hosts(hosts)),
     )
 
 

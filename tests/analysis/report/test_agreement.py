@@ -11,6 +11,7 @@ import pytest
 from scipy import stats
 from tests.analysis.made_experiment import make_experiment
 from tests.analysis.report.agreement import disagreements
+from tests.analysis.statistics import reference_data as data
 
 from robot_runner.analysis import load_results
 from robot_runner.analysis.report.writing import ReportFormat, write_report
@@ -82,6 +83,42 @@ def test_reports_of_other_choices_agree_with_themselves(tmp_path: Path, choice: 
 
 def test_reports_of_blocks_agree_with_themselves(tmp_path: Path) -> None:
     assert disagreements(made(tmp_path, SPREADS["all differ"], (1, 1, 2), blocks="Repetition")) == []
+
+
+#: From R's `datasets` and textbooks; those of them in blocks have a value for each block in the same place.
+PUBLISHED = {
+    "PlantGrowth": (data.PLANT_GROWTH, None),
+    "InsectSprays": (data.INSECT_SPRAYS, None),
+    "chickwts": (data.CHICK_WEIGHTS, None),
+    "airquality": (data.AIR_QUALITY, None),
+    "sleep": (data.SLEEP, "Repetition"),
+    "depression": (data.DEPRESSION, "Repetition"),
+    "permeability": (data.PERMEABILITY, None),
+    "mtcars": (data.MILES_PER_GALLON, None),
+    "ToothGrowth": (data.TOOTH_GROWTH, None),
+    "warpbreaks": (data.WARP_BREAKS, None),
+    "ergoStool": (data.ERGO_STOOL, "Repetition"),
+    "RoundingTimes": (data.ROUNDING_TIMES, "Repetition"),
+    "Higgins1990Table1": (data.HIGGINS_TABLE_1, None),
+}
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_reports_of_published_data_agree_with_themselves(tmp_path: Path, name: str) -> None:
+    given, blocks = PUBLISHED[name]
+    groups = {(key,) if isinstance(key, str) else key: values for key, values in given.items()}
+    names = ["A", "B"][: len(next(iter(groups)))]
+    factors = [Factor(each, list(dict.fromkeys(key[place] for key in groups))) for place, each in enumerate(names)]
+
+    def value(treatments: dict[str, Any], repetition: int) -> dict[str, Any] | None:
+        mine = groups[tuple(treatments[each] for each in names)]
+        return {"Energy": float(mine[repetition - 1])} if repetition <= len(mine) else None
+
+    most = max(map(len, groups.values()))
+    made = make_experiment(tmp_path / "made", factors, value, repetitions=most, blocks=blocks)
+    report = report_of(made.root)
+    assert report["statistics"]["measures"][0]["test"] is not None
+    assert disagreements(report) == []
 
 
 def test_the_report_of_the_demo_agrees_with_itself(executed_demo: Path, tmp_path: Path) -> None:

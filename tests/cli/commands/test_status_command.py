@@ -48,6 +48,7 @@ def test_json_holds_everything(robot_runner: Callable, half_done: Path) -> None:
     assert 0 < facts.pop("seconds_left") < 30, "of the two that failed, as the two others took"
     reason = "launch_mission of config: ValueError: the camera is off"
     assert facts.pop("bad_values") == {}
+    assert [facts.pop(name) for name in ("warm_ups", "warm_ups_done", "batches")] == [0, 0, []]
     assert [each["is_whole"] for each in facts.pop("sessions")] == [True]
     assert (facts.pop("gate"), facts.pop("gate_seconds")) == (None, 0.0)
     assert facts == {
@@ -63,6 +64,9 @@ def test_json_holds_everything(robot_runner: Callable, half_done: Path) -> None:
         "current_run": None,
         "current_event": None,
         "left_is_least": False,
+        "batches": [],
+        "warm_ups": 0,
+        "warm_ups_done": 0,
         "failures": [f"r_1: {reason}", f"r_3: {reason}"],
         "excluded": {},
         "is_paused": False,

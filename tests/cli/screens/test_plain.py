@@ -92,9 +92,9 @@ def test_a_gate_is_told_of_once_a_minute_and_when_it_opens(said: Any) -> None:
     lines = said(*waiting, GatePassed("r_2", "the load is below 10 %", "9 %", 125.0, "open"))
     assert lines == [
         "run 2 of 4 (r_2) waits until the load is below 10 %",
-        "  0 %\\n   0 ms of 10 min 00 s",
-        "  120 %\\n   1 min 00 s of 10 min 00 s",
-        "  240 %\\n   2 min 00 s of 10 min 00 s",
+        "  2 %\\n   1.0 s of 10 min 00 s",
+        "  122 %\\n   1 min 01 s of 10 min 00 s",
+        "  242 %\\n   2 min 01 s of 10 min 00 s",
         "r_2 waited 2 min 05 s until the load is below 10 %: 9 %",
     ]
 
@@ -103,3 +103,7 @@ def test_a_gate_that_is_open_is_not_worth_a_line_and_one_that_stays_shut_is(said
     assert said(GatePassed("r_2", "the load is below 10 %", "9 %", 0.0, "open")) == []
     (line,) = said(GatePassed("r_2", "the load is below 10 %", "", 0.0, "failed", "the sensor\nis gone"))
     assert line.endswith("until the load is below 10 %, which failed: the sensor\\nis gone")
+
+
+def test_a_gate_that_opens_within_a_second_is_not_told_of(said: Any) -> None:
+    assert said(at_gate(0.0, "12 %"), GatePassed("r_2", "the load is below 10 %", "9 %", 0.05, "open")) == []

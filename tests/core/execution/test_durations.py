@@ -12,7 +12,7 @@ from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.events.manager import EventManager
 from robot_runner.core.execution.durations import Durations, TimeLeft
 from robot_runner.core.execution.experiment_status import read_status
-from robot_runner.core.execution.mission_knowledge import MissionKnowledge, combination_key
+from robot_runner.core.execution.mission_knowledge import MissionKnowledge
 from robot_runner.core.execution.notices import AttemptFinished, AttemptStarted, ExperimentStarted
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.recovery import Resumption
@@ -34,7 +34,7 @@ FOUR = [VIDEO, NETWORK, VIDEO, NETWORK]
 def learn(durations: Durations, runs: list[tuple[Mapping[str, Any], float]], *, pause: float = 0.0) -> float:
     now = 0.0
     for combination, seconds in runs:
-        durations.begin(combination_key(combination), now)
+        durations.begin(combination, now)
         now += seconds
         durations.end(now, "done", is_last=True)
         now += pause
@@ -131,7 +131,7 @@ def test_runs_that_ended_correct_the_estimate_by_treatment() -> None:
     durations.plan(FOUR)
     learn(durations, [(VIDEO, 100.0), (NETWORK, 10.0)], pause=6.0)
     assert durations.left() == TimeLeft(0.0, 110.0 + 2 * 6.0)
-    durations.begin(combination_key(VIDEO), 122.0)
+    durations.begin(VIDEO, 122.0)
     assert durations.left() == TimeLeft(100.0, 10.0 + 6.0)
     estimate = durations.estimate()
     assert estimate.seconds is not None
@@ -142,10 +142,10 @@ def test_a_combination_that_was_not_seen_has_the_sum_of_its_treatments_effects()
     durations = Durations()
     cells = {("a", 1): 10.0, ("a", 2): 20.0, ("b", 1): 110.0}
     learn(durations, [({"F": f, "G": g}, seconds) for (f, g), seconds in cells.items()])
-    expected = durations.of_run(combination_key({"F": "b", "G": 2}))
+    expected = durations.of_run({"F": "b", "G": 2})
     assert expected is not None
     assert 60.0 < expected <= 110.0
-    assert durations.of_run(combination_key({"F": "a", "G": 2})) == 20.0
+    assert durations.of_run({"F": "a", "G": 2}) == 20.0
 
 
 def test_what_runs_take_beyond_what_was_said_holds_for_the_others() -> None:
@@ -156,12 +156,12 @@ def test_what_runs_take_beyond_what_was_said_holds_for_the_others() -> None:
     durations = Durations(knowledge_of(Two()), FOUR)
     durations.plan(FOUR)
     learn(durations, [(VIDEO, 99.0)])
-    assert durations.of_run(combination_key(NETWORK)) == pytest.approx(304.0)
+    assert durations.of_run(NETWORK) == pytest.approx(304.0)
 
 
 def test_all_attempts_of_a_run_count_and_interrupted_ones_do_not() -> None:
     durations = Durations()
-    video = combination_key(VIDEO)
+    video = VIDEO
     durations.begin(video, 0.0)
     durations.end(10.0, "failed", is_last=False)
     durations.begin(video, 11.0)

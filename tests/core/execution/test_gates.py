@@ -12,6 +12,9 @@ import pytest
 
 from robot_runner import ConditionError, Gate, GatePolicy, Guard, GuardAction, port_open
 from robot_runner.core.config.preparation import prepare
+from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.execution import run_events
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.notices import FindingsNoticed, GatePassed, GateWaiting
 
@@ -215,3 +218,42 @@ def test_a_guard_and_a_gate_are_no_strings(write_config: Callable) -> None:
 
 def test_actions_have_names() -> None:
     assert [action.value for action in GuardAction] == ["mark", "repeat", "stop"]
+
+
+AWAY = """\
+gates = [Gate(SecondLook(), timeout_s={timeout_s})]
+robot = "simulated"
+"""
+
+
+@pytest.mark.parametrize("timeout_s", [60, 0.5])
+def test_a_robot_that_cannot_be_reached_is_waited_for(
+    execute: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, timeout_s: float
+) -> None:
+    def open_clock(*_: object, **__: object) -> SystemClock:
+        with (tmp_path / "tried").open("a") as file:
+            file.write("x")
+        if (tmp_path / "tried").stat().st_size < 3:
+            raise LinkError("there is no ROS master", where="robot", fix="Start one.")
+        return SystemClock()
+
+    monkeypatch.setattr(run_events, "open_clock", open_clock)
+    executed = execute(AWAY.format(timeout_s=timeout_s) + BODY, head=HEAD, table=ONE_RUN)
+    kept = executed.journal("gate")
+    assert (kept[0]["state"], kept[0]["seen"]) == ("waiting", "robot: there is no ROS master → Start one.")
+    assert executed.finished.done_count == (1 if timeout_s > 1 else 0)
+    assert kept[-1]["state"] == ("open" if timeout_s > 1 else "timed out")
+
+
+def test_a_gate_that_does_not_ask_the_robot_needs_none(
+    execute: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def open_clock(robot: str | None, *_: object, **__: object) -> SystemClock:
+        with (tmp_path / "opened").open("a") as file:
+            file.write(f"{robot} ")
+        return SystemClock()
+
+    monkeypatch.setattr(run_events, "open_clock", open_clock)
+    body = f"gates = [Gate(not_(port_open(1)))]\nrobot = 'simulated'\n{BODY}"
+    assert execute(body, head=HEAD, table=ONE_RUN).finished.done_count == 1
+    assert (tmp_path / "opened").read_text() == "None simulated "

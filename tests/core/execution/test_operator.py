@@ -16,6 +16,7 @@ from robot_runner.core.execution.notices import AnswersRefused, AttemptStarted, 
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.storage.lock import Command, send_command
+from robot_runner.replication.explanation import explain_run
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -142,6 +143,9 @@ def test_an_answer_is_a_measure_of_its_run_and_a_note_stays_in_the_journal(execu
     schema = (executed.folder / "run_table.schema.json").read_text(encoding="utf-8")
     assert '"V"' in schema
     assert '"entered by hand"' in schema
+    explained = explain_run(executed.folder, "r_2", ["voltage"])
+    assert ("Done before", "swap the battery (remark: it slipped)") in explained.facts
+    assert ("From", "a person, who was asked before the run") in explained.values[0].facts
 
 
 @pytest.mark.parametrize("run_process", ["fork", "spawn", "in_process"])

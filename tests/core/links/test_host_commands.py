@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import getpass
 import os
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -13,14 +15,14 @@ import pytest
 from tests.core.links.ssh_server import SshServer
 
 from robot_runner.core.errors import CommandError, ConfigError, LinkError
-from robot_runner.core.links.declared_host import Host, Reboot, are_hosts
-from robot_runner.core.links.host_commands import DeclaredHosts, HostCommands
+from robot_runner.core.links.declared_host import DeclaredHosts, Host, Reboot, are_hosts
 from robot_runner.testing import FakeClock, make_context
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.links.host_commands import HostCommands
 
 
 @pytest.fixture(scope="module")
@@ -185,6 +187,8 @@ def test_the_nearest_name_is_offered(context: RobotRunnerContext) -> None:
     assert "Did you mean 'robot'?" in raised.value.fix
     with pytest.raises(LinkError, match="there is no host 'robot'"):
         context.host("robot")
+    named = make_context(Path("unused"), robot=None, clock=FakeClock(), hosts={"base": "local"})
+    assert named.host("base")
 
 
 def test_all_commands_of_a_run_share_one_connection(server: SshServer, context: RobotRunnerContext) -> None:
@@ -220,6 +224,59 @@ def test_a_host_that_cannot_be_reached_says_why(context: RobotRunnerContext, tmp
     with pytest.raises(LinkError, match=r"gone cannot be reached: .*Connection refused") as raised:
         host.run("true")
     assert "Start the SSH server there" in raised.value.fix
+
+
+KILLED = """
+import sys
+from pathlib import Path
+from robot_runner import Host
+from robot_runner.testing import FakeClock, make_context
+
+address, config = sys.argv[1:]
+host = Host(address=address, ssh_config=config or None)
+context = make_context(Path("experiment"), robot=None, clock=FakeClock(), hosts={"robot": host})
+context.host("robot").run("true", timeout_s=30)
+print("ready", flush=True)
+context.host("robot").run("sleep 4714.5 & sleep 4715.5", timeout_s=600)
+"""
+
+
+def test_a_run_that_is_killed_leaves_neither_command_nor_connection(
+    declare: Callable[..., Host], tmp_path: Path
+) -> None:
+    host = declare()
+    line = [sys.executable, "-c", KILLED, host.address, str(host.ssh_config or "")]
+    with subprocess.Popen(line, stdout=subprocess.PIPE, cwd=tmp_path) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"ready\n"
+        deadline = time.monotonic() + 20
+        while time.monotonic() < deadline and not is_alive("sleep 4715.5"):
+            time.sleep(0.05)
+        assert is_alive("sleep 4715.5")
+        process.kill()
+    deadline = time.monotonic() + 20
+    while time.monotonic() < deadline and (
+        left := [each for each in ("4714.5", "4715.5") if is_alive(f"sleep {each}")]
+    ):
+        time.sleep(0.05)
+    assert left == []
+    if host.ssh_config is not None:
+        while time.monotonic() < deadline and (masters := masters_of(host.ssh_config)):
+            time.sleep(0.05)
+        assert masters == []
+
+
+def masters_of(config: Path) -> list[str]:
+    """Return the command lines of ssh clients that use this config."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (folder / "cmdline").read_bytes().decode().split("\0")
+        except OSError:
+            continue
+        if words[0] == "ssh" and str(config) in words:
+            found.append(" ".join(words))
+    return found
 
 
 @pytest.mark.parametrize(

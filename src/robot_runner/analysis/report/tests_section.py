@@ -189,17 +189,17 @@ def _effect_table(name: str, caption: str, test: MeasureTest, alpha: float) -> T
         text("Effect", "label"),
         text("Test", "test"),
         field("Statistic", lambda effect: Cell(effect.statistic, _shown_statistic(effect))),
+        text("Effect size", lambda effect: "; ".join(map(_shown_size, effect.effect_sizes)) or MISSING),
         p_value("p", "p_value"),
         p_value("Adjusted p", "adjusted_p_value", "is_significant"),
-        field(f"At {ALPHA} = {alpha:g}", lambda effect: Cell(effect.is_significant, words[effect.is_significant])),
         p_value(
-            f"Check: p of {checked}",
+            f"p of {checked}",
             lambda effect: effect.check.p_value if effect.check else None,
             lambda effect: effect.check is not None and effect.check.agrees is False,
         ),
-        text("Effect size", lambda effect: "; ".join(map(_shown_size, effect.effect_sizes)) or MISSING),
+        field(f"At {ALPHA} = {alpha:g}", lambda effect: Cell(effect.is_significant, words[effect.is_significant])),
     )
-    note = f"Computed with {test.library}. The check is the same test of {checked}, shown whatever it says."
+    note = f"Computed with {test.library}. The last p-value is of a check: the same test of {checked}."
     return build_table(name, caption, test.effects, fields, note)
 
 
@@ -219,16 +219,17 @@ def _shown_size(size: EffectSize) -> str:
 
 def _pair_table(measure: MeasureStatistics, label: str, post_hoc: PostHoc) -> Table:
     """Return all pairs of treatments, compared."""
-    sizes = dict.fromkeys(size.name for pair in post_hoc.comparisons for size in pair.effect_sizes)
+    sizes = list(dict.fromkeys(size.name for pair in post_hoc.comparisons for size in pair.effect_sizes))
     fields: list[Field | tuple[Field, ...]] = [
         text("First", "first"),
         text("Second", "second"),
         number(f"Difference of {post_hoc.quantity}", "difference"),
         interval("CI", "interval"),
+        *map(_size_fields, sizes[:1]),
         p_value("p", "p_value"),
         p_value("Adjusted p", "adjusted_p_value", "is_significant"),
-        p_value(f"Check: p of {'means' if post_hoc.quantity.endswith('ranks') else 'ranks'}", "check_p_value"),
-        *map(_size_fields, sizes),
+        p_value(f"p of {'means' if post_hoc.quantity.endswith('ranks') else 'ranks'}", "check_p_value"),
+        *map(_size_fields, sizes[1:]),
     ]
     name, caption = f"pairs {measure.name} {' '.join(post_hoc.factors)}", f"all pairs of {' / '.join(post_hoc.factors)}"
     note = (

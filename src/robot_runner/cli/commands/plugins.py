@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 from dataclasses import dataclass
+from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
@@ -78,16 +79,30 @@ def _described(installed: InstalledPlugin) -> _Described:
 
 
 def _parameters(plugin: type[Plugin]) -> tuple[str, ...]:
-    parameters = inspect.signature(plugin).parameters.values()
-    return tuple(_written(parameter) for parameter in parameters)
+    """Return the parameters of a plugin; where it passes keywords on to its parents, theirs as well."""
+    written: dict[str, str] = {}
+    passed_on: dict[str, str] = {}
+    for kind in plugin.__mro__[:-1]:
+        if "__init__" in vars(kind):
+            own = list(inspect.signature(vars(kind)["__init__"]).parameters.values())[1:]
+            passed_on = {each.name: _written(each) for each in own if each.kind is each.VAR_KEYWORD}
+            for each in own:
+                if each.name not in passed_on:
+                    written.setdefault(each.name, _written(each))
+            if not passed_on:
+                break
+    written |= passed_on  # what no parent of ours takes
+    return tuple(written.values())
 
 
 def _written(parameter: inspect.Parameter) -> str:
     # As it would be typed into a config: the kinds and the annotations say more than a user asks for.
     if parameter.kind in {parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD}:
         return str(parameter.replace(annotation=parameter.empty))
-    has_default = parameter.default is not parameter.empty
-    return f"{parameter.name}={parameter.default!r}" if has_default else parameter.name
+    default = parameter.default
+    if default is parameter.empty:
+        return parameter.name
+    return f"{parameter.name}={default.name if isinstance(default, Enum) else repr(default)}"
 
 
 def _print(console: UserConsole, plugins: Sequence[_Described]) -> None:

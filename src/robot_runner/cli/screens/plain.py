@@ -157,6 +157,8 @@ class RunRows:
 
 #: How often a log is told of a gate that is awaited, s.
 _GATE_EVERY = 60.0
+#: A gate that opens sooner is not worth a line, s: most hold at the second look.
+_GATE_AFTER = 1.0
 
 
 def terminal_input() -> int | None:
@@ -346,6 +348,8 @@ class PlainScreen:
             if self._gate_told is not None or notice.problem:
                 self._print(gate_passed(notice))
             self._gate_told = None
+            return
+        if self._gate_told is None and notice.seconds < _GATE_AFTER:
             return
         if self._gate_told is None:
             self._print(waiting_at_gate(notice))

@@ -74,6 +74,7 @@ class Progress:
         self._left: TimeLeft | None = None
         self._left_since = self._began
         self._columns: tuple[str, ...] = ()
+        self._asked_for: frozenset[str] = frozenset()
         self.run_count = 0
         self.done = 0
         self.failed = 0
@@ -113,7 +114,7 @@ class Progress:
                 self._began = self._clock()
                 self._take_left(notice.left)
                 self.run_count, self.done = notice.run_count, notice.done_count
-                self._columns = tuple(notice.columns)
+                self._columns, self._asked_for = tuple(notice.columns), frozenset(notice.asked_for)
             case AttemptStarted():
                 self.is_waiting = False
                 self._take_left(notice.left)
@@ -172,6 +173,8 @@ class Progress:
 
     def _take_qualities(self, run_id: str, measures: Mapping[str, PublishedMeasure]) -> None:
         for name in self._columns:
+            if name not in measures and name in self._asked_for:
+                continue
             quality = measures[name].quality if name in measures else Quality.MISSING
             if quality is not Quality.GOOD:
                 self.bad_values.setdefault(name, {}).setdefault(quality.value, []).append(run_id)

@@ -118,7 +118,7 @@ def _question_findings(
     factors = [factor.name for factor in model.factors] if model is not None else []
     yield from name_findings(name, kind="question", repetitions=model.repetitions if model is not None else 1)
     if isinstance(name, str) and asked[name] > 1:
-        yield Finding.error(at, f"it is asked {counted(asked[name], 'time')}", "Rename or remove one.")
+        yield Finding.error(at, f"the question is asked {counted(asked[name], 'time')}", "Rename or remove one.")
     if name in factors:
         yield Finding.error(at, f"{name!r} is the name of a factor", "Rename the question.")
     if isinstance(name, str) and "=" in name:

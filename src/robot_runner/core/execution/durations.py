@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections import Counter, defaultdict, deque
+from collections import Counter, deque
 from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,7 @@ from robot_runner.core.config.parameters import OperationType
 from robot_runner.core.execution.mission_knowledge import (
     CombinationKey,
     MissionKnowledge,
+    SeenRuns,
     combination_key,
     said_of_all,
     told_apart,
@@ -36,6 +37,8 @@ __all__ = ["Durations", "Estimate", "TimeLeft", "durations_of"]
 _LEFT_ALONE = 3600.0
 #: As many of the last pauses are remembered.
 _PAUSES = 200
+#: Of a design with more combinations than this, all runs are taken to be alike: each costs time to tell from others.
+_MOST_COMBINATIONS = 10_000
 #: The share of the time that may go into estimating anew after each run: a table may have a million runs.
 _SHARE = 1 / 50
 
@@ -104,51 +107,6 @@ def _about(seconds: float, *, is_least: bool) -> str:
     return f"{'at least' if is_least else 'about'} {shown_duration(seconds)}"
 
 
-# What is learnt from runs.
-
-
-@dataclass(slots=True)
-class _Mean:
-    total: float = 0.0
-    count: int = 0
-
-    def take(self, value: float) -> None:
-        self.total += value
-        self.count += 1
-
-    @property
-    def value(self) -> float:
-        return self.total / self.count
-
-
-class _Seen:
-    """How long runs took: of each combination, and what each treatment adds where it differs from the others."""
-
-    def __init__(self) -> None:
-        self._all = _Mean()
-        self._of_combination: defaultdict[CombinationKey, _Mean] = defaultdict(_Mean)
-        self._of_treatment: defaultdict[tuple[str, str], _Mean] = defaultdict(_Mean)
-        self._least, self._most = math.inf, -math.inf
-
-    @property
-    def count(self) -> int:
-        return self._all.count
-
-    def take(self, key: CombinationKey, seconds: float) -> None:
-        self._least, self._most = min(self._least, seconds), max(self._most, seconds)
-        for mean in (self._all, self._of_combination[key], *(self._of_treatment[each] for each in key)):
-            mean.take(seconds)
-
-    def expected(self, key: CombinationKey) -> float | None:
-        """Return what is expected of a combination, s; None before any run has ended."""
-        if not self._all.count:
-            return None
-        if key in self._of_combination:
-            return self._of_combination[key].value
-        effects = (self._of_treatment[each].value - self._all.value for each in key if each in self._of_treatment)
-        return min(self._most, max(self._least, self._all.value + math.fsum(effects)))
-
-
 class Durations:
     """Expects how long runs and the pauses between them take, and corrects itself while they end.
 
@@ -164,7 +122,7 @@ class Durations:
 
     Example:
         >>> durations = Durations(rest_s=5.0)
-        >>> video = combination_key({"Task": "Video"})
+        >>> video = {"Task": "Video"}
         >>> durations.begin(video, 0.0)
         >>> durations.end(100.0, "done", is_last=True)
         >>> durations.of_run(video)
@@ -182,13 +140,16 @@ class Durations:
         self.knowledge = knowledge or MissionKnowledge()
         self._rest = rest_s
         self._waits = tuple(waits)
-        self._said = said_of_all(self.knowledge, combinations)
-        self._done, self._failed = _Seen(), _Seen()
+        found = told_apart(combinations)
+        self._are_alike = len(found) > _MOST_COMBINATIONS
+        self._said = {} if self._are_alike else said_of_all(self.knowledge, [each for each, _ in found])
+        self._done, self._failed = SeenRuns(), SeenRuns()
         self._pauses: deque[float] = deque(maxlen=_PAUSES)
         self._current: tuple[CombinationKey, float] | None = None
         self._ended: float | None = None
         self._has_begun = False
         self._left: Counter[CombinationKey] = Counter()
+        self._to_come = 0
         self._expected: float | None = None
         self._computed = self._cost = 0.0
 
@@ -208,33 +169,38 @@ class Durations:
             case "experiment_started":
                 self.break_off()
             case "attempt_started":
-                self.begin(combination_key(record.get("combination") or {}), _seconds(record["at"]))
+                self.begin(record.get("combination") or {}, _seconds(record["at"]))
             case "attempt_finished" if not record.get("is_amended"):  # which only adds what was published later
                 self.end(_seconds(record["at"]), record["status"], is_last=record.get("is_last", True))
 
     def plan(self, combinations: Iterable[Mapping[str, Any]]) -> None:
         """Take down which runs are to come."""
         self._left = Counter()
-        for combination, count in told_apart(combinations):
-            self._left[combination_key(combination)] += count
+        if self._are_alike:
+            self._left[frozenset()] = sum(1 for _ in combinations)
+        for combination, count in () if self._are_alike else told_apart(combinations):
+            self._left[self._key(combination)] += count
+        self._to_come = self._left.total()
         self._computed = self._cost = 0.0
 
-    def begin(self, key: CombinationKey, at: float) -> None:
+    def begin(self, combination: Mapping[str, Any], at: float) -> None:
         """Take down that an attempt at a run begins.
 
         Args:
-            key: of its combination, by `combination_key`.
+            combination: of the run; treatments may be given by their texts.
             at: the moment, s on a clock that is the same for all calls until `break_off`.
         """
         if self._current is not None:  # it is tried again
             return
         if self._ended is not None and 0 <= at - self._ended <= _LEFT_ALONE:
             self._pauses.append(at - self._ended)
+        key = self._key(combination)
         self._current, self._ended = (key, at), None
         if self._left[key] > 0:
             self._left[key] -= 1
+            self._to_come -= 1
             if self._expected is not None:
-                self._expected = max(0.0, self._expected - (self.of_run(key) or 0.0))
+                self._expected = max(0.0, self._expected - (self._of(key) or 0.0))
 
     def end(self, at: float, status: str, *, is_last: bool) -> None:
         """Take down that an attempt has ended with this status, unless the run is tried again."""
@@ -249,11 +215,11 @@ class Durations:
 
     def said_of(self, combination: Mapping[str, Any]) -> float | None:
         """Return what is said of a run of this combination, s; None where nothing is."""
-        return self._said.get(combination_key(combination))
+        return self._said.get(self._key(combination))
 
     def learn(self, combination: Mapping[str, Any], seconds: float) -> None:
         """Learn from a run that took so long and is done."""
-        key = combination_key(combination)
+        key = self._key(combination)
         self._done.take(key, seconds - self._said.get(key, 0.0))
         self._computed = 0.0
 
@@ -272,11 +238,17 @@ class Durations:
         return math.fsum(self._pauses) / len(self._pauses) if self._pauses else self._rest
 
     @property
-    def _seen(self) -> _Seen:
+    def _seen(self) -> SeenRuns:
         return self._done if self._done.count else self._failed
 
-    def of_run(self, key: CombinationKey) -> float | None:
+    def of_run(self, combination: Mapping[str, Any]) -> float | None:
         """Return how long a run of this combination takes, s; None where that is not known."""
+        return self._of(self._key(combination))
+
+    def _key(self, combination: Mapping[str, Any]) -> CombinationKey:
+        return frozenset() if self._are_alike else combination_key(combination)
+
+    def _of(self, key: CombinationKey) -> float | None:
         beyond = self._seen.expected(key)
         if beyond is None:
             return self._said.get(key)
@@ -289,10 +261,10 @@ class Durations:
             self._expected = self._of_all()
             self._computed = time.monotonic()
             self._cost = self._computed - now
-        current = 0.0 if self._current is None else self.of_run(self._current[0])
+        current = 0.0 if self._current is None else self._of(self._current[0])
         if self._expected is None or current is None:
             return None
-        return TimeLeft(current, self._expected + self._left.total() * self.pause, is_least=bool(self._unknown()))
+        return TimeLeft(current, self._expected + self._to_come * self.pause, is_least=bool(self._unknown()))
 
     def estimate(self, *, probe_s: float = 0.0) -> Estimate:
         """Return how long everything that was planned takes, with its parts in words.
@@ -300,7 +272,7 @@ class Durations:
         Args:
             probe_s: how long profilers are probed before the first run, s.
         """
-        runs = self._left.total()
+        runs = self._to_come
         if not runs:
             return Estimate(0.0, parts=("no run is to be executed",))
         of_runs = self._of_all()
@@ -317,7 +289,7 @@ class Durations:
         return Estimate(of_runs + pauses * self.pause + probe_s, bool(unknown), tuple(parts), unknown)
 
     def _of_all(self) -> float | None:
-        expected = [(count, self.of_run(key)) for key, count in self._left.items() if count]
+        expected = [(count, self._of(key)) for key, count in self._left.items() if count]
         if any(seconds is None for _, seconds in expected):
             return None
         return math.fsum(count * seconds for count, seconds in expected if seconds is not None)

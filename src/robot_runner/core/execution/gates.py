@@ -16,7 +16,6 @@ from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.execution.aside import execute_aside
 from robot_runner.core.execution.executor import Watch
 from robot_runner.core.execution.notices import FindingsNoticed, GatePassed, GateWaiting
-from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.words import shown_duration
 
 if TYPE_CHECKING:
@@ -36,6 +35,8 @@ __all__ = ["Gates", "Passage"]
 _MARGIN = 60.0
 #: How often the journal takes down what is seen while a gate is awaited, s: for `status`, from another terminal.
 _KEPT_EVERY = 60.0
+#: How long until a robot is tried again that could not be reached, s.
+_AGAIN = 1.0
 _OWNER = "gate"
 
 
@@ -93,11 +94,15 @@ class Gates:
         task = replace(begun, attempt=begun.attempt + 1)
         wait = _Wait(self._gates, task, self._progress, self._notify)
         outcome = self._awaited(task, wait.take)
-        if outcome.status is AttemptStatus.INTERRUPTED:
+        interruption = self._patience.interruption
+        while not interruption.is_requested and _robot_is_away(outcome) and wait.goes_on_without(outcome):
+            self._patience.wait(_AGAIN)
+            outcome = self._awaited(task, wait.take)
+        if interruption.is_requested:
             wait.end("the experiment was interrupted", state="interrupted")
             return Passage()
         if outcome.failure is not None and not wait.is_over:
-            wait.end(str(outcome.failure.problem), state="failed")
+            wait.end(outcome.failure.problem, state="timed out" if _robot_is_away(outcome) else "failed")
         return wait.passage()
 
     def _awaited(self, task: RunTask, take: Report) -> RunOutcome:
@@ -109,6 +114,7 @@ class Gates:
             lambda context: _await_gates(gates, context),
             Watch(patience.interruption, take, patience.refresh, patience.refresh_interval),
             deadline_s=seconds if math.isfinite(seconds) else None,
+            robot=self._experiment.parameters.robot if any(map(_asks_robot, gates)) else None,
         )
 
 
@@ -123,6 +129,7 @@ class _Wait:
         self._progress = progress
         self._notify = notify
         self._number = 0
+        self._began = time.monotonic()
         self._seen, self._seconds = "", 0.0
         self._kept = -math.inf
         self._is_overdue_told = False
@@ -137,6 +144,13 @@ class _Wait:
     @property
     def _gate(self) -> Gate:
         return self._gates[min(self._number, len(self._gates) - 1)]
+
+    def goes_on_without(self, outcome: RunOutcome) -> bool:
+        """Tell why the robot cannot be reached, and return whether it is waited for any longer."""
+        self._seconds = time.monotonic() - self._began
+        self._seen = outcome.failure.problem if outcome.failure is not None else ""
+        self._go_on()
+        return self._seconds < self._gate.patience_s
 
     def take(self, kind: str, fields: Mapping[str, Any]) -> None:
         """Take what the process reports; the rest of its records is that of any run."""
@@ -209,6 +223,17 @@ class _Wait:
             seen=self._seen,
             **({"problem": problem} if problem else {}),
         )
+
+
+def _robot_is_away(outcome: RunOutcome) -> bool:
+    """Whether the process could not begin to wait: the clock of the robot's graph could not be reached."""
+    failure = outcome.failure
+    return failure is not None and (failure.event, failure.owner) == ("", "link")
+
+
+def _asks_robot(gate: Gate) -> bool:
+    """Whether a condition may ask the robot: else neither its graph nor a simulation is needed to wait for it."""
+    return not gate.condition.is_outside
 
 
 def _await_gates(gates: Sequence[Gate], context: RobotRunnerContext) -> None:

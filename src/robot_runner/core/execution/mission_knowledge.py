@@ -1,9 +1,9 @@
-"""What plugins and configs know beforehand of the duration of a run."""
+"""What is known of the duration of a run: what plugins and configs say beforehand, and the runs that were seen."""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from robot_runner.core.events.manager import EventManager
     from robot_runner.core.plugin import Plugin
 
-__all__ = ["CombinationKey", "MissionKnowledge", "combination_key", "said_of_all", "told_apart"]
+__all__ = ["CombinationKey", "MissionKnowledge", "SeenRuns", "combination_key", "said_of_all", "told_apart"]
 
 #: A combination as the journal keeps it: each factor with the text of its treatment.
 CombinationKey = frozenset[tuple[str, str]]
@@ -88,7 +88,7 @@ class MissionKnowledge:
 def said_of_all(knowledge: MissionKnowledge, combinations: Iterable[Mapping[str, Any]]) -> dict[CombinationKey, float]:
     """Return what is said of each combination; nothing where anything is left open, as it could not be compared."""
     said: dict[CombinationKey, float] = {}
-    for combination, _ in told_apart(combinations if knowledge.speakers else ()):
+    for combination in combinations if knowledge.speakers else ():
         key = combination_key(combination)
         if key in said:
             continue
@@ -99,9 +99,53 @@ def said_of_all(knowledge: MissionKnowledge, combinations: Iterable[Mapping[str,
     return said
 
 
-def told_apart(combinations: Iterable[Mapping[str, Any]]) -> Iterable[tuple[Mapping[str, Any], int]]:
+def told_apart(combinations: Iterable[Mapping[str, Any]]) -> list[tuple[Mapping[str, Any], int]]:
     """Return each combination with how often it is there, by identity: the repetitions of a plan share theirs."""
     kept = list(combinations)
     found = {id(each): each for each in kept}
     counts = Counter(map(id, kept))
     return [(each, counts[number]) for number, each in found.items()]
+
+
+@dataclass(slots=True)
+class _Mean:
+    total: float = 0.0
+    count: int = 0
+
+    def take(self, value: float) -> None:
+        self.total += value
+        self.count += 1
+
+    @property
+    def value(self) -> float:
+        return self.total / self.count
+
+
+class SeenRuns:
+    """How long runs took: of each combination, and what each treatment adds where it differs from the others."""
+
+    def __init__(self) -> None:
+        self._all = _Mean()
+        self._of_combination: defaultdict[CombinationKey, _Mean] = defaultdict(_Mean)
+        self._of_treatment: defaultdict[tuple[str, str], _Mean] = defaultdict(_Mean)
+        self._least, self._most = math.inf, -math.inf
+
+    @property
+    def count(self) -> int:
+        """How many runs were seen."""
+        return self._all.count
+
+    def take(self, key: CombinationKey, seconds: float) -> None:
+        """Take a run of this combination into account."""
+        self._least, self._most = min(self._least, seconds), max(self._most, seconds)
+        for mean in (self._all, self._of_combination[key], *(self._of_treatment[each] for each in key)):
+            mean.take(seconds)
+
+    def expected(self, key: CombinationKey) -> float | None:
+        """Return what is expected of a combination, s; None before any run has ended."""
+        if not self._all.count:
+            return None
+        if key in self._of_combination:
+            return self._of_combination[key].value
+        effects = (self._of_treatment[each].value - self._all.value for each in key if each in self._of_treatment)
+        return min(self._most, max(self._least, self._all.value + math.fsum(effects)))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.core.config.operator_steps import Question
@@ -59,6 +59,7 @@ class ExperimentStarted:
     Attributes:
         run_count: all runs of the table; `done_count` of them were done before.
         columns: the measure columns with their units, without those that tell of others' quality.
+        asked_for: those of them that a person is asked for, before some runs only.
         left: how long it takes from here; None where that is not known.
     """
 
@@ -70,6 +71,7 @@ class ExperimentStarted:
     columns: Mapping[str, str]
     overrides: Mapping[str, str]
     findings: Sequence[Finding] = ()
+    asked_for: Collection[str] = ()
     left: TimeLeft | None = None
 
 

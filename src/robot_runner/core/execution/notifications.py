@@ -115,7 +115,7 @@ class Notifications:
                     yield _Message(f"{self._name}: {task.run_id} failed", one_line(str(outcome.failure)), "warning")
                 yield from self._progress()
             case WaitingForUser() if "waiting" in wanted:
-                what = notice.step or "your word"
+                what = notice.step or "may the next run start?"
                 treatments = ", ".join(f"{name}={shown_treatment(each)}" for name, each in notice.combination.items())
                 body = f"Before {notice.run_id}, run {notice.next_run_number} of {notice.run_count}: {treatments}"
                 yield _Message(f"{self._name} waits for you: {what}", body, "warning")

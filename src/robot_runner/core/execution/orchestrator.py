@@ -13,6 +13,7 @@ from robot_runner.core.config.gate_parameters import GuardAction
 from robot_runner.core.config.parameters import FailurePolicy
 from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, StorageError
 from robot_runner.core.events.manager import RobotRunnerEvents
+from robot_runner.core.events.measure import OPERATOR_OWNER
 from robot_runner.core.events.outlook import ExperimentEnd
 from robot_runner.core.execution.between_runs import BetweenRuns
 from robot_runner.core.execution.executor import Watch, executor_for
@@ -298,6 +299,7 @@ class _Orchestrator:
             done_count=self._progress.done_count,
             seed=self._progress.seed,
             columns={column.name: column.measure.unit for column in columns if not column.tells_of},
+            asked_for=[column.name for column in columns if column.owner == OPERATOR_OWNER],
             overrides=self._experiment.overrides,
             findings=(*findings, *self._progress.findings),
             left=self._progress.time_left,

@@ -16,7 +16,6 @@ from robot_runner.core.execution.circumstances import (
 )
 from robot_runner.core.execution.durations import durations_of
 from robot_runner.core.execution.left_over import await_left_over
-from robot_runner.core.execution.mission_knowledge import combination_key
 from robot_runner.core.execution.recovery import selected_places
 from robot_runner.core.execution.run_findings import UnreadFactors, missing_measures
 from robot_runner.core.execution.table_on_disk import TableOnDisk
@@ -246,7 +245,7 @@ class ProgressManager:
         self._rows.record(run.run_id, status=RunStatus.RUNNING)
         self._failed.pop(run.run_id, None)
         task = self.task_of(run)
-        self._durations.begin(combination_key(task.combination), time.monotonic())
+        self._durations.begin(task.combination, time.monotonic())
         self.note(
             "attempt_started",
             run=run.run_id,

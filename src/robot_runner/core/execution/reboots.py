@@ -15,8 +15,7 @@ from robot_runner.core.execution.executor import Watch
 from robot_runner.core.execution.notices import FindingsNoticed, HostRestarts
 from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.links.connect import is_simulated
-from robot_runner.core.links.declared_host import Reboot
-from robot_runner.core.links.host_commands import DeclaredHosts
+from robot_runner.core.links.declared_host import DeclaredHosts, Reboot
 
 if TYPE_CHECKING:
     from collections.abc import Callable

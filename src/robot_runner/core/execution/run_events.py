@@ -18,7 +18,7 @@ from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.run_ending import RunEnding
 from robot_runner.core.links.connect import is_simulated, open_clock
-from robot_runner.core.links.host_commands import DeclaredHosts
+from robot_runner.core.links.declared_host import DeclaredHosts
 from robot_runner.core.storage.journal import utc_now
 
 if TYPE_CHECKING:

@@ -9,16 +9,17 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import ConfigError, Finding, LinkError
+from robot_runner.core.errors import ConfigError, Finding, LinkError, did_you_mean
 from robot_runner.core.links.host import LOCAL
-from robot_runner.core.links.ssh_host import checked_destination, ssh_findings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from robot_runner.core.events.condition import Condition
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.links.host_commands import HostCommands
 
-__all__ = ["Host", "Reboot", "are_hosts", "host_findings", "named_hosts"]
+__all__ = ["DeclaredHosts", "Host", "Reboot", "are_hosts", "host_findings", "named_hosts"]
 
 #: A host's name names a folder in each run's folder.
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
@@ -88,10 +89,8 @@ class Host:
 
     def _findings(self) -> Iterator[Finding]:
         where = f"Host({self.address!r})"
-        try:
-            checked_destination(self.address)
-        except LinkError as error:
-            yield Finding.error(where, error.problem, error.fix)
+        if (refused := _refused(self.address)) is not None:
+            yield Finding.error(where, refused.problem, refused.fix)
         for name in ("fetch_within_s", "largest_fetch_mb", "back_within_s"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < float("inf"):
@@ -112,16 +111,19 @@ class Host:
 def are_hosts(value: Any) -> bool:
     """Whether a value can be the config's `hosts`: names with addresses or `Host(...)`."""
     return isinstance(value, Mapping) and all(
-        isinstance(name, str) and _NAME.fullmatch(name) is not None and (isinstance(each, Host) or _is_address(each))
+        isinstance(name, str) and _NAME.fullmatch(name) and (isinstance(each, Host) or _refused(each) is None)
         for name, each in value.items()
     )
 
 
-def _is_address(value: Any) -> bool:
+def _refused(address: Any) -> LinkError | None:
+    from robot_runner.core.links.ssh_host import checked_destination  # noqa: PLC0415 - slow, and seldom needed
+
     try:
-        return isinstance(value, str) and checked_destination(value) == value
-    except LinkError:
-        return False
+        checked_destination(address if isinstance(address, str) else "")
+    except LinkError as error:
+        return error
+    return None
 
 
 def named_hosts(value: Mapping[str, str | Host]) -> dict[str, Host]:
@@ -138,8 +140,32 @@ def host_findings(where: str, name: str, host: Host, robot: str | None) -> list[
         host: what is declared of it.
         robot: how the robot is to be reached, for the condition that it is to be ready.
     """
+    from robot_runner.core.links.ssh_host import ssh_findings  # noqa: PLC0415 - slow, and seldom needed
+
     place = f"{where}.hosts[{name!r}]"
     found = [] if host.is_local else ssh_findings(place, host.address, config=host.ssh_config)
     if host.ready is not None:
         found += host.ready.check(robot)
     return found
+
+
+@dataclass(frozen=True, slots=True)
+class DeclaredHosts:
+    """The hosts of a config, as a run's context opens them."""
+
+    hosts: Mapping[str, Host]
+
+    def open(self, name: str, context: RobotRunnerContext) -> HostCommands:
+        """Return the host of this name; all who ask in a run share its connection.
+
+        Raises:
+            LinkError: the config names no such host; the nearest is named.
+        """
+        from robot_runner.core.links.host_commands import HostCommands, open_shell  # noqa: PLC0415 - seldom needed
+
+        host = self.hosts.get(name)
+        if host is None:
+            fix = did_you_mean(name, self.hosts) or f"Name it in the config: hosts = {{{name!r}: 'pi@robot'}}."
+            raise LinkError(f"there is no host {name!r}", where="hosts", fix=fix)
+        shell = context.resources.open(f"shell on {name}", lambda: open_shell(host))
+        return HostCommands(name, host, shell, context)

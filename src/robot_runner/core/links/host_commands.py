@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import shlex
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Protocol
 
-from robot_runner.core.errors import CommandError, LinkError, did_you_mean
+from robot_runner.core.errors import CommandError, LinkError
 from robot_runner.core.events.host_access import CommandResult
 from robot_runner.core.links.archived_files import TAR_MARGIN, Unpacked, pack, unpack
 from robot_runner.core.links.host_program import Program, last_lines, shell_path, shortened
@@ -17,13 +16,13 @@ from robot_runner.core.links.kept_connection import KeptConnection
 from robot_runner.core.words import shown_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.links.declared_host import Host
     from robot_runner.core.links.host_program import Ended
 
-__all__ = ["DeclaredHosts", "HostCommands", "Shell", "open_shell"]
+__all__ = ["HostCommands", "Shell", "open_shell"]
 
 _LAST_LINES = 5
 #: What ssh itself ends with where the connection fails; a command may do so, too.
@@ -87,26 +86,6 @@ class _LocalShell:
 def open_shell(host: Host) -> Shell:
     """Return what starts a shell on a host; nothing is connected before it is needed."""
     return _LocalShell() if host.is_local else KeptConnection(host.address, host.ssh_config)
-
-
-@dataclass(frozen=True, slots=True)
-class DeclaredHosts:
-    """The hosts of a config, as a run's context opens them."""
-
-    hosts: Mapping[str, Host]
-
-    def open(self, name: str, context: RobotRunnerContext) -> HostCommands:
-        """Return the host of this name; all who ask in a run share its connection.
-
-        Raises:
-            LinkError: the config names no such host; the nearest is named.
-        """
-        host = self.hosts.get(name)
-        if host is None:
-            fix = did_you_mean(name, self.hosts) or f"Name it in the config: hosts = {{{name!r}: 'pi@robot'}}."
-            raise LinkError(f"there is no host {name!r}", where="hosts", fix=fix)
-        shell = context.resources.open(f"shell on {name}", lambda: open_shell(host))
-        return HostCommands(name, host, shell, context)
 
 
 class HostCommands:

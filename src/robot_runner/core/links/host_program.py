@@ -36,7 +36,7 @@ def shell_path(path: str, *, is_pattern: bool = False) -> str:
 
     Example:
         >>> shell_path("~/my logs/*.log", is_pattern=True)
-        '"$HOME"/my\\\\ logs/*.log'
+        '"$HOME"/my\\ logs/*.log'
     """
     home, rest = ('"$HOME"/', path[2:]) if path.startswith("~/") else ("", path)
     kept = _PATTERN if is_pattern else frozenset()
