@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import shutil
+import signal
+import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from tests.conftest import HEAD
 
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
-from robot_runner.core.execution.notices import SilentObserver
+from robot_runner.core.execution.notices import AttemptFinished, Notice, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.recovery import Resumption
 
@@ -86,30 +88,46 @@ def test_a_treatment_none_is_known_again_where_a_spreadsheet_left_its_cell_empty
     assert finished.done_count == 2
 
 
-def test_the_table_on_disk_is_up_to_date_while_a_run_or_a_rest_lasts(execute: Execute) -> None:
-    executed = execute(
-        """
-        def _waits_for(self, context, text):
-            table, end = context.experiment_folder / "run_table.csv", time.monotonic() + 10
-            while text not in table.read_text() and time.monotonic() < end:
-                time.sleep(0.02)
-            return text in table.read_text()
+class UntilDoneIsSeen(SilentObserver):
+    """Interrupts the experiment once its run table on disk says, during a rest, that the first run is done."""
 
-        def before_run(self, context):
-            if context.run_number == 2:
-                self.was_done = "r_1,Done" in (context.experiment_folder / "run_table.csv").read_text()
+    refresh_interval = 0.05
+
+    def __init__(self, table: Path) -> None:
+        self.was_seen = self.is_resting = False
+        self._table = table
+
+    def notice(self, notice: Notice) -> None:
+        self.is_resting |= isinstance(notice, AttemptFinished)
+
+    def refresh(self) -> None:
+        if self.is_resting and not self.was_seen and "r_1,Done" in self._table.read_text(encoding="utf-8"):
+            self.was_seen = True
+            signal.raise_signal(signal.SIGINT)
+
+
+def test_the_table_on_disk_is_up_to_date_while_a_run_or_a_rest_lasts(write_config: Write) -> None:
+    config = write_config(
+        """
+        time_between_runs_in_ms = 30_000
 
         def launch_mission(self, context):
-            self.was_seen = self._waits_for(context, f"{context.run_id},Running")
+            table, end = context.experiment_folder / "run_table.csv", time.monotonic() + 30
+            while "r_1,Running" not in table.read_text() and time.monotonic() < end:
+                time.sleep(0.02)
 
         def populate_run_data(self, context):
-            return {"Energy": self.was_seen and getattr(self, "was_done", True)}
+            return {"Energy": time.monotonic()}
         """,
         head="import time\n" + HEAD,
-        time_between_runs_in_ms=2000,
         table=TWO_RUNS,
     )
-    assert [row["Energy"] for row in executed.table] == ["True", "True"]
+    experiment = prepare_or_refuse(config)
+    observer = UntilDoneIsSeen(experiment.folder.run_table)
+    started = time.monotonic()
+    finished = execute_experiment(experiment, observer)
+    assert (observer.was_seen, finished.done_count, finished.interrupted) == (True, 1, True)
+    assert time.monotonic() - started < 30  # neither the run nor the rest had to come to its end
 
 
 def test_nothing_but_results_stays_behind(execute: Execute) -> None:

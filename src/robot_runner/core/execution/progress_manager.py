@@ -106,6 +106,7 @@ class ProgressManager:
                 self._manifest["executions"][-1]["selection"] = self._resumption.selection
             started = time.monotonic()
             recovered = recover_table(self._experiment, self._manifest, self._resumption)
+            reading = time.monotonic() - started  # writing the table takes less
             self._selected = selected_places(recovered.rows, self._resumption, self._experiment.model.warm_up)
             refuse_unfit_treatments(
                 self._experiment, self._manifest, recovered, self._selected, accept_changes=accept_changes
@@ -124,8 +125,6 @@ class ProgressManager:
                 self._journal.append(PREPARED, flush=True, treatments=prepared)
             keep_config(self._experiment, self._manifest)
             write_manifest(self._folder.manifest, self._manifest)
-            # Reading the table took longer than writing it will.
-            reading = time.monotonic() - started
             self._file = TableOnDisk(self._folder.run_table, self._rows, self._journal, reading)
             if not recovered.is_on_disk:
                 recovered.write_schema(self._folder.schema)
