@@ -14,11 +14,11 @@ from scipy import stats
 
 from benchmarks.null_designs import DISTRIBUTIONS, NULL_DESIGNS, NullDesign
 from benchmarks.table import Row, print_table
+from robot_runner.analysis.statistics.cell_layout import layout_of
 from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.descriptive import describe, quiet
 from robot_runner.analysis.statistics.design import Group
 from robot_runner.analysis.statistics.effect_sizes import cliffs_delta, cohens_d
-from robot_runner.analysis.statistics.cell_layout import layout_of
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed
 from robot_runner.analysis.statistics.tests import model_of

@@ -5,11 +5,14 @@ from __future__ import annotations
 import csv
 import json
 import re
+import subprocess
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from tests.analysis.report.agreement import disagreements
+from tests.command_line import PROGRAM
 
 from robot_runner.analysis.report.writing import ReportFormat, write_report
 from robot_runner.cli.main import main
@@ -60,6 +63,7 @@ SETTINGS = {
     "basic_experiment": (["repetitions=1"], 3),
     "sorting_algorithms": (["largest=100"], 12),
     "two_rooms": (["repetitions=1", "task_s=0.5"], 5),
+    "offloading": (["repetitions=1"], 10),
 }
 
 
@@ -152,3 +156,39 @@ def test_the_rooms_are_visited_one_after_the_other_and_one_without_network(execu
     assert_full("two_rooms", table)
     assert [row["Room"] for row in table] == ["laboratory"] * 3 + ["corridor"] * 2
     assert ("corridor", "Network") not in {(row["Room"], row["Task"]) for row in table}
+
+
+def test_the_study_of_offloading_asks_waits_warms_up_and_fetches(tmp_path: Path) -> None:
+    """A person in another terminal answers each step; everything else goes by itself."""
+    folder = tmp_path / "offloading"
+    settings = [*SETTINGS["offloading"][0], f"results_output_path={tmp_path}", f"log={tmp_path / 'detections.log'}"]
+    words = [word for setting in settings for word in ("--set", setting)]
+    study = subprocess.Popen(
+        [PROGRAM, str(EXAMPLES / "offloading.py"), *words],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=tmp_path,
+    )
+    answered = []
+    try:
+        while study.poll() is None:
+            status = subprocess.run([PROGRAM, "status", folder, "--json"], capture_output=True, text=True, check=False)
+            if status.returncode == 0 and (waiting := json.loads(status.stdout)["waiting_for"]) is not None:
+                answered.append(waiting["next_run"])
+                subprocess.run([PROGRAM, "continue", folder, "--answer", "Light=300"], check=False)
+            time.sleep(0.2)
+    finally:
+        study.kill()
+        said = study.communicate()[0]
+    assert study.returncode == 0, said
+    table = table_of(folder)
+    assert [row["run_id"] for row in table] == ["w_1", "r_1", "r_2", "r_3", "r_4", "w_2", "r_5", "r_6", "r_7", "r_8"]
+    assert {row["status"] for row in table} == {"Done"}
+    assert list(dict.fromkeys(answered)) == ["w_1", "w_2"], "once for each placement"
+    assert [row["Light"] for row in table] == ["300.0", "", "", "", "", "300.0", "", "", "", ""]
+    assert all(int(row["Detections"]) > 0 for row in table)
+    energy = {row["Placement"]: float(row["Energy"]) for row in table}
+    assert energy["Computation"] > energy["Network"]
+    assert [len(list((folder / "runs" / row["run_id"] / "base").rglob("detections.log"))) for row in table] == [1] * 10
