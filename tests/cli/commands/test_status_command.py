@@ -64,9 +64,6 @@ def test_json_holds_everything(robot_runner: Callable, half_done: Path) -> None:
         "current_run": None,
         "current_event": None,
         "left_is_least": False,
-        "batches": [],
-        "warm_ups": 0,
-        "warm_ups_done": 0,
         "failures": [f"r_1: {reason}", f"r_3: {reason}"],
         "excluded": {},
         "is_paused": False,
@@ -143,3 +140,13 @@ def test_what_is_no_experiment_is_refused(
     assert answer.code == 2
     assert problem in answer.err
     assert half_done.exists()
+
+
+def test_a_missing_run_table_hides_nothing_that_was_executed(robot_runner: Callable, half_done: Path) -> None:
+    before = robot_runner("status", "config.py", "--json").json
+    (half_done / "run_table.csv").unlink()
+    facts = robot_runner("status", "config.py", "--json").json
+    assert {name: facts[name] for name in ("run_count", "done", "failed", "todo")} == {
+        name: before[name] for name in ("run_count", "done", "failed", "todo")
+    }
+    assert "the run table is missing; the journal has what was executed" in robot_runner("status", "config.py").out

@@ -39,7 +39,8 @@ def _found(experiment: Experiment, *, accept_changes: bool) -> tuple[dict[str, A
         return manifest_of(experiment), ()
     manifest = read_manifest(experiment.folder.manifest)
     if not accept_changes and (changes := config_changes(experiment)):
-        unplanned = unplanned_additions(experiment.config_path, experiment.model, manifest)
+        config, others = experiment.config_path, config_changes(experiment, of_design=False, of_settings=False)
+        unplanned = unplanned_additions(config, experiment.model, manifest, has_other_changes=bool(others))
         raise ExecutionError.of_findings([*changes, *unplanned])
     return resumed_manifest(experiment, manifest), ()
 

@@ -140,10 +140,10 @@ def read_status(folder: Path) -> ExperimentStatus:
         folder=folder,
         holder=holder,
         is_waiting_for_user=holder is not None and history.waiting_for is not None,
-        run_count=len(statuses),
+        run_count=len(statuses) + history.unlisted,
         done=_count(statuses, RunStatus.DONE),
         failed=_count(counting, RunStatus.FAILED),
-        todo=_count(counting, RunStatus.TODO, RunStatus.RUNNING),
+        todo=_count(counting, RunStatus.TODO, RunStatus.RUNNING) + history.unlisted,
         current_run=history.current_run if holder else None,
         current_event=history.current_event if holder else None,
         failures=tuple(
@@ -237,6 +237,9 @@ class _History:
         self._left_at = ""
         self._since_table: dict[str, RunStatus] = {}
         self._ends: dict[str, RunStatus] = {}
+        self._planned = 0
+        #: How many runs were never begun and are listed nowhere, as the run table is missing.
+        self.unlisted = 0
         self._measures: Collection[str] = ()
         self._qualities: dict[str, dict[str, Quality]] = {}
 
@@ -260,6 +263,12 @@ class _History:
                 todo = {run for run, status in self.statuses.items() if status is RunStatus.TODO}
                 failed = {run for run, end in self._ends.items() if end is RunStatus.FAILED}
                 self.statuses |= dict.fromkeys(todo & failed, RunStatus.FAILED)
+        elif self._ends and not files.run_table.exists():
+            self.statuses = dict(self._ends)
+            self.unlisted = max(0, self._planned - len(self._ends))
+            problem = "the run table is missing; the journal has what was executed"
+            fix = "It is made anew when the experiment is executed next."
+            self.findings.append(Finding.warning(str(files.run_table), problem, fix))
         self.statuses |= self._since_table
 
     @property
@@ -287,6 +296,7 @@ class _History:
     def _take_experiment_started(self, record: Mapping[str, Any]) -> None:
         self.started_at = record["at"]
         self.finished_at = None
+        self._planned = int(record.get("runs", 0))
         self.gate = self.waiting_for = None
         self.is_paused = False
         self.sessions.append(Session(record["at"], record["at"], selection=record.get("selection", {})))

@@ -175,7 +175,13 @@ class _Extending:
             return experiment
         path = self._folder.run_table
         written = [each.get("sha256") for each in read_journal(self._folder.journal, kinds={"table_written"})]
-        if not path.exists() or (digest_of(path) != written[-1] and not self._request.accept_changes):
+        if not path.exists():
+            problem = (
+                "the run table is missing and the design has changed: nothing tells which runs were planned"
+            )
+            fix = "Restore the run table. Or undo the change, and execute the experiment: the table is made anew."
+            raise ExecutionError(problem, where=str(path), fix=fix)
+        if digest_of(path) != written[-1] and not self._request.accept_changes:
             problem = "both the config's design and the run table were changed: nothing tells which runs were planned"
             fix = f"Undo one of them, or let the table count ({ACCEPT})."
             raise ExecutionError(problem, where=str(path), fix=fix)
@@ -248,13 +254,16 @@ def refuse_unplanned(experiment: Experiment, manifest: Mapping[str, Any]) -> tup
     Raises:
         ExecutionError: the config plans more than the run table has, and an extension would add just that.
     """
-    found = unplanned_additions(experiment.config_path, experiment.model, manifest)
+    has_others = bool(config_changes(experiment, of_design=False, of_settings=False))
+    found = unplanned_additions(experiment.config_path, experiment.model, manifest, has_other_changes=has_others)
     if any(each.is_error for each in found):
         raise ExecutionError.of_findings(found)
     return found
 
 
-def unplanned_additions(config: Path, model: RunTableModel, manifest: Mapping[str, Any]) -> tuple[Finding, ...]:
+def unplanned_additions(
+    config: Path, model: RunTableModel, manifest: Mapping[str, Any], *, has_other_changes: bool = False
+) -> tuple[Finding, ...]:
     """Return a finding where the config plans what the experiment was not planned with: an extension adds it.
 
     It is an error where the config only has more than before, and a warning where it also has less: then somebody
@@ -264,6 +273,8 @@ def unplanned_additions(config: Path, model: RunTableModel, manifest: Mapping[st
         config: the config file.
         model: the design as the config has it now, with the batches that there are.
         manifest: of the experiment, as it was planned.
+        has_other_changes: whether the config has changed outside what makes the run table, too, which an extension has
+            to be told to accept.
     """
     design = manifest.get("design") or {}
     if design.get("source") != "config" or "factors" not in design:
@@ -279,7 +290,8 @@ def unplanned_additions(config: Path, model: RunTableModel, manifest: Mapping[st
         if text not in _chosen(model).get(own.name, ())
     )
     problem = f"the config plans more than the run table has: {enumerated(more)}"
-    fix = f"Add these runs: robot-runner extend {_shown(config)}. Or undo the change."
+    accepting = f" {ACCEPT}" if has_other_changes else ""
+    fix = f"Add these runs: robot-runner extend {_shown(config)}{accepting}. Or undo the change."
     finding = Finding.warning if less else Finding.error
     return (finding(f"{config}, create_run_table", problem, fix),)
 
