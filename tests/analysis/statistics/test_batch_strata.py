@@ -16,7 +16,7 @@ from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.design import BATCH, VALUE, MeasureData
 from robot_runner.analysis.statistics.linear_model import FittedModel
 from robot_runner.analysis.statistics.post_hoc import compare_pairs
-from robot_runner.analysis.statistics.tested import TestMethod
+from robot_runner.analysis.statistics.tested import NotComputed, TestMethod
 from robot_runner.analysis.statistics.tests import Choices, carry_out, model_of
 from robot_runner.core.design.analysis_plan import Estimand
 
@@ -102,6 +102,49 @@ def test_blocks_that_go_on_across_batches_stay_one_unit_each():
     assert 0.035 < found < 0.065
     (before,) = share_of_significant(replace(data, is_extended=False), count=500)
     assert before > 0.3
+
+
+def blocks_of(kinds, per_batch):
+    """Return rows of blocks that lie within batches; each has all of `a` and `b`, and one of `kinds`."""
+    return [
+        (batch, 0.0, each, kind, f"{batch} {kind} {number}")
+        for batch in (1, 2)
+        for kind in kinds
+        for number in range(per_batch[batch - 1][kind])
+        for each in "ab"
+    ]
+
+
+DESIGNS = {
+    "runs of their own": lambda: measure(cells(UNEQUAL)),
+    "a linear model": lambda: measure(cells({"a": (4, 1), "b": (3, 0), "c": (0, 3)})),
+    "blocks within batches": lambda: measure(
+        [row[:3] + row[4:] for row in blocks_of("p", [{"p": 5}] * 2)], in_blocks=True
+    ),
+    "factors between blocks": lambda: measure(
+        blocks_of("pq", [{"p": 6, "q": 2}, {"p": 3, "q": 5}]), in_blocks=True, names="AB"
+    ),
+}
+
+
+@pytest.mark.parametrize("estimand", Estimand)
+@pytest.mark.parametrize("design", DESIGNS)
+def test_whatever_shifts_a_whole_batch_changes_nothing(design, estimand):
+    data = DESIGNS[design]()
+    found = []
+    for shift in (0.0, 50.0):
+        values = np.random.default_rng(4).normal(size=len(data.frame)) + shift * (data.batches == 2)
+        frame = data.frame.assign(**{VALUE: values})
+        shifted = replace(data, frame=frame, every=frame)
+        model = model_of(shifted, estimand)
+        if isinstance(model, NotComputed):
+            assert estimand is Estimand.TRIMMED_MEAN
+            return
+        test = carry_out(shifted, model, CHOICES)
+        pairs, _ = compare_pairs(shifted, model, test, CHOICES)
+        found.append([each.p_value for each in test.effects] + [each.check.p_value for each in test.effects])
+        found[-1] += [size.value for each in pairs for pair in each.comparisons for size in pair.effect_sizes]
+    assert found[0] == pytest.approx(found[1], rel=1e-4)
 
 
 def spread_out(mean, count):
