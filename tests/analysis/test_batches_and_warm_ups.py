@@ -8,7 +8,8 @@ import pytest
 from tests.analysis.report.agreement import disagreements
 from tests.conftest import TABLE, written_config
 
-from robot_runner.analysis import load_results
+from robot_runner import AnalysisPlan, Hypothesis
+from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.figures.style import FigureFormat
 from robot_runner.analysis.report.writing import ReportFormat, write_report
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
@@ -121,3 +122,26 @@ def test_a_treatment_that_only_the_later_batch_has_is_not_compared_in_silence(tm
     missing = [each["why"] for each in measure["not_computed"] if each["what"] == "comparisons with Idle"]
     assert len(missing) == 1
     assert "cannot be told apart from what changed between batches" in missing[0]
+
+
+def test_a_planned_factor_that_differs_only_between_batches_has_no_verdict(tmp_path):
+    hypotheses = [
+        Hypothesis("The floor matters.", measure="Energy", factors="Floor"),
+        Hypothesis("Wood costs more.", measure="Energy", factors="Floor", contrast={"wood": 1, "carpet": -1}),
+        Hypothesis("The task matters.", measure="Energy", factors="Task"),
+    ]
+    plan = AnalysisPlan(measures=["Energy"], hypotheses=hypotheses)
+    table = TABLE.replace("repetitions=2", "repetitions=5")
+    config = written_config(tmp_path, SHIFTED, table=table)
+    execute_experiment(prepare_or_refuse(config), SilentObserver())
+    added = Additions(factors={"Floor": NewFactor("carpet", ("wood",))})
+    extend_experiment(prepare(config, is_for_here=False).experiment, ExtensionRequest(added=added, seed=2))
+    root = execute_experiment(prepare_or_refuse(config), SilentObserver()).folder
+    manifest = json.loads((root / "manifest.json").read_text(encoding="utf-8"))
+    manifest["analysis"] = plan.as_mapping()
+    (root / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    statistics = analyse(load_results(root))
+    measure = statistics.measure("Energy")
+    assert [(each.factors, each.is_significant) for each in measure.test.effects] == [(("Task",), True)]
+    assert [each.is_supported for each in statistics.hypotheses] == [None, None, True]
+    assert any("Floor differs only between batches" in each.why for each in measure.not_computed)
