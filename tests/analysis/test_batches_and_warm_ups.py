@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 
 import pytest
+from tests.analysis.report.agreement import disagreements
 from tests.conftest import TABLE, written_config
 
-from robot_runner.analysis import load_results
+from robot_runner import AnalysisPlan, Hypothesis
+from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.figures.style import FigureFormat
 from robot_runner.analysis.report.writing import ReportFormat, write_report
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
@@ -77,4 +79,69 @@ def test_the_report_accounts_for_batches_and_warm_up_runs(folder, tmp_path):
     told = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
     assert told["design"]["warm_ups"] == ["w_1", "w_2", "w_3", "w_4"]
     assert [batch["batch"] for batch in told["design"]["batches"]] == [1, 2]
+    assert "treatments are compared within batches 1 and 2, which may differ as a whole" in text
+    assert disagreements(told) == []
     assert len(told["runs"]) == 16
+
+
+#: The later session is colder by far more than the tasks differ.
+SHIFTED = """
+def populate_run_data(self, context):
+    is_later = context.run_number > 10
+    task = {"Video": 3.0, "Network": 0.0, "Idle": 0.0}[context.combination["Task"]]
+    return {"Energy": 20.0 + task - 12.0 * is_later + 0.1 * (context.run_number * 7 % 5)}
+"""
+
+
+def extended(folder, added):
+    config = written_config(folder, SHIFTED, table=TABLE.replace("repetitions=2", "repetitions=5"))
+    execute_experiment(prepare_or_refuse(config), SilentObserver())
+    extend_experiment(prepare(config, is_for_here=False).experiment, ExtensionRequest(added=added, seed=2))
+    root = execute_experiment(prepare_or_refuse(config), SilentObserver()).folder
+    written = write_report(root, ReportFormat.JSON, output=folder / "out")
+    found = json.loads(written.document.read_text(encoding="utf-8"))
+    assert disagreements(found) == []
+    (measure,) = found["statistics"]["measures"]
+    return measure
+
+
+def test_an_effect_is_found_although_the_later_batch_is_shifted_by_more(tmp_path):
+    measure = extended(tmp_path, Additions(10))
+    (effect,) = measure["test"]["effects"]
+    assert effect["is_significant"]
+    assert measure["test"]["spread"] < 1
+    (pair,) = measure["post_hoc"][0]["comparisons"]
+    assert pair["difference"] == pytest.approx(3.0, abs=0.2)
+
+
+def test_a_treatment_that_only_the_later_batch_has_is_not_compared_in_silence(tmp_path):
+    measure = extended(tmp_path, Additions(treatments={"Task": ("Idle",)}))
+    (effect,) = measure["test"]["effects"]
+    assert effect["is_significant"]
+    assert [pair["second"] for pair in measure["post_hoc"][0]["comparisons"]] == ["Network"]
+    missing = [each["why"] for each in measure["not_computed"] if each["what"] == "comparisons with Idle"]
+    assert len(missing) == 1
+    assert "cannot be told apart from what changed between batches" in missing[0]
+
+
+def test_a_planned_factor_that_differs_only_between_batches_has_no_verdict(tmp_path):
+    hypotheses = [
+        Hypothesis("The floor matters.", measure="Energy", factors="Floor"),
+        Hypothesis("Wood costs more.", measure="Energy", factors="Floor", contrast={"wood": 1, "carpet": -1}),
+        Hypothesis("The task matters.", measure="Energy", factors="Task"),
+    ]
+    plan = AnalysisPlan(measures=["Energy"], hypotheses=hypotheses)
+    table = TABLE.replace("repetitions=2", "repetitions=5")
+    config = written_config(tmp_path, SHIFTED, table=table)
+    execute_experiment(prepare_or_refuse(config), SilentObserver())
+    added = Additions(factors={"Floor": NewFactor("carpet", ("wood",))})
+    extend_experiment(prepare(config, is_for_here=False).experiment, ExtensionRequest(added=added, seed=2))
+    root = execute_experiment(prepare_or_refuse(config), SilentObserver()).folder
+    manifest = json.loads((root / "manifest.json").read_text(encoding="utf-8"))
+    manifest["analysis"] = plan.as_mapping()
+    (root / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    statistics = analyse(load_results(root))
+    measure = statistics.measure("Energy")
+    assert [(each.factors, each.is_significant) for each in measure.test.effects] == [(("Task",), True)]
+    assert [each.is_supported for each in statistics.hypotheses] == [None, None, True]
+    assert any("Floor differs only between batches" in each.why for each in measure.not_computed)

@@ -100,7 +100,7 @@ class Results:
 
     @property
     def batch(self) -> str | None:
-        """The column that says in which batch a run was planned, where the experiment was extended: a block, too."""
+        """The column that says in which batch a run was planned, where the experiment was extended: a stratum."""
         return next(iter(self._named(ColumnRole.BATCH)), None)
 
     @property

@@ -187,14 +187,14 @@ def _extended(material: Material) -> Threats:
     sizes = enumerated(f"{batch['runs']:,}" for batch in batches)
     text = (
         f"Its {len(batches)} batches, of {sizes} runs, were executed at other times, and each has an order of its own: "
-        "what changed between them may pass for an effect unless the batch is a block."
+        "what changed between them is taken out of the tests, which compare runs within batches."
     )
     yield "The experiment was extended", text, Tone.NOTE
     for batch in batches:
         for name, treatment in batch.get("defaults", {}).items():
             text = (
                 f"It was added with batch {batch['batch']}; runs before count as {treatment}, which nobody set. Its "
-                "other treatments were executed later only: compare them within that batch."
+                "other treatments were executed later only: they are compared within batches."
             )
             yield f"{name} is confounded with time", text, Tone.WARNING
 

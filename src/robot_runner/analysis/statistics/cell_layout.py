@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import linalg, stats
 
+from robot_runner.analysis.statistics.batch_strata import batch_shares, run_counts, weights_in_blocks
 from robot_runner.analysis.statistics.contrasts import Moments
 from robot_runner.core.design.analysis_plan import Estimand
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Numbers = NDArray[np.intp]
 
-__all__ = ["MOST_FACTORS", "EffectContrast", "Layout", "kron", "layout_of", "relative_ranks", "trimmed_from"]
+__all__ = ["MOST_FACTORS", "EffectContrast", "Layout", "kron", "layout_of", "relative_ranks"]
 
 #: Interactions of more factors can hardly be interpreted.
 MOST_FACTORS = 3
@@ -37,6 +38,10 @@ _MOST_CELLS = 500
 
 #: Of the blocks, the share that has to be complete so that the others are left out.
 _COMPLETE = 0.75
+
+#: The standard deviation of normal values in those that are left of them by winsorising a fifth at either end (Algina,
+#: Keselman and Penfield, An alternative to Cohen's standardized mean difference effect size, 2005).
+_WINSORISED = 0.642
 
 #: The share that is cut off at either end for a trimmed mean (Wilcox, Introduction to Robust Estimation, 2012).
 _TRIMMED = 0.2
@@ -73,6 +78,8 @@ class Layout:
         effects: what is tested, main effects first.
         left_out: runs of blocks that are not complete.
         is_replicated: whether a cell of a block has several runs.
+        batches: the batch of each of `rows`, where there are several; those of a cell are sorted by it.
+        row_weights: of each of `rows` in the mean of its cell, where there are several batches.
     """
 
     factors: dict[str, list[str]]
@@ -84,6 +91,8 @@ class Layout:
     effects: tuple[EffectContrast, ...]
     left_out: tuple[int, ...] = ()
     is_replicated: bool = False
+    batches: Numbers | None = None
+    row_weights: Floats | None = None
 
     @property
     def within(self) -> tuple[str, ...]:
@@ -104,13 +113,38 @@ class Layout:
         """
         taken = values[..., self.rows]
         if estimand is Estimand.RANK:
-            taken = relative_ranks(taken)
+            taken = relative_ranks(taken, self.batches)
         if not self.is_blocked:
-            return _of_runs(taken, self.sizes, estimand)
-        counts = np.diff(np.append(self.starts, len(self.rows)))
-        cells = np.add.reduceat(taken, self.starts, axis=-1) / counts
+            strata = self._strata
+            return _of_runs(taken, self.sizes, estimand) if strata is None else _of_strata(taken, *strata, estimand)
+        if self.row_weights is None:
+            counts = np.diff(np.append(self.starts, len(self.rows)))
+            cells = np.add.reduceat(taken, self.starts, axis=-1) / counts
+        else:
+            cells = np.add.reduceat(taken * self.row_weights, self.starts, axis=-1)
         units = int(self.sizes.sum())
         return _of_units(cells.reshape(*cells.shape[:-1], units, -1), self.sizes)
+
+    @property
+    def _strata(self) -> tuple[Numbers, Floats] | None:
+        """The numbers of runs of each cell in each batch, (cells, batches), and the share of each batch."""
+        if self.batches is None:
+            return None
+        _, batch = np.unique(self.batches, return_inverse=True)
+        counts = run_counts(np.repeat(np.arange(len(self.sizes)), self.sizes), batch)
+        return counts, batch_shares(counts.astype(np.float64))
+
+    def variance_per_error(self, estimand: Estimand) -> Floats:
+        """Return what the squared error of each unit's mean is multiplied by, to be the variance of one value."""
+        strata = None if self.is_blocked else self._strata
+        if strata is None:
+            return _winsorised_sizes(self.sizes) if estimand is Estimand.TRIMMED_MEAN else self.sizes.astype(np.float64)
+        counts, shares = strata
+        if estimand is not Estimand.TRIMMED_MEAN:
+            return np.asarray(1 / np.sum(shares**2 / counts, axis=1))
+        left = _left(counts)
+        ratio = np.sum(left - 1, axis=1) / np.sum(counts - 1, axis=1)
+        return np.asarray(ratio / np.sum(shares**2 / left, axis=1) / _WINSORISED**2)
 
     def weights(self, treatments: dict[str, str]) -> Floats:
         """Return the weights of the cells in the mean of some treatments, each combination counting the same.
@@ -138,8 +172,16 @@ def kron(parts: Sequence[Floats], start: Floats) -> Floats:
     return start
 
 
-def relative_ranks(values: Floats) -> Floats:
-    """Return ranks as shares, 0..1: a mean of them is how probably a value is larger than one of all runs."""
+def relative_ranks(values: Floats, batches: Numbers | None = None) -> Floats:
+    """Return ranks as shares, 0..1: a mean of them is how probably a value is larger than one of all runs.
+
+    Of several batches ranks are those within each (van Elteren 1960).
+    """
+    if batches is not None:
+        ranks = np.empty(values.shape)
+        for each in np.unique(batches):
+            ranks[..., batches == each] = relative_ranks(values[..., batches == each])
+        return ranks
     return np.asarray((stats.rankdata(values, axis=-1) - 0.5) / values.shape[-1], dtype=np.float64)
 
 
@@ -160,6 +202,43 @@ def _of_runs(values: Floats, sizes: Numbers, estimand: Estimand) -> Moments:
     means, errors = (np.stack([each[part] for each in found], axis=-1) for part in (0, 1))
     left = np.array([size - 2 * trimmed_from(int(size)) for size in sizes], dtype=np.float64)
     return Moments(means[..., None], errors[..., None, None], left - 1)
+
+
+def _of_strata(values: Floats, counts: Numbers, shares: Floats, estimand: Estimand) -> Moments:
+    """Return the moments of independent runs, sorted by cell and batch; each cell has one variance in all batches."""
+    ends = np.cumsum(counts).reshape(counts.shape)
+    found = [
+        _stratum(values[..., end - size : end], estimand) for end, size in zip(ends.flat, counts.flat, strict=True)
+    ]
+    centres, squares = (np.stack([each[part] for each in found], axis=-1) for part in (0, 1))
+    shape = (*values.shape[:-1], *counts.shape)
+    is_trimmed = estimand is Estimand.TRIMMED_MEAN
+    left = _left(counts) if is_trimmed else counts
+    freedom = np.sum(left - 1.0, axis=1)
+    means = centres.reshape(shape) @ shares
+    errors = squares.reshape(shape).sum(axis=-1) / freedom * np.sum(shares**2 / left, axis=1)
+    return Moments(means[..., None], errors[..., None, None], freedom)
+
+
+def _left(counts: Numbers) -> Numbers:
+    return np.asarray(counts - 2 * np.vectorize(trimmed_from)(counts), dtype=np.intp)
+
+
+def _stratum(values: Floats, estimand: Estimand) -> tuple[Floats, Floats]:
+    """Return what is estimated of a cell within a batch, and its sum of squares."""
+    size = values.shape[-1]
+    if estimand is Estimand.TRIMMED_MEAN and trimmed_from(size):
+        left = size - 2 * trimmed_from(size)
+        mean, error = _trimmed(values)
+        return mean, error * left * (left - 1)
+    mean = values.mean(axis=-1)
+    return mean, np.sum((values - mean[..., None]) ** 2, axis=-1)
+
+
+def _winsorised_sizes(sizes: Numbers) -> Floats:
+    """Return what squared errors of trimmed means are multiplied by, to be the variance of one normal value."""
+    left = np.array([size - 2 * trimmed_from(int(size)) for size in sizes])
+    return np.asarray(left * (left - 1) / (sizes.astype(np.float64) - 1) / _WINSORISED**2)
 
 
 def _trimmed(values: Floats) -> tuple[Floats, Floats]:
@@ -198,7 +277,8 @@ def layout_of(data: MeasureData) -> Layout | None:
         name: data.frame[name].astype(str).map({level: place for place, level in enumerate(levels)}).to_numpy(int)
         for name, levels in factors.items()
     }
-    return _blocked(factors, codes, data.blocks) if data.is_blocked else _independent(factors, codes)
+    batches = data.batches if data.is_extended else None
+    return _blocked(factors, codes, data.blocks, batches) if data.is_blocked else _independent(factors, codes, batches)
 
 
 def _code(factors: dict[str, list[str]], codes: dict[str, Numbers], names: Sequence[str]) -> Numbers:
@@ -213,32 +293,57 @@ def _size(factors: dict[str, list[str]], names: Sequence[str]) -> int:
     return int(np.prod([len(factors[name]) for name in names], dtype=np.int64))
 
 
-def _independent(factors: dict[str, list[str]], codes: dict[str, Numbers]) -> Layout | None:
+def _independent(
+    factors: dict[str, list[str]], codes: dict[str, Numbers], batches: Numbers | None = None
+) -> Layout | None:
     cell = _code(factors, codes, tuple(factors))
     sizes = np.bincount(cell, minlength=_size(factors, tuple(factors)))
     if sizes.min() < _PAIR:
         return None
-    rows = np.argsort(cell, kind="stable")
+    if batches is not None:
+        _, batch = np.unique(batches, return_inverse=True)
+        counts = run_counts(cell, batch)
+        if not counts.all() or np.any(sizes <= counts.shape[1]):
+            return None  # a batch lacks a combination, or chance has no measure within batches
+    rows = np.argsort(cell, kind="stable") if batches is None else np.lexsort((batches, cell))
     starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
     effects = _effects(factors, tuple(factors))
-    return Layout(factors, tuple(factors), False, rows, starts, sizes, effects)  # noqa: FBT003 - a field
+    return Layout(
+        factors,
+        tuple(factors),
+        is_blocked=False,
+        rows=rows,
+        starts=starts,
+        sizes=sizes,
+        effects=effects,
+        batches=None if batches is None else batches[rows],
+    )
 
 
-def _blocked(factors: dict[str, list[str]], codes: dict[str, Numbers], blocks: NDArray[np.str_]) -> Layout | None:
+def _blocked(
+    factors: dict[str, list[str]],
+    codes: dict[str, Numbers],
+    blocks: NDArray[np.str_],
+    batches: Numbers | None = None,
+) -> Layout | None:
     _, block = np.unique(blocks, return_inverse=True)
     count = int(block.max()) + 1
     between = tuple(name for name in factors if _is_constant(codes[name], block, count))
     within = tuple(name for name in factors if name not in between)
     cell, group = _code(factors, codes, within), _code(factors, codes, between)
+    if between and batches is not None:
+        return None  # units would have to be stratified: a model takes the batches out
+    weights = None if batches is None else weights_in_blocks(block, cell, batches, _size(factors, within))
     held = np.zeros((count, _size(factors, within)), dtype=np.intp)
-    np.add.at(held, (block, cell), 1)
+    counts = np.ones(len(cell), dtype=bool) if weights is None else weights > 0
+    np.add.at(held, (block[counts], cell[counts]), 1)
     complete = held.min(axis=1) > 0
     group_of = np.zeros(count, dtype=np.intp)
     group_of[block] = group
     sizes = np.bincount(group_of[complete], minlength=_size(factors, between))
     if complete.mean() < _COMPLETE or sizes.min() < _PAIR:
         return None
-    used = np.flatnonzero(complete[block])
+    used = np.flatnonzero(complete[block] & counts)
     rows = used[np.lexsort((cell[used], block[used], group[used]))]
     keys = np.stack([block[rows], cell[rows]])
     starts = np.concatenate([[0], np.flatnonzero(np.any(np.diff(keys, axis=1), axis=0)) + 1])
@@ -250,8 +355,10 @@ def _blocked(factors: dict[str, list[str]], codes: dict[str, Numbers], blocks: N
         starts=starts,
         sizes=sizes,
         effects=_effects(factors, between),
-        left_out=tuple(map(int, np.flatnonzero(~complete[block]))),
+        left_out=tuple(map(int, np.flatnonzero(~complete[block] | ~counts))),
         is_replicated=bool(held.max() > 1),
+        batches=None if batches is None else batches[rows],
+        row_weights=None if weights is None else weights[rows],
     )
 
 

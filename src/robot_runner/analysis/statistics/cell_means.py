@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_runner.analysis.statistics.cell_layout import trimmed_from
 from robot_runner.analysis.statistics.contrasts import (
     DRAWS,
     Contrast,
@@ -38,10 +37,6 @@ _ROUNDING = 1e-12
 
 #: The same of standard deviations, which are differences of such.
 _NO_VARIATION = 1e-10
-
-#: The standard deviation of normal values in those that are left of them by winsorising a fifth at either end (Algina,
-#: Keselman and Penfield, An alternative to Cohen's standardized mean difference effect size, 2005).
-_WINSORISED = 0.642
 
 _PAIR = 2
 
@@ -111,10 +106,7 @@ class CellMeans:
         Of independent runs the root of the mean variance within combinations; of blocks that of what is left once their
         means are taken away; and where factors differ between blocks, that of blocks within combinations.
         """
-        sizes = self.layout.sizes.astype(np.float64)
-        if self.estimand is Estimand.TRIMMED_MEAN:
-            left = np.array([size - 2 * trimmed_from(int(size)) for size in sizes])
-            sizes = left * (left - 1) / (sizes - 1) / _WINSORISED**2
+        sizes = self.layout.variance_per_error(self.estimand)
         covariances = self.moments.errors * sizes[:, None, None]
         count = covariances.shape[-1]
         if count > 1 and not self.layout.between:

@@ -20,12 +20,13 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.results import Results
 
-__all__ = ["PLACE", "VALUE", "Design", "Group", "MeasureData", "design_of"]
+__all__ = ["BATCH", "PLACE", "VALUE", "Design", "Group", "MeasureData", "design_of"]
 
 #: Columns of a measure's data beside the factors. Names of factors never begin with a blank.
 VALUE = " value"
 PLACE = " place"
 _BLOCK = " block"
+BATCH = " batch"
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,10 +56,11 @@ class MeasureData:
     Attributes:
         name: the measure.
         frame: one row a run that has a value: `run_id`, ` place` (in the order of execution, from 1), ` value`,
-            ` block` (where the design has blocks), and each factor as an ordered categorical of texts.
+            ` block` and ` batch` (where the design has them), and each factor as an ordered categorical of texts.
         every: the same for all runs that are done; ` value` is NaN where there is none.
         factors: those that have two and more treatments among the runs with a value.
         is_blocked: whether runs belong to blocks.
+        is_extended: whether the runs with a value are of several batches.
     """
 
     name: str
@@ -66,6 +68,7 @@ class MeasureData:
     every: pd.DataFrame
     factors: tuple[str, ...]
     is_blocked: bool
+    is_extended: bool = False
 
     @property
     def values(self) -> NDArray[np.float64]:
@@ -76,6 +79,11 @@ class MeasureData:
     def blocks(self) -> NDArray[np.str_]:
         """The block of each run that has a value."""
         return np.asarray(self.frame[_BLOCK], dtype=str)
+
+    @property
+    def batches(self) -> NDArray[np.intp]:
+        """The number of the batch of each run that has a value."""
+        return np.asarray(self.frame[BATCH].astype(int), dtype=np.intp)
 
     def levels(self, factor: str) -> list[str]:
         """Return the treatments of a factor that occur among runs with a value, in their order."""
@@ -109,7 +117,13 @@ class MeasureData:
         ]
 
     def residuals(self) -> NDArray[np.float64]:
-        """Return each value less the mean of its combination."""
+        """Return each value less the mean of its combination, and less what its batch adds where there are several."""
+        if self.is_extended:
+            parts = [self.frame[BATCH].astype(str)]
+            if self.factors:
+                parts.append(self.frame.groupby(list(self.factors), observed=True).ngroup())
+            told = np.column_stack([pd.get_dummies(each).to_numpy(dtype=np.float64) for each in parts])
+            return np.asarray(self.values - told @ np.linalg.lstsq(told, self.values)[0], dtype=np.float64)
         if not self.factors:
             return np.asarray(self.values - np.mean(self.values), dtype=np.float64)
         grouped = self.frame.groupby(list(self.factors), observed=True)[VALUE]
@@ -152,7 +166,8 @@ class Design:
             every = every[~every[RUN_ID].isin(self.without)].reset_index(drop=True)
         frame = every[every[VALUE].notna()].reset_index(drop=True)
         factors = tuple(name for name in self.factors if _distinct(frame[name]) > 1)
-        return MeasureData(measure, frame, every, factors, self.block is not None)
+        is_extended = BATCH in frame and _distinct(frame[BATCH]) > 1
+        return MeasureData(measure, frame, every, factors, self.block is not None, is_extended)
 
     def summary(self) -> DesignSummary:
         """Return the design in figures and in a sentence."""
@@ -201,6 +216,11 @@ def design_of(results: Results, *, blocks: str | None = None) -> Design:
         columns[name] = texts.cat.remove_unused_categories()
     if column is not None:
         columns[_BLOCK] = done[column].astype("str")
+    batches = None if results.batch in {None, column} else done[results.batch].fillna(1).astype(int)
+    if batches is not None and _distinct(batches) > 1:
+        columns[BATCH] = pd.Categorical(batches, ordered=True)
+        if column is not None and column == results.repetition:  # it is counted on across batches
+            columns[_BLOCK] = columns[_BLOCK] + " of batch " + batches.astype("str")
     frame = pd.DataFrame(columns)
     varied = tuple(name for name in names if _distinct(frame[name]) > 1)
     constant = tuple(name for name in names if name not in varied)

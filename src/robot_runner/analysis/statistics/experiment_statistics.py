@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from robot_runner.analysis.statistics.assumptions import equal_variances, normality, quantile_pairs
+from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.correlations import correlations_of, drift_of
 from robot_runner.analysis.statistics.descriptive import describe
 from robot_runner.analysis.statistics.design import design_of
@@ -80,11 +81,15 @@ def measure_statistics(
             why = f"the measure has values beyond {_LARGEST:g}, too large to compute with."
         missing = (NotComputed(f"statistics of {name}", why),)
         return MeasureStatistics(name, column.unit, column.origin, is_planned, is_primary, not_computed=missing)
-    found = model_of(data, choices.estimand, choices.statistic)
-    gathered.take(found)
+    compared, note, apart = comparable(data)
+    gathered.missing += apart
+    found = model_of(compared, choices.estimand, choices.statistic)
+    if compared.factors or not apart:
+        gathered.take(found)
     model = None if isinstance(found, NotComputed) else found
-    test = None if model is None else carry_out(data, model, choices)
-    post_hoc, missed = ((), ()) if model is None or test is None else compare_pairs(data, model, test, choices)
+    test = None if model is None else carry_out(compared, model, choices)
+    test = test if test is None or not note else replace(test, notes=(note, *test.notes))
+    post_hoc, missed = ((), ()) if model is None or test is None else compare_pairs(compared, model, test, choices)
     gathered.missing += missed
     if test is not None:
         gathered.missing += missing_intervals(test, post_hoc)

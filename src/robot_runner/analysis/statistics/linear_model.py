@@ -19,7 +19,7 @@ from scipy import stats
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS, kron
 from robot_runner.analysis.statistics.contrasts import Contrast
 from robot_runner.analysis.statistics.descriptive import quiet
-from robot_runner.analysis.statistics.design import VALUE
+from robot_runner.analysis.statistics.design import BATCH, VALUE
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
 
 if TYPE_CHECKING:
@@ -50,6 +50,7 @@ class FittedModel:
         factors: the factors, with their treatments.
         terms: the factors of each effect, main effects first.
         blocks: the block of each value, or nothing where there are none.
+        batches: how many there are; the last columns of the design are theirs.
         results: as statsmodels returns them.
         note: why interactions are left out; empty where none is.
     """
@@ -59,6 +60,7 @@ class FittedModel:
     blocks: NDArray[np.str_] | None
     results: Any
     note: str
+    batches: int = 1
 
     @property
     def method(self) -> TestMethod:
@@ -117,7 +119,7 @@ class FittedModel:
     @property
     def _beta(self) -> Floats:
         found = self.results.params if self.blocks is None else self.results.fe_params
-        return np.asarray(found, dtype=np.float64)
+        return np.asarray(found, dtype=np.float64)[: 1 + sum(map(self._size, self.terms))]
 
     @property
     def _covariance(self) -> Floats:
@@ -135,7 +137,7 @@ class FittedModel:
         if not self._is_between_blocks(factors):
             return float(len(self._exog) - np.linalg.matrix_rank(self._with_blocks))
         between = sum(self._size(each) for each in self.terms if self._is_between_blocks(each))
-        return float(len(set(self.blocks)) - 1 - between)
+        return float(len(set(self.blocks)) - self.batches - between)
 
     @cached_property
     def _exog(self) -> Floats:
@@ -168,11 +170,14 @@ def fit_model(data: MeasureData, response: Floats | None = None) -> FittedModel 
     frame = _means_in_blocks(data, response if response is not None else data.values)  # noqa: PD011 - no data frame
     factors = {name: data.levels(name) for name in data.factors}
     blocks = frame[_BLOCK].to_numpy(dtype=str) if data.is_blocked else None
-    terms, note = _terms(factors, frame, 0 if blocks is None else len(set(blocks)) - 1)
+    batches = pd.get_dummies(frame[BATCH], drop_first=True).to_numpy(dtype=np.float64) if data.is_extended else None
+    shifts = 0 if batches is None else batches.shape[1]
+    terms, note = _terms(factors, frame, shifts + (0 if blocks is None else len(set(blocks)) - 1))
     if not terms:
         return NotComputed("the test", "there are too few runs for the number of treatments.")
     treatments = frame[list(factors)].to_dict("records")
     exog = np.stack([_row(factors, terms, {str(name): each[name] for name in each}) for each in treatments])
+    exog = exog if batches is None else np.column_stack([exog, batches])
     values = frame[VALUE].to_numpy(dtype=np.float64)
     if np.linalg.matrix_rank(exog) < exog.shape[1]:
         why = "the factors go together so closely that their effects cannot be told apart."
@@ -183,21 +188,24 @@ def fit_model(data: MeasureData, response: Floats | None = None) -> FittedModel 
             why = "within each combination all values are equal, so that chance has no measure."
             return NotComputed("the test", why)
         if blocks is None:
-            return FittedModel(factors, terms, None, plain, note)
+            return FittedModel(factors, terms, None, plain, note, shifts + 1)
         try:
             results = MixedLM(values, exog, groups=blocks).fit(reml=True)
         except np.linalg.LinAlgError:
             return NotComputed("the test", "the mixed model of the blocks could not be fitted.")
-    return FittedModel(factors, terms, blocks, results, note)
+    return FittedModel(factors, terms, blocks, results, note, shifts + 1)
 
 
 def _means_in_blocks(data: MeasureData, response: Floats) -> pd.DataFrame:
     """Return one row a value: of blocks, the mean of each combination that a block holds."""
     frame = data.frame[list(data.factors)].astype(str).assign(**{VALUE: response})
+    if data.is_extended:
+        frame[BATCH] = data.batches
     if not data.is_blocked:
         return frame
     frame[_BLOCK] = data.blocks
-    return frame.groupby([_BLOCK, *data.factors], sort=False, as_index=False)[VALUE].mean()
+    units = [_BLOCK, BATCH] if data.is_extended else [_BLOCK]
+    return frame.groupby([*units, *data.factors], sort=False, as_index=False)[VALUE].mean()
 
 
 def _terms(

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from robot_runner.analysis.statistics.descriptive import quiet
-from robot_runner.analysis.statistics.design import VALUE
+from robot_runner.analysis.statistics.design import BATCH, VALUE
 from robot_runner.analysis.statistics.effect_sizes import cliffs_delta, cohens_d, paired_rank_biserial, vargha_delaney
 from robot_runner.analysis.statistics.linear_model import FittedModel
 from robot_runner.analysis.statistics.tested import Comparison, ContrastTest, Interval, NotComputed, PostHoc, TestMethod
@@ -231,14 +231,15 @@ def _within_blocks(data: MeasureData, pair: tuple[Mapping[str, str], Mapping[str
 def _strata(
     data: MeasureData, pair: tuple[Mapping[str, str], Mapping[str, str]]
 ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Yield the values of both, for each combination of the other factors."""
-    by_treatments = {tuple(group.treatments.values()): group.values for group in data.groups(data.factors)}
+    """Yield the values of both, for each combination of the other factors, in each batch by itself."""
+    factors = (*data.factors, BATCH) if data.is_extended else data.factors
+    by_treatments = {tuple(group.treatments.values()): group.values for group in data.groups(factors)}
     nothing = np.empty(0)
-    others = [name for name in data.factors if name not in pair[0]]
+    others = [name for name in factors if name not in pair[0]]
     for levels in product(*(data.levels(name) for name in others)):
         rest = dict(zip(others, levels, strict=True))
         one, other = (
-            by_treatments.get(tuple((dict(treatments) | rest)[name] for name in data.factors), nothing)
+            by_treatments.get(tuple((dict(treatments) | rest)[name] for name in factors), nothing)
             for treatments in pair
         )
         yield one, other

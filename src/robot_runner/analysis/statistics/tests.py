@@ -24,6 +24,8 @@ from robot_runner.core.words import counted
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+    from numpy.typing import NDArray
+
     from robot_runner.analysis.statistics.contrasts import Contrast
     from robot_runner.analysis.statistics.design import MeasureData
     from robot_runner.analysis.statistics.tested import EffectTest
@@ -84,7 +86,7 @@ def model_of(
         if estimand is Estimand.TRIMMED_MEAN:
             why = "trimmed means are compared of runs of their own, two and more of each combination."
             return NotComputed("the test", why)
-        return fit_model(data, relative_ranks(data.values) if estimand is Estimand.RANK else None)
+        return fit_model(data, _ranks(data) if estimand is Estimand.RANK else None)
     found = CellMeans.of_values(layout, data.values, estimand, statistic)
     if not found.has_variation:
         why = "within each combination all values are equal, so that chance has no measure."
@@ -92,6 +94,10 @@ def model_of(
             why = "all blocks respond to the treatments in the same way, so that chance has no measure."
         return NotComputed("the test", why)
     return found
+
+
+def _ranks(data: MeasureData) -> NDArray[np.float64]:
+    return relative_ranks(data.values, data.batches if data.is_extended else None)
 
 
 def carry_out(data: MeasureData, model: CellMeans | FittedModel, choices: Choices) -> MeasureTest:
@@ -180,10 +186,7 @@ def _reason(data: MeasureData, model: CellMeans | FittedModel, estimand: Estiman
         of += f" with {counted(len(data.levels(data.factors[0])), 'treatment')}"
     if isinstance(model, FittedModel):
         if model.blocks is None:
-            return (
-                f"{of}: {compared} are compared; "
-                "some combinations have fewer than two runs, so that one variance serves all."
-            )
+            return f"{of}: {compared} are compared; {_TOO_FEW[data.is_extended]}, so that one variance serves all."
         return (
             f"{of}, in blocks that do not hold all combinations: {compared} are compared, "
             "each block with a random mean."
@@ -194,6 +197,12 @@ def _reason(data: MeasureData, model: CellMeans | FittedModel, estimand: Estiman
     each = "combination" if count > 1 else "treatment"
     return f"{of}, each run by itself: {compared} are compared, with a variance for each {each}."
 
+
+#: Whether the experiment was extended, and why single combinations do not tell their variance.
+_TOO_FEW = {
+    False: "some combinations have fewer than two runs",
+    True: "some combinations have too few runs in each batch, and each batch adds a constant",
+}
 
 _CONTAINMENT = (
     "Degrees of freedom are those between blocks for effects that only differences between blocks tell, else those "
