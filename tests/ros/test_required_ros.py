@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from robot_runner.core.config import preparation as robot_check
+from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.config.preparation import check_robot, choose_robot
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.kinds import FoundRobot
@@ -174,7 +175,7 @@ def test_a_computer_that_cannot_be_reached_is_a_warning(monkeypatch):
 def test_the_other_generation_s_shell_is_refused(monkeypatch):
     monkeypatch.setenv("ROS_VERSION", "2")
     monkeypatch.setattr(robot_check, "link_findings", lambda _: [])
-    parameters = SimpleNamespace(robot="ros1", required_ros_version=None, required_ros_distro=None)
+    parameters = Parameters(experiment_name="trial", robot="ros1")
     (finding,) = check_robot(SimpleNamespace(where="Config"), parameters)
     assert "robot is 'ros1', and ROS 2 is sourced" in finding.problem
 
