@@ -179,5 +179,5 @@ def test_what_a_gate_waits_for_is_shown_until_it_opens(shown: Shown, notices: An
         shown.take(GatePassed("r_1", "the load is below 10 %", "9 %", 81.0, "open"))
         assert "waits until" not in "\n".join(shown.lines)
         shown.take(GatePassed("r_1", "the load is below 10 %", "", 81.0, "timed out", "it still did not hold"))
-        assert "r_1 waited 1 min 21 s until the load is below 10 %, which timed out" in "\n".join(shown.lines)
+        assert "r_1 waited 1 min 21 s until the load is below 10 %, in vain" in "\n".join(shown.lines)
         assert shown.screen.progress.gate_seconds == 162.0

@@ -102,7 +102,7 @@ def test_a_gate_is_told_of_once_a_minute_and_when_it_opens(said: Any) -> None:
 def test_a_gate_that_is_open_is_not_worth_a_line_and_one_that_stays_shut_is(said: Any) -> None:
     assert said(GatePassed("r_2", "the load is below 10 %", "9 %", 0.0, "open")) == []
     (line,) = said(GatePassed("r_2", "the load is below 10 %", "", 0.0, "failed", "the sensor\nis gone"))
-    assert line.endswith("until the load is below 10 %, which failed: the sensor\\nis gone")
+    assert line.endswith("until the load is below 10 %, in vain: the sensor\\nis gone")
 
 
 def test_a_gate_that_opens_within_a_second_is_not_told_of(said: Any) -> None:

@@ -272,7 +272,7 @@ def gate_passed(passed: GatePassed) -> str:
     waited = f"{passed.run_id} waited {shown_duration(passed.seconds)} until {one_line(passed.condition)}"
     if passed.state == "open":
         return f"{waited}: {one_line(passed.seen)}" if passed.seen else waited
-    return f"{waited}, which {passed.state}: {one_line(passed.problem)}"
+    return f"{waited}, in vain: {one_line(passed.problem)}"
 
 
 class PlainScreen:
