@@ -71,7 +71,9 @@ def test_a_wait_ends_with_its_experiment_and_the_next_one_resumes(
     assert code == (-9 if number is signal.SIGKILL else 130)
     assert experiment.nobody_is_left()
     if number is not signal.SIGKILL:
-        assert re.search(r"r_2 waited .* until \('cool' is in .*, in vain: the experiment was interrupted", experiment.output)
+        assert re.search(
+            r"r_2 waited .* until \('cool' is in .*, in vain: the experiment was interrupted", experiment.output
+        )
     assert experiment.statuses == ["Done", "-", "-", "-"]
     assert not any(path.stat().st_size for path in experiment.folder.glob("current_log.txt"))
     before = states(experiment)
