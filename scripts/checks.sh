@@ -31,8 +31,8 @@ step "shell scripts" "$bin/shellcheck" scripts/*.sh .ci/run
 if [ "${1:-all}" = all ]; then
     step "command-line page is current" "$bin/python" scripts/generate_cli_page.py --check
     step "documentation" "$bin/mkdocs" build --strict --site-dir .make/site
-    # Tests wait a third of their time for processes, robots and clocks: two at once on each core, eight at most.
-    workers=$((2 * $(getconf _NPROCESSORS_ONLN)))
+    # Tests wait a third of their time for processes, robots and clocks: three at once on two cores, eight at most.
+    workers=$(((3 * $(getconf _NPROCESSORS_ONLN) + 1) / 2))
     [ "$workers" -le 8 ] || workers=8
     # worksteal: tests of one file stay with one worker, and share what the file sets up, as long as both have work.
     "$bin/pytest" -q -n "$workers" --dist worksteal -m "not soak" || failed="$failed, tests"

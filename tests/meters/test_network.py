@@ -181,7 +181,7 @@ def test_real_datagrams_are_counted_by_the_kernel(tmp_path):
     # Each is counted with its headers, 28 bytes, and others may use the loopback too.
     assert context.measures["PacketsSent"] >= 100
     assert context.measures["Sent"] >= 102_800
-    assert context.measures["Received"] == context.measures["Sent"]
+    assert context.measures["Received"] >= 102_800
 
 
 #: Stands for tshark: needs so many seconds until it listens, and then counts what it was asked for. Its file is begun
