@@ -65,7 +65,7 @@ def left_over(folder: ExperimentFolder) -> list[int]:
     alive = folder.alive.resolve()
     spared = outliving(folder.outliving)
     own = set(ancestors(os.getpid()))
-    found = [pid for pid in processes() if pid not in own and (_has_open(pid, alive) or _has_mark(pid, name))]
+    found = [pid for pid in processes() if pid not in own and (_has_locked(pid, alive) or _has_mark(pid, name))]
     return [pid for pid in found if not is_spared(pid, spared)]
 
 
@@ -127,7 +127,7 @@ def _is_alive(folder: ExperimentFolder) -> bool:
     if not _is_locked(folder):
         return False
     alive, spared = folder.alive.resolve(), outliving(folder.outliving)
-    holders = [pid for pid in processes() if pid != os.getpid() and _has_open(pid, alive)]
+    holders = [pid for pid in processes() if pid != os.getpid() and _has_locked(pid, alive)]
     return not holders or not all(is_spared(pid, spared) for pid in holders)  # no holder is seen without /proc
 
 
@@ -156,11 +156,18 @@ def _ask_to_stop(folder: ExperimentFolder) -> None:
             os.kill(run, signal.SIGTERM)
 
 
-def _has_open(pid: int, path: Path) -> bool:
+def _has_locked(pid: int, path: Path) -> bool:
+    """Whether a process holds the lock: a backup or an editor that merely has the file open is no run."""
     try:
-        return any(entry.readlink() == path for entry in Path(f"/proc/{pid}/fd").iterdir())
+        return any(_is_lock(entry, path) for entry in Path(f"/proc/{pid}/fd").iterdir())
     except OSError:  # it has ended, or is another user's
         return False
+
+
+def _is_lock(entry: Path, path: Path) -> bool:
+    with suppress(OSError):  # closed meanwhile: that says nothing of the others
+        return entry.readlink() == path and "FLOCK" in Path(f"{entry.parent}info/{entry.name}").read_text()
+    return False
 
 
 def _has_mark(pid: int, mark: bytes) -> bool:

@@ -1,0 +1,54 @@
+"""What belongs to a run is known by the lock that it holds: a stranger who reads the same file is left alone."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+from robot_runner.core.execution.left_over import end_left_over, left_over
+from robot_runner.core.storage.layout import ExperimentFolder
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell who holds a lock")
+
+Started = subprocess.Popen[bytes]
+
+
+@pytest.fixture
+def opened_by(tmp_path: Path) -> Iterator[Callable[[str], Started]]:
+    """Return what starts a program that opens the file of the mark, does something with it, and waits."""
+    started: list[Started] = []
+
+    def start(act: str) -> Started:
+        program = (
+            f"import fcntl, time; file = open({str(tmp_path / '.alive')!r}); {act}; print(flush=True); time.sleep(60)"
+        )
+        process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE)
+        started.append(process)
+        assert process.stdout is not None
+        process.stdout.readline()
+        return process
+
+    (tmp_path / ".alive").touch()
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def test_who_only_reads_the_file_of_the_mark_is_no_run_and_is_not_killed(
+    tmp_path: Path, opened_by: Callable[[str], Started]
+) -> None:
+    folder = ExperimentFolder(tmp_path)
+    backup = opened_by("file.read()")
+    run = opened_by("fcntl.flock(file, fcntl.LOCK_SH)")
+    assert left_over(folder) == [run.pid]
+    assert end_left_over(folder) == [run.pid]
+    assert run.wait(10) == -9
+    assert backup.poll() is None
