@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 import pytest
@@ -28,7 +29,6 @@ from robot_runner.testing import FakeClock, make_context
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from contextlib import ExitStack
     from pathlib import Path
 
     from robot_runner import RobotRunnerContext
@@ -65,6 +65,25 @@ def test_all_of_holds_when_the_last_one_does_and_any_of_when_the_first_one_does(
     assert waited(tmp_path, all_of(Between(1.0), Between(3.0))) == pytest.approx(3.0, abs=0.06)
     assert waited(tmp_path, any_of(Between(1.0), Between(3.0))) == pytest.approx(1.0, abs=0.06)
     assert waited(tmp_path, not_(Between(0.0, 2.0))) == pytest.approx(2.0, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("condition", "holds", "is_known"),
+    [
+        (not_(measure_above("Power", 5)), False, False),
+        (all_of(measure_above("Power", 5), Between(0.0)), False, False),
+        (all_of(measure_above("Power", 5), not_(Between(0.0))), False, True),
+        (any_of(measure_above("Power", 5), Between(0.0)), True, True),
+        (any_of(measure_above("Power", 5), not_(Between(0.0))), False, False),
+        (not_(not_(measure_above("Power", 5))).held_for(1.0), False, False),
+    ],
+)
+def test_of_what_is_not_known_neither_a_condition_nor_its_opposite_holds(
+    tmp_path: Path, condition: Condition, holds: bool, is_known: bool
+) -> None:
+    with ExitStack() as opened:
+        look = condition.watch(make_context(tmp_path, clock=FakeClock(), robot=None), opened)()
+    assert (look.holds, look.is_known) == (holds, is_known)
 
 
 def test_held_for_begins_anew_whenever_it_does_not_hold(tmp_path: Path) -> None:

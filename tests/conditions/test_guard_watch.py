@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 import threading
 from typing import TYPE_CHECKING
 
@@ -149,3 +150,20 @@ def test_a_look_that_raises_is_told_and_fails_nothing(tmp_path: Path) -> None:
     assert executed.finished.done_count == 1
     problems = [finding.problem for finding in executed.finished.findings]
     assert any("could not be watched" in problem and "no field 'pose.pose.positoin'" in problem for problem in problems)
+
+
+def test_a_guard_that_never_knew_what_it_watched_makes_the_run_doubtful(tmp_path: Path) -> None:
+    body = """
+    guards = [Guard(measure_below("Power", 5), GuardAction.STOP)]
+    def launch_mission(self, context):
+        context.combination["Task"]
+        time.sleep(0.3)
+    def populate_run_data(self, context):
+        return {"Energy": 1.0}
+    """
+    executed = execute_in(tmp_path, textwrap.dedent(body), head=HEAD, table=TABLE)
+    first, _ = executed.journal("attempt_finished")
+    assert first["status"] == "done"
+    (doubt,) = first["measures"]["Energy"]["doubts"]
+    assert doubt.startswith("the guard 'the measure Power is below 5' watched nothing: ")
+    assert "was not published yet" in doubt

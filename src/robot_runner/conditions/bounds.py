@@ -105,9 +105,9 @@ class Bound(Condition):
             try:
                 reading = read()
             except LinkError as error:
-                return Look(holds=False, seen=error.problem)
+                return Look(holds=False, seen=error.problem, is_known=False)
             if reading.value is None or not math.isfinite(reading.value):
-                return Look(holds=False, seen=reading.reason or f"{self.quantity} is not known")
+                return Look(holds=False, seen=reading.reason or f"{self.quantity} is not known", is_known=False)
             holds = reading.value < self.limit if self.is_below else reading.value > self.limit
             return Look(holds, _shown(reading.value, self.quantity.unit), reading.value)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import abstractmethod
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from robot_runner.conditions.bounds import Bound, contradictions
@@ -149,14 +150,17 @@ class _AllOf(_Combined):
                 yield bare
 
     def _judge(self, looks: Sequence[Look]) -> Look:
-        return Look(all(look.holds for look in looks), self._seen(looks))
+        holds = all(look.holds for look in looks)
+        is_known = all(look.is_known for look in looks) or any(look.is_known and not look.holds for look in looks)
+        return Look(holds, self._seen(looks), is_known=is_known)
 
 
 class _AnyOf(_Combined):
     _joint = " or "
 
     def _judge(self, looks: Sequence[Look]) -> Look:
-        return Look(any(look.holds for look in looks), self._seen(looks))
+        holds = any(look.holds for look in looks)
+        return Look(holds, self._seen(looks), is_known=holds or all(look.is_known for look in looks))
 
 
 class _Not(_Combined):
@@ -169,7 +173,8 @@ class _Not(_Combined):
             yield from leaf.quantity.check(robot) if isinstance(leaf, Bound) else leaf.check(robot)
 
     def _judge(self, looks: Sequence[Look]) -> Look:
-        return Look(not looks[0].holds, looks[0].seen, looks[0].value)
+        (look,) = looks
+        return replace(look, holds=look.is_known and not look.holds)
 
 
 def _subject(condition: Condition) -> str:
@@ -180,7 +185,7 @@ def _subject(condition: Condition) -> str:
 
 def _now_and_then(look_again: LookAgain, every_s: float, clock: Clock) -> LookAgain:
     """Return what looks as often as this condition asks for, and tells what it saw last in between."""
-    due, last = clock.now(), Look(holds=False)
+    due, last = clock.now(), Look(holds=False, is_known=False)
 
     def look() -> Look:
         nonlocal due, last

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from abc import abstractmethod
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.util import find_spec
@@ -139,9 +140,9 @@ class _OfComputer(Quantity):
         del context
         return self.reader(self.computer.open(opened))
 
+    @abstractmethod
     def reader(self, link: LocalHost | SshHost) -> Callable[[], Reading]:
         """Return what reads it; it may raise a LinkError."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import re
 import shutil
+from abc import abstractmethod
 from dataclasses import dataclass, replace
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, Severity
 from robot_runner.core.events.condition import Condition, Look
@@ -139,6 +140,8 @@ class _OfComputer(Condition):
 
     computer: ComputerName
     is_outside = True
+    #: Whether it is known not to hold where the computer does not answer.
+    silence_tells: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "every_s", self.computer.every_s)
@@ -155,13 +158,13 @@ class _OfComputer(Condition):
             try:
                 return look_at()
             except LinkError as error:
-                return Look(holds=False, seen=f"{self.computer}: {error.problem}")
+                return Look(holds=False, seen=f"{self.computer}: {error.problem}", is_known=self.silence_tells)
 
         return look
 
+    @abstractmethod
     def looker(self, link: LocalHost | SshHost) -> Callable[[], Look]:
         """Return what looks; it may raise a LinkError."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -222,6 +225,7 @@ def _found_by_psutil(selector: str) -> list[int]:
 @dataclass(frozen=True)
 class _HostAnswers(_OfComputer):
     computer: ComputerName
+    silence_tells: ClassVar[bool] = True
 
     def __str__(self) -> str:
         return f"{self.computer} answers"
@@ -256,7 +260,8 @@ class _Throttled(_OfComputer):
             counters = link.list_files(_COUNTERS)
             flags, *counts = link.read_files([_FIRMWARE, *counters])
             if flags is None and not counts:
-                return Look(holds=False, seen=f"{self.computer} does not tell whether its processor is throttled")
+                seen = f"{self.computer} does not tell whether its processor is throttled"
+                return Look(holds=False, seen=seen, is_known=False)
             total = sum(int(text) for text in counts if text and text.isdigit())
             grown, before = total - (total if before is None else before), total
             now = int(flags, 16) & _HELD_BACK_NOW if re.fullmatch(r"(0x)?[0-9a-fA-F]+", flags or "") and flags else 0

@@ -95,7 +95,7 @@ class _Present(Condition):
             try:
                 return self._judge(connect_robot(context, namespace=self.namespace))
             except LinkError as error:
-                return Look(holds=False, seen=error.problem)
+                return Look(holds=False, seen=error.problem, is_known=False)
 
         return look
 
@@ -104,7 +104,7 @@ class _Present(Condition):
         if self.name not in there:
             near = nearest(self.name, there)
             if self.kind == "service" and not there:
-                return Look(holds=False, seen="the graph tells of no services")
+                return Look(holds=False, seen="the graph tells of no services", is_known=False)
             seen = f"{len(there)} {self.kind}s are there{f', among them {near}' if near else ''}"
             return Look(holds=False, seen=seen)
         found = link.topics().get(self.name) if self.message_type else None

@@ -78,6 +78,8 @@ class _WatchedGuard:
         self._opened = ExitStack()
         self._look_again: LookAgain | None = None
         self._has_come_true = False
+        self._was_known = False
+        self._unknown = ""
         # A condition of the world outside has its real time, also while a simulated mission takes a second or two.
         self._clock = SystemClock() if guard.condition.is_outside else context.clock
         self._began = context.clock.now()
@@ -96,11 +98,21 @@ class _WatchedGuard:
                 problem = f"the guard {str(self._guard.condition)!r} could not be watched {sampling.failures} times"
                 fix = "Look at what it asks for; nothing is known of it for these times."
                 self._context.warn(f"{problem}: {sampling.first_failure}", fix=fix)
+            self._tell_whether_blind()
+
+    def _tell_whether_blind(self) -> None:
+        """Doubt the run where nothing was known of the condition, or no more at the end: it may have come true."""
+        if self._unknown and not self._has_come_true:
+            how = "knew nothing any more in the end" if self._was_known else "watched nothing"
+            reason = f"the guard {str(self._guard.condition)!r} {how}: {self._unknown}"
+            self._context.broker.doubt_run(self._context.owner, reason, _FIX)
 
     def _look(self) -> None:
         if self._has_come_true or self._look_again is None:
             return
         look = self._look_again()
+        self._was_known = self._was_known or look.is_known
+        self._unknown = "" if look.is_known else look.seen or "it is not known"
         if look.holds:
             self._has_come_true = True
             self._act(look.seen)

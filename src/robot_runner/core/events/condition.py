@@ -6,7 +6,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import ConditionError, ConditionTimeout
@@ -34,11 +34,14 @@ class Look:
         holds: whether the condition holds now.
         seen: what was seen, in words with figures, such as `52.3 °C`; empty where there is nothing to tell.
         value: the same as a plain value, where it is one.
+        is_known: whether it is known that the condition holds or does not: a battery of which nobody tells is neither
+            full nor empty.
     """
 
     holds: bool
     seen: str = ""
     value: float | str | bool | None = None
+    is_known: bool = True
 
 
 #: Looks at a condition that is being watched, again and again.
@@ -198,6 +201,6 @@ class HeldFor(Condition):
             if since is None:
                 return seen
             held = now - since
-            return Look(held >= self.seconds, f"{seen.seen}, for {held:.1f} s".lstrip(", "), seen.value)
+            return replace(seen, holds=held >= self.seconds, seen=f"{seen.seen}, for {held:.1f} s".lstrip(", "))
 
         return look
