@@ -141,7 +141,7 @@ class _GrowingText:
     def read(self) -> str:
         """Read what was added, and return why nothing can be read, or nothing."""
         try:
-            # Without waiting for whoever might write to a pipe of this name.
+            # Without waiting for a writer, should a pipe have this name.
             descriptor = os.open(self._path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError as error:
             return f"{self._path.name} cannot be read: {error.strerror}"

@@ -2,7 +2,7 @@
 
 It imports nothing of Robot Runner, as its text is sent to computers that have none, and needs Python 3.6 or newer.
 
-    in    one line of JSON, the task; then `stop`, or the end of the input (whoever asked is gone): end the program.
+    in    one line of JSON, the task; then `stop`, or the end of the input (who asked is gone): end the program.
           With a `lease`, anything has to come every so many seconds: a network that is cut ends nobody's input.
     out   one line of JSON for each event: `{"started": pid, "at": ...}` or `{"refused": why}`; where output is
           forwarded `{"out": text}` and `{"err": text}`, a character a byte; `{"ended": code, "asked": ..., ...}` once
@@ -210,7 +210,7 @@ class Supervisor:
             os.close(pipe)
 
     def say(self, **event: object) -> None:
-        """Tell an event, as soon as whoever listens takes it."""
+        """Tell an event, as soon as the listener takes it."""
         self.waiting += json.dumps(event).encode() + b"\n"
         self.flush()
 

@@ -1,4 +1,4 @@
-"""A work tree of one commit, built once and kept in the user's cache for whoever needs the same."""
+"""A work tree of one commit, built once and kept in the user's cache for all experiments that need it."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ def made_treatments(factors: Sequence[Factor], known: Mapping[str, Any], worksho
 def known_treatments(folder: ExperimentFolder) -> dict[str, Any]:
     """Return what was made when the experiment first began, by the name of each maker: from the journal, the truth.
 
-    Nothing for an experiment that is new; whoever reads a damaged folder later says what is wrong with it.
+    Nothing for an experiment that is new; what is wrong with a damaged folder is said when it is read.
     """
     known: dict[str, Any] = {}
     try:

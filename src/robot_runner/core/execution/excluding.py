@@ -34,7 +34,7 @@ def _on_one_line(reason: str) -> str:
 def _reason_findings(reason: str) -> Iterator[Finding]:
     text = _on_one_line(reason)
     if not text:
-        fix = 'Say why, for whoever reads the results: --reason "the door was open".'
+        fix = 'Say why, for the readers of the results: --reason "the door was open".'
         yield Finding.error("--reason", "the reason is empty", fix)
     elif not text.isprintable():
         yield Finding.error("--reason", f"the reason holds control characters: {text!r}", "Leave them out.")

@@ -48,7 +48,7 @@ class RunMark:
     def __init__(self, folder: ExperimentFolder) -> None:
         self._folder = folder
         self.descriptor = os.open(folder.alive, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        # Unlike that of the experiment, this lock is held by whoever has the descriptor, however it came by it.
+        # Unlike that of the experiment, this lock is held by every process that has the descriptor, inherited or not.
         fcntl.flock(self.descriptor, fcntl.LOCK_SH)
 
     def sign(self) -> None:

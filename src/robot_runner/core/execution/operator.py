@@ -64,7 +64,7 @@ class _History:
                 case "attempt_started":
                     history.begin(record["run"])
                 case _ if record["is_last"] and record["status"] != "interrupted":
-                    history.answers.pop(record["run"], None)  # executed again, it is another run for whoever answers
+                    history.answers.pop(record["run"], None)  # executed again, it is asked about anew
         return history
 
     def take(self, run_id: str, step: str, treatments: Mapping[str, str], answers: Mapping[str, MeasureValue]) -> None:

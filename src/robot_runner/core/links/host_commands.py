@@ -96,7 +96,7 @@ class HostCommands:
         name: as the config has it.
         host: what is declared of it.
         shell: shared by all who ask for it in the run.
-        context: of whoever asks.
+        context: of the run that asks.
     """
 
     def __init__(self, name: str, host: Host, shell: Shell, context: RobotRunnerContext) -> None:

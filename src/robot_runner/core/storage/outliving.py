@@ -1,4 +1,4 @@
-"""Programs that may outlive the run that started them, on purpose: known to whoever ends what a run left behind."""
+"""Programs that may outlive the run that started them, on purpose: and are left alone when a run is cleared away."""
 
 from __future__ import annotations
 
