@@ -166,7 +166,7 @@ def test_everything_that_is_wrong_is_said_at_once_and_nothing_is_changed(execute
         "RUNS Task=Vidoe: 'Vidoe' is no treatment of 'Task' in the run table → Did you mean 'Video'?",
         "RUNS Taks=Video: there is no factor 'Taks' → Did you mean 'Task'?",
         "RUNS Repetition=3: '3' is no treatment of 'Repetition' in the run table → Choose one of: '1', '2'.",
-        '--reason: the reason is empty → Say why, for whoever reads the results: --reason "the door was open".',
+        '--reason: the reason is empty → Say why, for the readers of the results: --reason "the door was open".',
     ]
     with pytest.raises(ExecutionError, match="the reason holds control characters"):
         exclude_runs(folder_of(executed), ["r_2"], "\x1b[2J")
