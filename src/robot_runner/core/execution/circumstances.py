@@ -8,6 +8,7 @@ import shutil
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.batches import as_configured
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.execution.recovery import config_files
 from robot_runner.core.plugin import described_circumstances, installed_plugins
@@ -61,6 +62,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "seed_is_given": model.seed_is_given,
         # What was fixed for the analysis before the first run: statistics tell it from what is exploratory.
         "analysis": _analysis(experiment),
+        "repeat_until": _repeat_until(experiment),
         "authors": [author.as_mapping() for author in experiment.parameters.authors],
         "licence": experiment.parameters.licence,
         "citation": experiment.parameters.citation,
@@ -83,7 +85,7 @@ def described_design(model: RunTableModel) -> dict[str, Any]:
     }
     if model.warm_up is not None:
         design["warm_up"] = asdict(model.warm_up)
-    if model.batches:
+    if model.is_extended:
         design["batches"] = [batch.summary() for batch in model.batches]
     return design
 
@@ -105,6 +107,9 @@ def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[s
         manifest["design"] |= described_design(experiment.model)
     if _analysis(experiment) != manifest.get("analysis"):
         manifest.setdefault("analysis_changes", []).append({"at": utc_now(), "analysis": _analysis(experiment)})
+    if (rule := _repeat_until(experiment)) != manifest.get("repeat_until"):
+        manifest.setdefault("repeat_until_changes", []).append({"at": utc_now(), "was": manifest.get("repeat_until")})
+        manifest["repeat_until"] = rule
     return manifest
 
 
@@ -204,6 +209,13 @@ def _free(folder: Path) -> Path:
 def _analysis(experiment: Experiment) -> dict[str, Any] | None:
     plan = experiment.parameters.analysis
     return plan.as_mapping() if plan else None
+
+
+def _repeat_until(experiment: Experiment) -> dict[str, Any] | None:
+    """Return until when, how often at least, and how often at most combinations are repeated."""
+    rules = experiment.parameters.repeat_until
+    least = as_configured(experiment.model).repetitions
+    return {"least": least, "rules": [rule.as_mapping() for rule in rules]} if rules else None
 
 
 def _execution(experiment: Experiment) -> dict[str, Any]:
