@@ -59,6 +59,7 @@ def main(arguments: list[str] | None = None) -> None:
     print_table(
         "Power under normality with equal spreads, beside the test that knows of it", list(_power(random, count))
     )
+    print_table("Repeated until precise, 30 times at most: the worst of six widths", precise_stopping(random, count))
 
 
 def _estimated(design: NullDesign, values: Floats, statistic: Statistic = Statistic.WELCH_JAMES) -> CellMeans:
