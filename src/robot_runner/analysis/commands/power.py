@@ -1,8 +1,8 @@
 """Say how many repetitions a study needs, by simulation through the tests that its report will use.
 
 Experiments are drawn from what is assumed and analysed as the config's plan says: its tests, families, corrections,
-contrasts and bounds, in its design and its blocks. What is assumed comes from a pilot (--pilot) or from options (--sd and
---difference, or --means). Each figure has its Monte Carlo error.
+contrasts and bounds, in its design and its blocks. What is assumed comes from a pilot (--pilot) or from options (--sd
+and --difference, or --means). Each figure has its Monte Carlo error.
 """
 
 from __future__ import annotations
@@ -71,8 +71,7 @@ def add_assumptions(parser: Parser) -> None:
         (
             "--difference",
             "[MEASURE:]FACTOR=SIZE",
-            "what the last treatment adds to the first; beside a pilot, the smallest difference of interest. "
-            "'A x B=SIZE' is an interaction",
+            "what the last treatment adds to the first (beside a pilot: the smallest of interest; 'A x B' interact)",
         ),
         ("--block-sd", "[MEASURE=]SD", "standard deviation of what a block adds to all of its runs"),
         ("--response-sd", "[MEASURE=]SD", "the same of what a block adds to one combination"),
@@ -147,9 +146,7 @@ def _study(arguments: Namespace) -> Study:
     from robot_runner.analysis.planning.study import Study  # noqa: PLC0415 - slow, and an extra
 
     with quiet_loading():
-        preparation = prepare(
-            Path(arguments.config), parse_assignments(arguments.set), is_for_here=False
-        )
+        preparation = prepare(Path(arguments.config), parse_assignments(arguments.set), is_for_here=False)
     experiment = preparation.experiment
     if experiment is None:
         raise ConfigError.of_findings(preparation.findings)
@@ -180,9 +177,7 @@ def _search(arguments: Namespace) -> Search:
     batch = arguments.first_batch
     if batch is not None and not 0 < batch < first:
         raise refuse("--first-batch", batch, "Give --repetitions that begin above it.")
-    return Search(
-        arguments.power, first, last, tuple(arguments.effect), arguments.simulations, arguments.seed, batch
-    )
+    return Search(arguments.power, first, last, tuple(arguments.effect), arguments.simulations, arguments.seed, batch)
 
 
 def _progress() -> Callable[[int, int], None]:
@@ -211,7 +206,12 @@ def _print(console: UserConsole, analysis: PowerAnalysis, scenario: ScenarioPowe
     ]
     console.print(f"  {aligned(columns, [column.heading for column in columns])}", style="dim", soft_wrap=True)
     for point in scenario.points:
-        cells = [f"{point.repetitions}", f"{point.runs}", share_in_words(point.least), _bar(point, analysis.search.power)]
+        cells = [
+            f"{point.repetitions}",
+            f"{point.runs}",
+            share_in_words(point.least),
+            _bar(point, analysis.search.power),
+        ]
         print(f"  {aligned(columns, cells)}")
     print_folded(console, "  ", answer_in_words(analysis, scenario), style="")
     _print_claims(console, analysis, scenario)
@@ -235,7 +235,9 @@ def _print_claims(console: UserConsole, analysis: PowerAnalysis, scenario: Scena
         mark = "*" if place in scenario.sought else " "
         print_folded(console, f"   {mark} ", f"{claim.label}: {share_in_words(found)}", style="")
     if len(scenario.sought) > 1:
-        print_folded(console, "     ", f"all that are sought, in one experiment: {share_in_words(point.together)}", style="")
+        print_folded(
+            console, "     ", f"all that are sought, in one experiment: {share_in_words(point.together)}", style=""
+        )
 
 
 def _write(analysis: PowerAnalysis, folder: Path) -> None:

@@ -59,7 +59,9 @@ class AssumedMeasure:
     block_sd: float = 0.0
     response_sd: float = 0.0
 
-    def draw(self, random: np.random.Generator, experiments: int, cells: Sequence[Cell], blocks: Sequence[str]) -> Floats:
+    def draw(
+        self, random: np.random.Generator, experiments: int, cells: Sequence[Cell], blocks: Sequence[str]
+    ) -> Floats:
         """Return the values of many experiments, (experiments, runs).
 
         Args:
@@ -239,9 +241,7 @@ def means_file(study: Study, path: Path, spreads: Mapping[str, float]) -> dict[s
     return {name: _of_table(study, table, name, spreads, where) for name in names}
 
 
-def _of_table(
-    study: Study, table: pd.DataFrame, name: str, spreads: Mapping[str, float], where: str
-) -> AssumedMeasure:
+def _of_table(study: Study, table: pd.DataFrame, name: str, spreads: Mapping[str, float], where: str) -> AssumedMeasure:
     rows = list(_rows_of_cells(study, table, where))
     means = {cell: _number(table[name][row], where, f"{name} of {_AND.join(cell)}") for cell, row in rows}
     own = f"{name}{_SPREAD}"
@@ -268,13 +268,13 @@ def _rows_of_cells(study: Study, table: pd.DataFrame, where: str) -> Iterator[tu
         else:
             missing.append(" / ".join(own))
     if missing:
-        problem = f"{counted(len(missing), 'combination')} of the design {'has' if len(missing) == 1 else 'have'} no row"
+        problem = (
+            f"{counted(len(missing), 'combination')} of the design {'has' if len(missing) == 1 else 'have'} no row"
+        )
         raise AnalysisError(problem, where=where, fix=f"Add {enumerated(missing[:5])}.")
 
 
-def with_blocks(
-    scenario: Scenario, blocks: Mapping[str, float], responses: Mapping[str, float]
-) -> Scenario:
+def with_blocks(scenario: Scenario, blocks: Mapping[str, float], responses: Mapping[str, float]) -> Scenario:
     """Return the same with how blocks vary, where that is given."""
     return replace(
         scenario,

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import TYPE_CHECKING, NamedTuple
 
 from robot_runner.analysis.planning.assumed_values import AssumedMeasure
 from robot_runner.analysis.statistics.design import BATCH, VALUE, design_of
@@ -20,14 +18,13 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.planning.study import Cell, Study
     from robot_runner.analysis.results import Results
-    from robot_runner.analysis.statistics.design import Design, MeasureData
+    from robot_runner.analysis.statistics.design import Design
 
 __all__ = ["Pilot", "pilot_values"]
 
 #: Of fewer runs a combination's own standard deviation is hardly known (by half and more); that of all takes its place.
 _ENOUGH = 5
-_FEWEST = 2
-_RESIDUAL, _BLOCK, _CELL = " residual", " block", " cell"
+_BLOCK, _CELL = " block", " cell"
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +80,8 @@ def _notes(study: Study, design: Design, shared: Sequence[str]) -> Iterator[str]
     )
     alone = [name for name in study.varied if name not in shared]
     if alone:
-        yield f"The pilot did not vary {enumerated(alone)}: no effect of {'it' if len(alone) == 1 else 'them'} is assumed."
+        of = "it" if len(alone) == 1 else "them"
+        yield f"The pilot did not vary {enumerated(alone)}: no effect of {of} is assumed."
     if (study.blocks or (study.plan is not None and study.plan.blocks)) and design.block is None:
         yield "The pilot has no blocks: blocks are taken not to vary, unless --block-sd and --response-sd say how."
 
@@ -92,67 +90,76 @@ def _measure(study: Study, design: Design, name: str, shared: Sequence[str], whe
     data = design.data(name)
     if data is None:
         raise AnalysisError(f"{name} is no number in the pilot", where=where, fix="Name another with --measure.")
-    frame = data.frame[data.frame[list(shared)].notna().all(axis=1)] if shared else data.frame
-    cells = [tuple(map(str, row)) for row in frame[list(shared)].itertuples(index=False)] if shared else [()] * len(frame)
-    frame = frame.assign(**{_CELL: cells})
+    frame = _with_cells(data.frame, shared)
     means = frame.groupby(_CELL)[VALUE].mean().to_dict()
     counts = frame[_CELL].value_counts().to_dict()
     wanted = {cell: _part(study, cell, shared) for cell in study.cells}
     missing = [" / ".join(part) for part in dict.fromkeys(wanted.values()) if part not in means]
     if missing:
-        problem = f"the pilot has no value of {name} for {counted(len(missing), 'combination')}: {enumerated(missing[:5])}"
-        raise AnalysisError(problem, where=where, fix="Execute these runs, or give --sd and --difference instead.")
-    residuals = frame[VALUE] - frame[_CELL].map(means)
-    if data.is_extended:
-        residuals = residuals - residuals.groupby(frame[BATCH].astype(str)).transform("mean")
+        which = f"{counted(len(missing), 'combination')}: {enumerated(missing[:5])}"
+        fix = "Execute these runs, or give --sd and --difference instead."
+        raise AnalysisError(f"the pilot has no value of {name} for {which}", where=where, fix=fix)
     freedom = len(frame) - len(means)
     if freedom < 1:
-        fix = "Repeat its runs, or give --sd."
-        raise AnalysisError(f"the pilot has a single run of each combination: {name} has no spread", where=where, fix=fix)
-    block_sd, response_sd, residuals = _blocks(data, frame.assign(**{_RESIDUAL: residuals}))
-    pooled = math.sqrt(float(np.sum(residuals**2)) / freedom)
-    own = residuals.groupby(frame[_CELL]).agg(lambda each: math.sqrt(float(np.sum(each**2)) / max(1, len(each) - 1)))
-    spreads = {
-        cell: float(own[part]) if counts[part] >= _ENOUGH else pooled for cell, part in wanted.items()
-    }
-    return AssumedMeasure(name, {cell: float(means[part]) for cell, part in wanted.items()}, spreads, block_sd, response_sd)
+        problem = f"the pilot has a single run of each combination: {name} has no spread"
+        raise AnalysisError(problem, where=where, fix="Repeat its runs, or give --sd and --difference instead.")
+    residuals = frame[VALUE] - frame[_CELL].map(means)
+    if data.is_extended:
+        residuals -= residuals.groupby(frame[BATCH].astype(str)).transform("mean")
+    varying = _blocks(residuals, frame) if data.is_blocked else _Blocks(0.0, 0.0, residuals)
+    squares = varying.left**2
+    pooled = math.sqrt(float(squares.sum()) / freedom)
+    own = squares.groupby(frame[_CELL]).agg(lambda each: math.sqrt(each.sum() / max(1, len(each) - 1)))
+    return AssumedMeasure(
+        name,
+        {cell: float(means[part]) for cell, part in wanted.items()},
+        {cell: float(own[part]) if counts[part] >= _ENOUGH else pooled for cell, part in wanted.items()},
+        varying.block_sd,
+        varying.response_sd,
+    )
+
+
+def _with_cells(frame: pd.DataFrame, shared: Sequence[str]) -> pd.DataFrame:
+    if not shared:
+        return frame.assign(**{_CELL: [()] * len(frame)})
+    return frame.assign(**{_CELL: [tuple(map(str, row)) for row in frame[list(shared)].itertuples(index=False)]})
 
 
 def _part(study: Study, cell: Cell, shared: Sequence[str]) -> Cell:
     return tuple(text for name, text in zip(study.factors, cell, strict=True) if name in shared)
 
 
-def _blocks(data: MeasureData, frame: pd.DataFrame) -> tuple[float, float, pd.Series]:
-    """Return how blocks vary, how their responses to treatments do, and the residuals without both.
+class _Blocks(NamedTuple):
+    """How blocks vary and how their responses to treatments do, and the residuals that are left, on the old scale."""
 
-    By moments (analysis of variance of the residuals), with the harmonic mean of the numbers of runs. Without
-    repeated runs in blocks, responses cannot be told from chance and stay in it.
+    block_sd: float
+    response_sd: float
+    left: pd.Series
+
+
+def _blocks(residuals: pd.Series, frame: pd.DataFrame) -> _Blocks:
+    """Take residuals apart by moments (analysis of variance), with the harmonic mean of the numbers of runs.
+
+    Without repeated runs in blocks, responses cannot be told from chance, and stay in it. Where not even blocks can be
+    told from it, all is chance.
     """
-    residuals: pd.Series = frame[_RESIDUAL]
-    if not data.is_blocked:
-        return 0.0, 0.0, residuals
-    blocks = frame[_BLOCK]
-    within = residuals.groupby([blocks, frame[_CELL]])
-    sizes = within.size()
-    count, cells = blocks.nunique(), frame[_CELL].nunique()
-    means = within.mean().unstack()
-    of_blocks = means.mean(axis=1)
+    block, total = frame[_BLOCK].astype(str), len(residuals)
+    within = residuals.groupby([block, frame[_CELL]])
+    sizes, means = within.size(), within.mean()
+    of_blocks = means.groupby(level=0).mean()
+    blocks, cells = len(of_blocks), frame[_CELL].nunique()
     each = len(sizes) / float((1 / sizes).sum())
-    is_repeated = float(sizes.median()) >= _FEWEST and len(residuals) > len(sizes)
-    if count < _FEWEST:
-        return 0.0, 0.0, residuals
-    rest = means.sub(of_blocks, axis=0)
-    freedom = max(1, (count - 1) * max(1, cells - 1))
-    between = float(np.nansum(rest.to_numpy() ** 2)) / freedom if cells > 1 else 0.0
-    if is_repeated:
-        chance = float(((residuals - within.transform("mean")) ** 2).sum()) / (len(residuals) - len(sizes))
-        response = max(0.0, between - chance / each) if cells > 1 else 0.0
+    freedom = len(sizes) - blocks - cells + 1
+    between = float(((means - means.groupby(level=0).transform("mean")) ** 2).sum()) / freedom if freedom > 0 else 0.0
+    if total > len(sizes):
         left = residuals - within.transform("mean")
-        left *= math.sqrt((len(residuals) - cells) / (len(residuals) - len(sizes)))
+        chance = float((left**2).sum()) / (total - len(sizes))
+        response, scale = max(0.0, between - chance / each), math.sqrt((total - cells) / (total - len(sizes)))
+    elif freedom > 0:
+        left = residuals - block.map(of_blocks)
+        chance, response, scale = between, 0.0, math.sqrt((total - cells) / freedom)
     else:
-        response = 0.0
-        left = residuals - blocks.map(of_blocks)
-        left *= math.sqrt((len(residuals) - cells) / max(1, len(residuals) - cells - count + 1))
-    spread = float(np.var(of_blocks, ddof=1))
-    noise = (response + float(np.mean(left**2)) / each) / max(1, cells)
-    return math.sqrt(max(0.0, spread - noise)), math.sqrt(response), left
+        return _Blocks(0.0, 0.0, residuals)
+    noise = (response + chance / each) * blocks / len(sizes)
+    spread = float(of_blocks.var(ddof=1)) if blocks > 1 else 0.0
+    return _Blocks(math.sqrt(max(0.0, spread - noise)), math.sqrt(response), left * scale)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.planning.assumed_values import (
@@ -15,7 +15,6 @@ from robot_runner.analysis.planning.assumed_values import (
 )
 from robot_runner.analysis.planning.pilot_values import Pilot, pilot_values
 from robot_runner.analysis.planning.power_search import PowerPoint, ScenarioPower, Search, search_repetitions
-from robot_runner.analysis.report.document import plain
 from robot_runner.core.design.analysis_plan import Family
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.words import counted, enumerated
@@ -95,7 +94,7 @@ def _scenario_as_mapping(each: ScenarioPower) -> dict[str, Any]:
         "title": each.scenario.title,
         "assumed": [_assumed_as_mapping(measure) for measure in each.scenario.measures],
         "sought": [each.claims[place].label for place in each.sought],
-        "needed": plain(each.needed),
+        "needed": None if each.needed is None else asdict(each.needed),
         "points": [
             {
                 "repetitions": point.repetitions,
@@ -212,9 +211,7 @@ def _refuse_unknown(measures: Sequence[str], base: Mapping[str, AssumedMeasure],
         raise AnalysisError(f"the file has no means of {enumerated(missing)}", where=where, fix=fix)
 
 
-def _notes(
-    study: Study, measures: Sequence[str], pilot: Pilot | None, found: Sequence[ScenarioPower]
-) -> Iterator[str]:
+def _notes(study: Study, measures: Sequence[str], pilot: Pilot | None, found: Sequence[ScenarioPower]) -> Iterator[str]:
     yield from pilot.notes if pilot is not None else ()
     if study.plan is None:
         yield "The config has no analysis plan: each measure's effects are a family at 5 %, corrected after Holm."
@@ -222,10 +219,10 @@ def _notes(
         yield "Measures are drawn independently of each other; where theirs go together, so do their verdicts."
     yield "Values are drawn from normal distributions; skewed ones, and runs that fail, take more repetitions."
     blocks = study.blocks if study.plan is None or study.plan.blocks is None else study.plan.blocks
-    if blocks in study.factors and any(each.needed is None for each in found):
+    if blocks is not None and blocks in study.factors and any(each.needed is None for each in found):
         count = counted(len(study.factors[blocks]), "block")
-        yield f"{blocks} makes {count}: how these differ is the chance that effects are compared with, so that more of "
-        yield "them help where more repetitions do not."
+        told = "how these differ is the chance that effects are compared with"
+        yield f"{blocks} makes {count}: {told}, so that more of them help where more repetitions do not."
 
 
 # What the figures say.

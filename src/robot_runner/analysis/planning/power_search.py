@@ -158,9 +158,7 @@ def search_repetitions(
         low = curve.first_where(lambda found: found.interval[1] >= target)
         high = curve.first_where(lambda found: found.interval[0] >= target)
         answer = Needed(needed, min(needed, low or needed), None if high is None else max(needed, high))
-    return ScenarioPower(
-        scenario, curve.claims, curve.sought, curve.points(), None if needed is None else answer
-    )
+    return ScenarioPower(scenario, curve.claims, curve.sought, curve.points(), None if needed is None else answer)
 
 
 def _spread(first: int, last: int) -> list[int]:
@@ -171,9 +169,7 @@ def _spread(first: int, last: int) -> list[int]:
 class _Curve:
     """The counts of all numbers of repetitions that were simulated so far."""
 
-    def __init__(
-        self, study: Study, scenario: Scenario, search: Search, progress: Callable[[int, int], None]
-    ) -> None:
+    def __init__(self, study: Study, scenario: Scenario, search: Search, progress: Callable[[int, int], None]) -> None:
         self._study, self._scenario, self._search, self._progress = study, scenario, search, progress
         self._simulations: dict[int, Simulation] = {}
         self._counts: dict[int, tuple[int, ...]] = {}
@@ -272,7 +268,9 @@ class _Curve:
 def sought_claims(
     study: Study, scenario: Scenario, claims: Sequence[Claim], effects: Collection[str]
 ) -> tuple[int, ...]:
-    """Return which claims are to be found: those asked for, else hypotheses, else stated differences, else main effects.
+    """Return which claims are to be found.
+
+    They are those asked for; else the hypotheses; else the effects that differences are stated for; else main effects.
 
     Raises:
         AnalysisError: an effect is asked for that is not tested, or one of which nothing is assumed.
@@ -322,9 +320,7 @@ def _refuse_nothing(study: Study, scenario: Scenario, claim: Claim) -> None:
     (factor,) = factors
     place = list(study.factors).index(factor)
     means = next(each.means for each in scenario.measures if each.name == claim.measure)
-    each = [
-        np.mean([mean for cell, mean in means.items() if cell[place] == text]) for text in study.factors[factor]
-    ]
+    each = [np.mean([mean for cell, mean in means.items() if cell[place] == text]) for text in study.factors[factor]]
     if np.ptp(each) <= 1e-9 * max(1.0, float(np.max(np.abs(each)))):
         problem = f"no difference of {factor} is assumed, so that {claim.label!r} cannot be found"
         raise AnalysisError(problem, where="power", fix=f"Give --difference {claim.measure}:{factor}=...")

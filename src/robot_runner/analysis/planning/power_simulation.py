@@ -105,7 +105,9 @@ class Simulation:
         self._seed = (*seed, repetitions)
         self._cells: tuple[Cell, ...] = tuple(study.cells[place] for place in study.cells_of(repetitions))
         plan = study.plan
-        self._choices = Choices() if plan is None else Choices(plan.alpha, plan.correction, plan.estimand, plan.statistic)
+        self._choices = (
+            Choices() if plan is None else Choices(plan.alpha, plan.correction, plan.estimand, plan.statistic)
+        )
         self._measures = self._prepared(scenario, repetitions, first_batch)
         self.is_slow = any(not isinstance(each.model, CellMeans) for each in self._measures)
 
@@ -124,7 +126,9 @@ class Simulation:
             model = model_of(compared, self._choices.estimand, self._choices.statistic)
             if isinstance(model, NotComputed):
                 problem = f"with {repetitions} repetitions nothing can be tested of {assumed.name}: {model.why}"
-                raise AnalysisError(problem.rstrip("."), where="power", fix="Give more repetitions: --repetitions FROM..TO.")
+                raise AnalysisError(
+                    problem.rstrip("."), where="power", fix="Give more repetitions: --repetitions FROM..TO."
+                )
             places = {run_id: place for place, run_id in enumerate(data.frame[RUN_ID])}
             rows = np.array([places[run_id] for run_id in compared.frame[RUN_ID]])
             prepared.append(_Prepared(assumed, compared, rows, blocks, model))
@@ -135,11 +139,17 @@ class Simulation:
         """What is tested: the hypotheses of the plan, then all effects on each measure."""
         stated = self._plan.hypotheses if self._plan is not None else ()
         names = [each.assumed.name for each in self._measures]
-        found = [Claim(claim_of(each), each.statement, each.measure, True) for each in stated if each.measure in names]
+        found = [
+            Claim(claim_of(each), each.statement, each.measure, is_hypothesis=True)
+            for each in stated
+            if each.measure in names
+        ]
         for each in self._measures:
             for test in each.model.effects():
                 label = f"{enumerated_factors(test.factors)} on {each.assumed.name}"
-                found.append(Claim(effect_key(each.assumed.name, test.factors), label, each.assumed.name, False))
+                found.append(
+                    Claim(effect_key(each.assumed.name, test.factors), label, each.assumed.name, is_hypothesis=False)
+                )
         return tuple(found)
 
     def found(self, part: int, experiments: int = AT_ONCE) -> dict[Key, NDArray[np.bool_]]:

@@ -153,5 +153,5 @@ class PlannedResults(Results):
     table: pd.DataFrame | None = None
 
     @property
-    def _run_frame(self) -> RunFrame:  # type: ignore[override] - made once, as the one that it takes the place of
+    def _run_frame(self) -> RunFrame:
         return RunFrame(self.table if self.table is not None else pd.DataFrame(), ())
