@@ -258,6 +258,12 @@ class StaticParameters:
         PLAN.or_none(),
         None,
     )
+    registration: Path | str | None = _declare(
+        "The file that `robot-runner preregister` writes, and that the report cites; a relative path begins where the "
+        "config file is. None is `<config>.registration.json` beside it, where there is one.",
+        PATH.or_none(),
+        None,
+    )
     authors: Sequence[Author | str] = _declare(
         "Who made the experiment: names, or `Author(name, orcid=..., affiliation=..., affiliation_url=...)`.",
         AUTHORS,

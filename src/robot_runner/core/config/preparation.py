@@ -25,6 +25,7 @@ from robot_runner.core.config.notify import check_notify
 from robot_runner.core.config.operator_checks import check_operator_steps
 from robot_runner.core.config.operator_steps import operator_measures
 from robot_runner.core.config.plugin_checks import check_plugins, companions, gather_plugins
+from robot_runner.core.config.registration import check_registration, registered
 from robot_runner.core.config.treatment_makers import maker_findings
 from robot_runner.core.design.batches import GrownRunTableModel
 from robot_runner.core.errors import ConfigError, DesignError, Finding, LinkError, StorageError
@@ -119,6 +120,7 @@ def prepare(
     columns = _columns(model, plugins, parameters if not step_findings else None, findings)
     if parameters is not None:
         findings += [*check_analysis(parameters, complete, columns), *check_threads(loaded, parameters)]
+        findings += check_registration(loaded, model, parameters.analysis, columns) if is_for_here else ()
     if is_for_here:
         findings += _check_machine(loaded, parameters, plugins, complete)
     ordered = tuple(sorted(findings, key=lambda finding: not finding.is_error))
@@ -229,4 +231,5 @@ def _experiment(
         folder=experiment_folder(parameters, loaded),
         spelling=loaded.spelling,
         kept=loaded.kept,
+        registration=registered(loaded),
     )

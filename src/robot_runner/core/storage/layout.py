@@ -93,6 +93,11 @@ class ExperimentFolder:
         """The config file and the local modules that it imports, as executed."""
         return self.root / "config"
 
+    @property
+    def registration(self) -> Path:
+        """What was registered before the first run, where anything was."""
+        return self.root / "registration.json"
+
     def uncommitted(self, digest: str) -> Path:
         """Return the file of changes that were not committed to the config's repository, by their SHA-256."""
         return self.config / f"uncommitted-{digest[:12]}.diff"
