@@ -13,6 +13,7 @@ import numpy as np
 from scipy import stats
 
 from benchmarks.null_designs import DISTRIBUTIONS, NULL_DESIGNS, NullDesign
+from benchmarks.precise_stopping import precise_stopping
 from benchmarks.table import Row, print_table
 from robot_runner.analysis.statistics.cell_layout import layout_of
 from robot_runner.analysis.statistics.cell_means import CellMeans

@@ -147,7 +147,8 @@ def batch_as_json(batch: Batch) -> dict[str, Any]:
 
 def order_in_words(model: RunTableModel) -> str:
     """Return in which order the runs are executed."""
-    seed = f"from seed {model.seed}" if model.seed_is_given else "from a seed that is drawn at the start and recorded"
+    is_known = model.seed_is_given or model.seed_is_registered
+    seed = f"from seed {model.seed}" if is_known else "from a seed that is drawn at the start and recorded"
     randomised = f"randomised{f' within blocks of {model.blocks}' if model.blocks else ''}, {seed}"
     written = f"as written, in blocks of {model.blocks}" if model.blocks else "as written"
     return "; ".join([randomised if model.shuffle else written, *later_orders_in_words(model)])

@@ -109,6 +109,8 @@ class Plan:
             return "the experiment has begun: executing it goes on in this order"
         if isinstance(self.model, ListedRunTableModel):
             return "another order is drawn each time until the experiment has begun: then it is recorded"
+        if self.model.seed_is_registered:
+            return "the registration has the seed: this order comes again each time"
         if self.model.seed_is_given:
             return "the config gives the seed: this order comes again each time"
         blocks = f", blocks={self.model.blocks!r}" if self.model.blocks else ""

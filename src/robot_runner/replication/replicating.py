@@ -49,7 +49,7 @@ __all__ = [
 
 _UNPACKED = "package"
 #: Where the results go is the one setting that a replication never takes from the original.
-_PATH = "results_output_path"
+_PATH, _REGISTRATION = "results_output_path", "registration"
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,14 +177,16 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
     config = _config(files, manifest)
     _refuse_missing(root, manifest)
     settings = {**original_settings(manifest), **deviations, _PATH: str(target)}
+    if files.registration.exists():
+        settings[_REGISTRATION] = str(files.registration)
     _refuse_redacted(settings)
     with runs_listed_in(files.run_table):
         preparation = prepare(config, settings)
     if preparation.experiment is None:
         raise ConfigError.of_findings(preparation.findings)
     facts = _facts(files, manifest, deviations)
-    # Where its results go is no deviation from the original.
-    overrides = {name: text for name, text in settings.items() if name != _PATH}
+    # Where its results go, and where its registration is, is no deviation from the original.
+    overrides = {name: text for name, text in settings.items() if name not in {_PATH, _REGISTRATION}}
     experiment = replace(preparation.experiment, replication=facts, overrides=overrides)
     findings = list(preparation.findings)
     if experiment.folder.manifest.exists():

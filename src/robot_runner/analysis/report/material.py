@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.analysis.planning.registered import registered
 from robot_runner.analysis.report.blocks import Badge, Tone
 from robot_runner.analysis.statistics.known_precision import known_precisions
 from robot_runner.core.design.analysis_plan import Correction
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
+    from robot_runner.analysis.planning.registered import Registered
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.known_precision import KnownPrecision
     from robot_runner.analysis.statistics.outcome import ExperimentStatistics, MeasureStatistics
@@ -139,6 +141,11 @@ class Material:
 
     results: Results
     statistics: ExperimentStatistics
+
+    @cached_property
+    def registered(self) -> Registered | None:
+        """What was registered before the first run, and the deviations from it; None where nothing was."""
+        return registered(self.results, self.statistics)
 
     @cached_property
     def runs(self) -> pd.DataFrame:

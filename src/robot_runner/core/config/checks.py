@@ -19,6 +19,7 @@ from robot_runner.core.config.parameters import (
     RunProcess,
 )
 from robot_runner.core.config.plugin_checks import failed_check
+from robot_runner.core.config.registration import take_registered_seed
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.design_findings import listed_elsewhere
 from robot_runner.core.design.precision import precision_findings
@@ -291,6 +292,7 @@ def create_model(loaded: LoadedConfig) -> tuple[RunTableModel | None, list[Findi
     model = created.model if isinstance(created, RunTable) else created
     if isinstance(model, RunTableModel):
         refused = _take_listed(model, table)
+        take_registered_seed(loaded, model)
         return (None, refused) if refused else (model, list(model.warnings))
     problem = f"create_run_table returned {_shown(created)}"
     return None, [Finding.error(where, problem, "Return the RunTableModel (`return run_table`).")]

@@ -260,6 +260,12 @@ class StaticParameters:
         PLAN.or_none(),
         None,
     )
+    registration: Path | str | None = _declare(
+        "The file that `robot-runner preregister` writes, and that the report cites; a relative path begins where the "
+        "config file is. None is `<config>.registration.json` beside it, where there is one.",
+        PATH.or_none(),
+        None,
+    )
     repeat_until: Precision | Sequence[Precision] = _declare(
         "How precisely measures are to be known: all combinations are executed once more until they are, `repetitions` "
         "times at least: `Precision(...)`, or a list of them.",

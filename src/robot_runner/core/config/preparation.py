@@ -26,6 +26,7 @@ from robot_runner.core.config.notify import check_notify
 from robot_runner.core.config.operator_checks import check_operator_steps
 from robot_runner.core.config.operator_steps import operator_measures
 from robot_runner.core.config.plugin_checks import check_plugins, companions, gather_plugins
+from robot_runner.core.config.registration import check_registration, registered
 from robot_runner.core.config.treatment_makers import maker_findings
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.precision import most_repetitions
@@ -121,6 +122,7 @@ def prepare(
     columns = _columns(model, plugins, parameters if not step_findings else None, findings)
     if parameters is not None:
         findings += [*check_analysis(parameters, complete, columns), *check_threads(loaded, parameters)]
+        findings += check_registration(loaded, model, parameters, columns) if is_for_here else ()
         findings += check_repeat_until(loaded, parameters, model, columns)
     if is_for_here:
         findings += _check_machine(loaded, parameters, plugins, complete)
@@ -238,4 +240,5 @@ def _experiment(
         folder=experiment_folder(parameters, loaded),
         spelling=loaded.spelling,
         kept=loaded.kept,
+        registration=registered(loaded),
     )

@@ -23,11 +23,12 @@ from robot_runner.core.design.batches import (
     records_of,
 )
 from robot_runner.core.design.columns import WARM_UP
+from robot_runner.core.design.design_facts import described_design
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.growing import Additions, Begun, grown_design
 from robot_runner.core.design.planned_runs import RunOrder
 from robot_runner.core.errors import ExecutionError, Finding
-from robot_runner.core.execution.circumstances import described_design, keep_config_files, restored_manifest
+from robot_runner.core.execution.circumstances import keep_config_files, restored_manifest
 from robot_runner.core.execution.recovery import (
     ACCEPT,
     Resumption,

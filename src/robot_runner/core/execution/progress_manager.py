@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.config.treatment_makers import PREPARED, known_treatments
 from robot_runner.core.design.batches import REPEATED
+from robot_runner.core.design.design_facts import described_design
 from robot_runner.core.execution.begun_experiment import begun_manifest, refuse_unfit_treatments
-from robot_runner.core.execution.circumstances import described_design, keep_config, note_clock
+from robot_runner.core.execution.circumstances import keep_config, note_clock
 from robot_runner.core.execution.durations import durations_of
 from robot_runner.core.execution.left_over import await_left_over
 from robot_runner.core.execution.recovery import selected_places, with_session_warm_ups
