@@ -130,7 +130,7 @@ def _sentence(measure: str, asked: str, least: int, judged: list[Judgement]) -> 
     reached = "; ".join(each.in_words() for each in judged)
     level = f"{judged[0].level:.1%}".replace("%", " %")
     sized = (
-        "within 3.5 to 6.5 %"
+        "3.5 to 6.5 %"
         if least >= _FIRST_LOOK_FOR_TESTS
         else f"up to 8 % where spreads differ, as the first look was after {least} repetitions"
     )
