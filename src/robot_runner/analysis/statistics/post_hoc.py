@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import stats
 
+from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.design import BATCH, VALUE
 from robot_runner.analysis.statistics.effect_sizes import cliffs_delta, cohens_d, paired_rank_biserial, vargha_delaney
@@ -52,11 +53,12 @@ _PAIRED = {
     TestMethod.BLOCKS: "t-tests of differences within blocks, between them where factors do not differ within",
     TestMethod.LINEAR_MODEL: "t-tests of the model's marginal means",
     TestMethod.MIXED_MODEL: "t-tests of the model's marginal means",
+    TestMethod.COVARIANCE: "t-tests of adjusted means",
 }
 
 
 def compare_pairs(
-    data: MeasureData, model: CellMeans | FittedModel, test: MeasureTest, choices: Choices
+    data: MeasureData, model: CellMeans | FittedModel | AdjustedMeans, test: MeasureTest, choices: Choices
 ) -> tuple[tuple[PostHoc, ...], tuple[NotComputed, ...]]:
     """Compare the treatments of each factor pair by pair; the combinations too, of factors that seem to interact."""
     beside = model_of(data, check_estimand(choices.estimand), choices.statistic)
@@ -120,11 +122,11 @@ def adjusted(p_values: Sequence[float], correction: Correction) -> list[float]:
 
 
 def carry_out_contrast(
-    model: CellMeans | FittedModel, hypothesis: Hypothesis, choices: Choices
+    model: CellMeans | FittedModel | AdjustedMeans, hypothesis: Hypothesis, choices: Choices
 ) -> ContrastTest | NotComputed:
     """Test the contrast of a hypothesis, or that a difference is within its bound (two one-sided tests)."""
     what = f"test of the hypothesis {hypothesis.statement!r}"
-    levels = dict(model.factors if isinstance(model, FittedModel) else model.layout.factors)
+    levels = dict(model.factors if isinstance(model, FittedModel | AdjustedMeans) else model.layout.factors)
     (factor,) = hypothesis.factors
     weights = hypothesis.contrast
     if factor in levels and weights is None and len(levels[factor]) == 2:  # noqa: PLR2004
@@ -159,8 +161,8 @@ def _with_adjusted(pair: Comparison, adjusted_p_value: float, alpha: float) -> C
 
 def _comparison(
     data: MeasureData,
-    model: CellMeans | FittedModel,
-    beside: CellMeans | FittedModel | NotComputed,
+    model: CellMeans | FittedModel | AdjustedMeans,
+    beside: CellMeans | FittedModel | AdjustedMeans | NotComputed,
     pair: tuple[Mapping[str, str], Mapping[str, str]],
     choices: Choices,
 ) -> Comparison:
@@ -196,7 +198,7 @@ def _p_value(found: Contrast) -> float | None:
 
 def _sizes(
     data: MeasureData,
-    model: CellMeans | FittedModel,
+    model: CellMeans | FittedModel | AdjustedMeans,
     pair: tuple[Mapping[str, str], Mapping[str, str]],
     found: tuple[float, float, float],
     choices: Choices,
@@ -207,6 +209,7 @@ def _sizes(
         size = cohens_d(*found, float(model.spread), level=1 - choices.alpha, name=name)
         if size is not None:
             yield size
+    data = model.adjusted_data(data) if isinstance(model, AdjustedMeans) else data
     if data.is_blocked:
         differences = None if isinstance(model, FittedModel) else _within_blocks(data, pair)
         size = None if differences is None else paired_rank_biserial(differences)
