@@ -94,7 +94,7 @@ def _interval(found: Contrast, alpha: float) -> Interval:
 def _treatments_p_value(data: MeasureData, name: str) -> float | None:
     """Return the p-value of the test that a covariate does not differ between treatments, of all effects together."""
     frame = data.frame.assign(**{VALUE: data.covariate(name)})
-    model = model_of(replace(data, frame=frame, every=frame, covariates=()), Estimand.MEAN)
+    model = model_of(replace(data, frame=frame, every=frame), Estimand.MEAN)
     if isinstance(model, NotComputed):
         return None
     with quiet():
@@ -103,7 +103,7 @@ def _treatments_p_value(data: MeasureData, name: str) -> float | None:
 
 
 def _means(data: MeasureData, model: AdjustedMeans, choices: Choices) -> Iterator[AdjustedMean]:
-    plain = model_of(replace(data, covariates=()), choices.estimand, choices.statistic)
+    plain = model_of(data, choices.estimand, choices.statistic)
     for factor in data.factors:
         for level in data.levels(factor):
             weights = [({factor: level}, 1.0)]

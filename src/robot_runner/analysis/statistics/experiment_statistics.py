@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.outcome import Standing
     from robot_runner.core.design.analysis_plan import AnalysisPlan
 
-__all__ = ["analyse", "measure_statistics"]
+__all__ = ["analyse", "measure_statistics", "planned_warnings"]
 
 _ALPHA = 0.05
 
@@ -183,7 +183,7 @@ def _warnings(design: Design, measures: Sequence[MeasureStatistics]) -> Iterator
     for measure in measures:
         if measure.drift is not None and measure.drift.warning:
             yield measure.drift.warning
-        yield from _planned_warnings(measure)
+        yield from planned_warnings(measure)
     if summary.left_out:
         is_one = summary.left_out == 1
         yield f"{counted(summary.left_out, 'run')} of the table {'is' if is_one else 'are'} not done and left out."
@@ -198,7 +198,7 @@ def _warnings(design: Design, measures: Sequence[MeasureStatistics]) -> Iterator
         yield "The analysis plan was changed after runs had been executed: only the first version counts as planned."
 
 
-def _planned_warnings(measure: MeasureStatistics) -> Iterator[str]:
+def planned_warnings(measure: MeasureStatistics) -> Iterator[str]:
     """Yield what the plan's covariates and rules for values leave doubtful."""
     if measure.adjustment is not None:
         yield from measure.adjustment.warnings

@@ -79,7 +79,7 @@ def _outliers(group: Group, measure: str, unit: str, rule: Outliers, gone: set[s
     values = group.values[kept]
     low, high = rule.bounds.get(measure, (None, None))
     for place, value, is_far in zip(kept, values, outside(values, rule), strict=True):
-        parts = [f"beyond {_spread_rule(rule)} of {group.label}"] if is_far else []
+        parts = [f"{_spread_rule(rule)} of {group.label}"] if is_far else []
         parts += [f"below {low:g} {unit}".rstrip()] if low is not None and value < low else []
         parts += [f"above {high:g} {unit}".rstrip()] if high is not None and value > high else []
         if parts:
@@ -88,8 +88,8 @@ def _outliers(group: Group, measure: str, unit: str, rule: Outliers, gone: set[s
 
 def _spread_rule(rule: Outliers) -> str:
     if rule.interquartile_ranges is not None:
-        return f"{rule.interquartile_ranges:g} interquartile ranges"
-    return f"{rule.median_deviations:g} median absolute deviations"
+        return f"more than {rule.interquartile_ranges:g} interquartile ranges beyond the quartiles"
+    return f"more than {rule.median_deviations:g} median absolute deviations from the median"
 
 
 def outside(values: Floats, rule: Outliers) -> NDArray[np.bool_]:

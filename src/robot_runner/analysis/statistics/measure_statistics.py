@@ -22,7 +22,7 @@ from robot_runner.analysis.statistics.outcome import MeasureStatistics
 from robot_runner.analysis.statistics.post_hoc import carry_out_contrast, compare_pairs, missing_intervals
 from robot_runner.analysis.statistics.power import power_of
 from robot_runner.analysis.statistics.tested import NotComputed
-from robot_runner.analysis.statistics.tests import Choices, carry_out, model_of
+from robot_runner.analysis.statistics.tests import Choices, carry_out, planned_model_of
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import enumerated
 
@@ -95,7 +95,7 @@ def measure_statistics(
         )
     compared, note, apart = comparable(data)
     gathered.missing += apart
-    found = model_of(compared, choices.estimand, choices.statistic)
+    found = planned_model_of(compared, choices.estimand, choices.statistic)
     if compared.factors or not apart:
         gathered.take(found)
     model = None if isinstance(found, NotComputed) else found

@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Otherwise", "doubtful_runs", "standing_effects", "standing_hypotheses"]
 
-#: Only of two treatments it can be said which way an effect goes.
-_TWO = 2
-
 
 class Otherwise(NamedTuple):
     """What differs from the planned analysis in the one beside it.
@@ -138,17 +135,11 @@ def _changed(effect: Effect, then: Effect, *, turned: bool) -> str:
 
 def _turned(measure: MeasureStatistics, without: MeasureStatistics, effect: Effect) -> bool:
     """Return whether the larger of two treatments is the other one now."""
-    largest = [_largest(each, effect.factors) for each in (measure, without)]
-    return None not in largest and largest[0] != largest[1]
-
-
-def _largest(measure: MeasureStatistics, factors: Sequence[str]) -> str | None:
-    means = {
-        each.treatments[factors[0]]: each.mean
-        for each in measure.by_treatment
-        if set(each.treatments) == set(factors) and each.mean is not None
-    }
-    return max(means, key=lambda name: means[name]) if len(means) == _TWO else None
+    now, then = (
+        [pair.difference for each in of.post_hoc if each.factors == effect.factors for pair in each.comparisons]
+        for of in (measure, without)
+    )
+    return len(now) == len(then) == 1 and now[0] * then[0] < 0
 
 
 def _verdict(stands: bool | None) -> str:

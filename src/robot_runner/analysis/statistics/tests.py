@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.design import MeasureData
     from robot_runner.analysis.statistics.tested import EffectTest
 
-__all__ = ["Choices", "Model", "carry_out", "check_estimand", "model_of"]
+__all__ = ["Choices", "Model", "carry_out", "check_estimand", "model_of", "planned_model_of"]
 
 _PAIR = 2
 
@@ -71,8 +71,8 @@ def check_estimand(estimand: Estimand) -> Estimand:
 
 def model_of(
     data: MeasureData, estimand: Estimand, statistic: Statistic = Statistic.WELCH_JAMES
-) -> CellMeans | FittedModel | AdjustedMeans | NotComputed:
-    """Return the estimates of a measure, or why there are none.
+) -> CellMeans | FittedModel | NotComputed:
+    """Return the estimates of a measure as it is, whatever its covariates, or why there are none.
 
     Args:
         data: the measure.
@@ -82,8 +82,6 @@ def model_of(
     problem = _problem(data)
     if problem:
         return NotComputed("the test", problem)
-    if data.covariates:
-        return fit_adjusted(data, estimand, statistic)
     layout = layout_of(data)
     if layout is None or (layout.is_blocked and estimand is Estimand.TRIMMED_MEAN):
         if estimand is Estimand.TRIMMED_MEAN:
@@ -99,13 +97,22 @@ def model_of(
     return found
 
 
+def planned_model_of(
+    data: MeasureData, estimand: Estimand, statistic: Statistic = Statistic.WELCH_JAMES
+) -> CellMeans | FittedModel | AdjustedMeans | NotComputed:
+    """Return the estimates of a measure, adjusted for its covariates where it has any, or why there are none."""
+    if not data.covariates or _problem(data):
+        return model_of(data, estimand, statistic)
+    return fit_adjusted(data, estimand, statistic)
+
+
 def _ranks(data: MeasureData) -> NDArray[np.float64]:
     return relative_ranks(data.values, data.batches if data.is_extended else None)
 
 
 def carry_out(data: MeasureData, model: CellMeans | FittedModel | AdjustedMeans, choices: Choices) -> MeasureTest:
     """Return the tests of all effects, before p-values are adjusted and conclusions are drawn."""
-    beside = model_of(data, check_estimand(choices.estimand), choices.statistic)
+    beside = planned_model_of(data, check_estimand(choices.estimand), choices.statistic)
     with quiet():
         checks = {} if isinstance(beside, NotComputed) else {each.factors: each for each in beside.effects()}
         effects = tuple(_effect(model, each, checks.get(each.factors), choices) for each in model.effects())
