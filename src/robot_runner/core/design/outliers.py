@@ -79,9 +79,8 @@ class Outliers:
         """Return which values of a measure the rule leaves out; empty where it says nothing of it."""
         parts = []
         if self.interquartile_ranges is not None:
-            parts.append(
-                f"more than {self.interquartile_ranges:g} interquartile ranges beyond those of its combination"
-            )
+            of = "interquartile ranges beyond the quartiles of its combination"
+            parts.append(f"more than {self.interquartile_ranges:g} {of}")
         if self.median_deviations is not None:
             of = "median absolute deviations from the median of its combination"
             parts.append(f"more than {self.median_deviations:g} {of}")
