@@ -10,7 +10,7 @@ from robot_runner.core.config.checks import runs_listed_in
 from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.experiment import grown_model
 from robot_runner.core.config.treatment_makers import known_treatments
-from robot_runner.core.design.batches import EXTENDED, records_of
+from robot_runner.core.design.batches import EXTENDED, REPEATED, records_of
 from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.recovery import table_differences
 from robot_runner.core.storage.cells import RunStatus
@@ -279,7 +279,7 @@ def _settle_table(
 
 
 def _with_batches(experiment: Experiment, files: ExperimentFolder) -> Experiment:
-    """Return the experiment with the batches that the original was extended by, which its own journal then has.
+    """Return the experiment with the batches and repetitions that the original grew by, which its journal then has.
 
     Raises:
         DesignError: the config lacks a treatment that runs of the original have.
@@ -291,7 +291,7 @@ def _with_batches(experiment: Experiment, files: ExperimentFolder) -> Experiment
     with Journal(experiment.folder.journal) as journal:
         if not experiment.model.batches:  # else an earlier try has come this far
             for fields in records_of(model.batches):
-                journal.append(EXTENDED, flush=True, **fields)
+                journal.append(EXTENDED if "batch" in fields else REPEATED, flush=True, **fields)
     return replace(experiment, model=model)
 
 

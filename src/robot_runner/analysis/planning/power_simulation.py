@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.design import MeasureData
     from robot_runner.analysis.statistics.families import Key
     from robot_runner.analysis.statistics.linear_model import FittedModel
-    from robot_runner.core.design.analysis_plan import Hypothesis
+    from robot_runner.core.design.hypothesis import Hypothesis
 
     Floats = NDArray[np.float64]
 

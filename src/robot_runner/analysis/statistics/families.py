@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.statistics.outcome import MeasureStatistics
     from robot_runner.analysis.statistics.tested import Comparison, ContrastTest, Effect, MeasureTest, PostHoc
-    from robot_runner.core.design.analysis_plan import Hypothesis
+    from robot_runner.core.design.hypothesis import Hypothesis
 
 __all__ = ["Key", "claim_of", "concluded", "contrast_key", "effect_key", "families_of", "judge"]
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.design import MeasureData
     from robot_runner.analysis.statistics.tested import EffectSize, MeasureTest
     from robot_runner.analysis.statistics.tests import Choices
-    from robot_runner.core.design.analysis_plan import Hypothesis
+    from robot_runner.core.design.hypothesis import Hypothesis
 
 __all__ = [
     "adjusted",

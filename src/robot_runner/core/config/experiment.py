@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.batches import EXTENDED, GrownRunTableModel, batches_of
+from robot_runner.core.design.batches import EXTENDED, REPEATED, GrownRunTableModel, batches_of
 from robot_runner.core.design.columns import WARM_UP
 from robot_runner.core.events.manager import EventManager, OwnerKind
 from robot_runner.core.events.measure import CONFIG_OWNER, MeasureColumns
@@ -88,7 +88,7 @@ def experiment_folder(parameters: Parameters, loaded: LoadedConfig) -> Experimen
 
 
 def grown_model(model: RunTableModel, folder: ExperimentFolder) -> RunTableModel:
-    """Return the design with the batches of runs that were added to the experiment, as its journal has them.
+    """Return the design with the batches and repetitions that were added to the experiment, as its journal has them.
 
     Raises:
         StorageError: the journal cannot be read.
@@ -96,7 +96,7 @@ def grown_model(model: RunTableModel, folder: ExperimentFolder) -> RunTableModel
     """
     if not folder.journal.exists():
         return model
-    batches = batches_of(read_journal(folder.journal, kinds={EXTENDED}))
+    batches = batches_of(read_journal(folder.journal, kinds={EXTENDED, REPEATED}))
     return GrownRunTableModel(model, batches) if batches else model
 
 

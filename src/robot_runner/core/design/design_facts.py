@@ -21,6 +21,6 @@ def described_design(model: RunTableModel) -> dict[str, Any]:
     }
     if model.warm_up is not None:
         design["warm_up"] = asdict(model.warm_up)
-    if model.batches:
+    if model.is_extended:
         design["batches"] = [batch.summary() for batch in model.batches]
     return design

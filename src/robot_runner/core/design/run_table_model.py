@@ -192,6 +192,11 @@ class RunTableModel:
         return self.plan()
 
     @property
+    def is_extended(self) -> bool:
+        """Whether runs were added to the experiment in batches of their own."""
+        return len(self.batches) > 1
+
+    @property
     def is_too_large(self) -> bool:
         """Whether the design has so many runs that none but those of a table can be planned."""
         return self._too_large is not None

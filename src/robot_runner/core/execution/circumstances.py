@@ -8,6 +8,7 @@ import shutil
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.design_facts import described_design
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.execution.recovery import config_files
@@ -61,6 +62,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         # What was fixed for the analysis before the first run: statistics tell it from what is exploratory.
         "analysis": _analysis(experiment),
         "registration": experiment.registration.facts() if experiment.registration is not None else None,
+        "repeat_until": _repeat_until(experiment),
         "authors": [author.as_mapping() for author in experiment.parameters.authors],
         "licence": experiment.parameters.licence,
         "citation": experiment.parameters.citation,
@@ -93,6 +95,9 @@ def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[s
     now = experiment.registration.facts() if experiment.registration is not None else None
     if now != manifest.get("registration") and now != _last_registration(manifest):
         manifest.setdefault("registration_changes", []).append({"at": utc_now(), "registration": now})
+    if (rule := _repeat_until(experiment)) != manifest.get("repeat_until"):
+        manifest.setdefault("repeat_until_changes", []).append({"at": utc_now(), "was": manifest.get("repeat_until")})
+        manifest["repeat_until"] = rule
     return manifest
 
 
@@ -204,6 +209,13 @@ def _free(folder: Path) -> Path:
 def _analysis(experiment: Experiment) -> dict[str, Any] | None:
     plan = experiment.parameters.analysis
     return plan.as_mapping() if plan else None
+
+
+def _repeat_until(experiment: Experiment) -> dict[str, Any] | None:
+    """Return until when, how often at least, and how often at most combinations are repeated."""
+    rules = experiment.parameters.repeat_until
+    least = as_configured(experiment.model).repetitions
+    return {"least": least, "rules": [rule.as_mapping() for rule in rules]} if rules else None
 
 
 def _execution(experiment: Experiment) -> dict[str, Any]:
