@@ -80,6 +80,7 @@ def _deviations(found: Registration, results: Results, statistics: ExperimentSta
         "design": {**_first_design(manifest), "excluded": content["design"].get("excluded", [])},
         "seed": manifest.get("seed"),
         "analysis": manifest.get("analysis"),
+        "repeat_until": (manifest.get("repeat_until") or {}).get("rules"),
         "measures": [{"name": name, "unit": results.unit(name)} for name in results.measures],
     }
     yield from differences(content, json.loads(json.dumps(now, default=str)))
@@ -141,6 +142,8 @@ def _of_execution(found: Registration, results: Results) -> Iterator[str]:
         yield "it was registered after the first run"
     if manifest.get("registration_changes"):
         yield "another registration took the place of this one after runs had been executed, and does not count"
+    if manifest.get("repeat_until_changes"):
+        yield "the rule of repeat_until was changed after runs had been executed"
     if manifest.get("analysis_changes"):
         yield "the analysis plan was changed after runs had been executed"
     for batch in (manifest.get("design") or {}).get("batches", [])[1:]:

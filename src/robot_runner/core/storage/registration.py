@@ -143,7 +143,7 @@ def differences(registered: Mapping[str, Any], now: Mapping[str, Any]) -> Iterat
 
     Args:
         registered: the content of the registration.
-        now: `design`, `seed`, `analysis` and `measures` in the same shape; what it lacks is not compared.
+        now: `design`, `seed`, `analysis`, `repeat_until` and `measures` likewise; what it lacks is not compared.
     """
     if "design" in now:
         yield from _design_differences(registered["design"], now["design"])
@@ -151,6 +151,8 @@ def differences(registered: Mapping[str, Any], now: Mapping[str, Any]) -> Iterat
         yield f"the seed of the order is {now['seed']}, and {registered['seed']} was registered"
     if "analysis" in now:
         yield from _plan_differences(registered["analysis"], now["analysis"])
+    if "repeat_until" in now and (now["repeat_until"] or []) != (registered.get("repeat_until") or []):
+        yield "the rule of repeat_until is another than was registered"
     if "measures" in now:
         yield from _measure_differences(registered["measures"], now["measures"])
 
@@ -183,7 +185,7 @@ def _plan_differences(registered: Mapping[str, Any] | None, now: Mapping[str, An
     before, after = _full(registered), _full(now)
     if before is None or after is None:
         if (before is None) is not (after is None):
-            yield f"the analysis plan is {'gone' if after is None else 'there'}, and {_one(registered)} was registered"
+            yield f"the analysis plan is {'gone' if after is None else 'there'}, and {_one(before)} was registered"
         return
     for name in [*before, *(name for name in after if name not in before)]:
         if name != "hypotheses" and after.get(name) != before.get(name):
