@@ -23,6 +23,7 @@ from robot_runner.core.storage.registration import (
     Registration,
     differences,
     read_registration,
+    repeated_in_words,
     write_registration,
 )
 from robot_runner.core.storage.safe_write import storage_error
@@ -84,7 +85,7 @@ def _content(arguments: Namespace) -> tuple[Path, dict[str, Any], Experiment]:
     if experiment is None:
         raise ConfigError.of_findings(preparation.findings)
     parameters = experiment.parameters
-    content = registration_content(loaded, parameters, experiment.model, experiment.columns)
+    content = registration_content(loaded, experiment.model, parameters, experiment.columns)
     return registration_path(loaded), content, experiment
 
 
@@ -207,8 +208,7 @@ def _text(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         f"{factors}{left_out}; {counted(design['repetitions'], 'repetition')}, {counted(design['runs'], 'run')}",
     )
     blocks = f" within blocks of {design['blocks']}" if design["blocks"] else ""
-    rules = content.get("repeat_until") or ()
-    yield "Repeated until", "; ".join(", ".join(f"{name} {value}" for name, value in each.items()) for each in rules)
+    yield "Repeated", repeated_in_words(content["repeat_until"]) if content.get("repeat_until") else ""
     whence = "given by the config" if content["seed_is_given"] else "drawn now, and used by the experiment"
     order = f"randomised{blocks} from seed {content['seed']} ({whence})"
     yield "Order", order if design["shuffle"] else f"as written{blocks}"
