@@ -38,7 +38,38 @@ def disagreements(report: dict[str, Any]) -> list[str]:
         found += [f"{outcome['hypothesis']['statement']}: {each}" for each in _of_hypothesis(outcome, statistics)]
     for standing in statistics.get("standings", ()):
         found += [f"{standing['measure']}: {each}" for each in _of_standing(standing, statistics)]
-    return found
+    return [*found, *_of_registration(report)]
+
+
+def _of_registration(report: dict[str, Any]) -> Iterator[str]:
+    """Yield where what is said of a registration contradicts what else the report has."""
+    found = report.get("registration")
+    threats = {each["title"] for each in report.get("threats", ())}
+    if found is None:
+        if threats & {"Deviations from the registration", "The registration cannot be trusted"}:
+            yield "there is a threat of a registration, and no registration"
+        return
+    told, problem = found["deviations"], found["problem"]
+    if ("Deviations: none." in found["sentence"]) is not (not told and not problem):
+        yield f"{len(told)} deviations, and the sentence says: {found['sentence']}"
+    if any(each not in found["sentence"] for each in told) or found["sha256"] not in found["sentence"]:
+        yield f"the sentence does not cite the registration, or lacks a deviation: {found['sentence']}"
+    expected = {"Deviations from the registration": bool(told), "The registration cannot be trusted": bool(problem)}
+    for title, is_due in expected.items():
+        if (title in threats) is not is_due:
+            yield f"the threat {title!r} is {'missing' if is_due else 'there without a reason'}"
+    if problem:
+        return
+    tested = [each["name"] for each in report["statistics"]["measures"] if each["test"] and not each["is_planned"]]
+    facts = {
+        "excluded": bool(report["excluded"]),
+        "extended beyond": len(report["design"]["batches"]) > 1,
+        "not planned": report["statistics"]["is_planned"] and bool(tested),
+        "not done": any(run["status"].casefold() != "done" for run in report["runs"]),
+    }
+    for words, is_so in facts.items():
+        if any(words in each for each in told) is not is_so:
+            yield f"{words!r} is {'so' if is_so else 'not so'}, and the deviations are: {told}"
 
 
 def _of_measure(measure: dict[str, Any], alpha: float) -> Iterator[str]:
