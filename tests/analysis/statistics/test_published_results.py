@@ -213,8 +213,8 @@ def test_mixed_model_of_a_block_that_lacks_a_treatment():
 
 
 def test_errors_of_a_mixed_model_whose_blocks_lack_different_treatments():
-    # nlme: lme(effort ~ Type, random = ~ 1 | Subject) without Type 1 of Subject 1, 2 of 2, 3 of 3 and 4 of 4: F = 25.1455787,
-    # the error of T2 - T3 and of T1 - T4 is 0.517140711. statsmodels' own covariance has others.
+    # nlme: lme(effort ~ Type, random = ~ 1 | Subject) without Type 1 of Subject 1, 2 of 2, 3 of 3 and 4 of 4:
+    # F = 25.1455787, the error of T2 - T3 and of T1 - T4 is 0.517140711. statsmodels' own covariance has others.
     rows = [(name, place, value) for name, of in data.ERGO_STOOL.items() for place, value in enumerate(of, 1)]
     held = [row for row in rows if row[:2] not in {(f"T{each}", each) for each in (1, 2, 3, 4)}]
     measure = data.split_plot([(f"subject {place}", "all", name, float(value)) for name, place, value in held])

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.tested import Comparison, ContrastTest, Effect, MeasureTest, PostHoc
     from robot_runner.core.design.analysis_plan import Hypothesis
 
-__all__ = ["concluded", "judge"]
+__all__ = ["TestKey", "concluded", "families_of", "judge"]
 
 #: What was tested: an effect by its measure and factors, or the contrast of a hypothesis by its statement.
-_Key = tuple[str, frozenset[str]]
+TestKey = tuple[str, frozenset[str]]
 
 _PAIR = 2
 
@@ -56,18 +56,30 @@ def concluded(
     return done, tuple(judge(hypothesis, done, found, alpha) for hypothesis in hypotheses)
 
 
-def _adjusted(
-    measures: Sequence[MeasureStatistics], plan: AnalysisPlan | None, correction: Correction
-) -> Iterator[tuple[_Key, _Adjusted]]:
+def families_of(
+    measures: Sequence[MeasureStatistics], plan: AnalysisPlan | None
+) -> Iterator[tuple[str, dict[TestKey, float]]]:
+    """Yield each family of tests among which errors are controlled together: its name, and its p-values.
+
+    Args:
+        measures: as they were computed one by one.
+        plan: what was fixed beforehand; None where nothing was, or where it is not kept.
+    """
     left = dict(_p_values(measures))
     families = [*_planned(left, measures, plan), *((f"the effects on {each.name}", _of(each)) for each in measures)]
     for name, keys in families:
-        tests = {key: left.pop(key) for key in keys if key in left}
-        for (key, _), value in zip(tests.items(), adjusted(list(tests.values()), correction), strict=True):
+        yield name, {key: left.pop(key) for key in keys if key in left}
+
+
+def _adjusted(
+    measures: Sequence[MeasureStatistics], plan: AnalysisPlan | None, correction: Correction
+) -> Iterator[tuple[TestKey, _Adjusted]]:
+    for name, tests in families_of(measures, plan):
+        for key, value in zip(tests, adjusted(list(tests.values()), correction), strict=True):
             yield key, _Adjusted(value, name, len(tests))
 
 
-def _p_values(measures: Sequence[MeasureStatistics]) -> Iterator[tuple[_Key, float]]:
+def _p_values(measures: Sequence[MeasureStatistics]) -> Iterator[tuple[TestKey, float]]:
     for measure in measures:
         for effect in measure.test.effects if measure.test is not None else ():
             if effect.p_value is not None:
@@ -76,15 +88,15 @@ def _p_values(measures: Sequence[MeasureStatistics]) -> Iterator[tuple[_Key, flo
             yield (f"hypothesis {each.statement}", frozenset()), each.p_value
 
 
-def _of(measure: MeasureStatistics) -> list[_Key]:
+def _of(measure: MeasureStatistics) -> list[TestKey]:
     effects = measure.test.effects if measure.test is not None else ()
     contrasts = [(f"hypothesis {each.statement}", frozenset[str]()) for each in measure.contrasts]
     return [*((measure.name, frozenset(effect.factors)) for effect in effects), *contrasts]
 
 
 def _planned(
-    left: Mapping[_Key, float], measures: Sequence[MeasureStatistics], plan: AnalysisPlan | None
-) -> Iterator[tuple[str, list[_Key]]]:
+    left: Mapping[TestKey, float], measures: Sequence[MeasureStatistics], plan: AnalysisPlan | None
+) -> Iterator[tuple[str, list[TestKey]]]:
     if plan is None or plan.family is Family.MEASURE:
         return
     if plan.family is Family.HYPOTHESES:
@@ -94,13 +106,13 @@ def _planned(
         yield "all effects on the primary measures", keys
 
 
-def _claimed(hypothesis: Hypothesis) -> _Key:
+def _claimed(hypothesis: Hypothesis) -> TestKey:
     if hypothesis.contrast is not None or hypothesis.within is not None:
         return f"hypothesis {hypothesis.statement}", frozenset()
     return hypothesis.measure, frozenset(hypothesis.factors)
 
 
-def _measure(measure: MeasureStatistics, found: Mapping[_Key, _Adjusted], alpha: float) -> MeasureStatistics:
+def _measure(measure: MeasureStatistics, found: Mapping[TestKey, _Adjusted], alpha: float) -> MeasureStatistics:
     test = measure.test
     if test is None:
         return measure
@@ -219,7 +231,7 @@ def _beside(effect: Effect) -> str:
 
 
 def judge(
-    hypothesis: Hypothesis, measures: Sequence[MeasureStatistics], found: Mapping[_Key, _Adjusted], alpha: float
+    hypothesis: Hypothesis, measures: Sequence[MeasureStatistics], found: Mapping[TestKey, _Adjusted], alpha: float
 ) -> HypothesisOutcome:
     """Return the outcome of a hypothesis, from the adjusted p-value of what it claims."""
     measure = next((each for each in measures if each.name == hypothesis.measure), None)
