@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics
     from robot_runner.analysis.statistics.tested import Comparison, Effect, EffectSize, Interval, PostHoc
     from robot_runner.analysis.statistics.tests import Choices
-    from robot_runner.core.design.analysis_plan import Hypothesis
+    from robot_runner.core.design.hypothesis import Hypothesis
 
     Model = CellMeans | FittedModel
     Row = dict[str, Number]

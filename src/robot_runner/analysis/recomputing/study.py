@@ -11,7 +11,7 @@ from robot_runner.analysis.recomputing.study_facts import Adjustment, Reported, 
 from robot_runner.analysis.recomputing.table_source import Cells, factor_columns, source_of
 from robot_runner.analysis.statistics.design import BATCH, design_of
 from robot_runner.analysis.statistics.experiment_statistics import analyse
-from robot_runner.analysis.statistics.families import families_of
+from robot_runner.analysis.statistics.families import contrast_key, effect_key, families_of
 from robot_runner.analysis.statistics.robustness import doubtful_runs
 from robot_runner.analysis.statistics.tests import Choices
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.recomputing.study_facts import MeasureFacts, Number
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.design import Design
-    from robot_runner.analysis.statistics.families import TestKey
+    from robot_runner.analysis.statistics.families import Key
     from robot_runner.analysis.statistics.outcome import ExperimentStatistics, MeasureStatistics
     from robot_runner.core.design.analysis_plan import AnalysisPlan
 
@@ -43,8 +43,8 @@ def facts_of_study(
     Args:
         results: the experiment.
         folder: where the script will be.
-        measures: which measures the report is of; None for all. Primary measures of the plan come in addition, as errors
-            are controlled among these.
+        measures: which measures the report is of; None for all. Primary measures of the plan come in addition, as
+            errors are controlled among these.
         alpha: the level of significance; None for the one that was fixed beforehand, or 0.05.
         made: when and by what.
 
@@ -140,30 +140,31 @@ def _families(
     if again:
         sets.append(([again.get(each.name, each) for each in statistics.measures], frozenset(again)))
     for measures, redone in sets:
-        keys = dict(_keys(measures, facts, redone))
-        shown = {key for key, (name, _) in keys.items() if not redone or name in redone}
-        for name, tests in families_of(measures, plan):
-            known = [key for key in tests if key in keys]
+        keys = {
+            measure.name: dict(_keys(measure, facts.get((measure.name, measure.name in redone))))
+            for measure in measures
+        }
+        names = {key: name for of in keys.values() for key, name in of.items()}
+        shown = {key for measure, of in keys.items() if not redone or measure in redone for key in of}
+        for name, tests in families_of({measure: tuple(of) for measure, of in keys.items()}, plan):
+            known = [key for key in tests if key in names]
             if shown.intersection(known):
                 yield Adjustment(
                     f"{name}{', without doubtful runs' if redone else ''}",
-                    tuple(keys[key][1] for key in known),
-                    tuple(keys[key][1] for key in known if key in shown),
+                    tuple(names[key] for key in known),
+                    tuple(names[key] for key in known if key in shown),
                 )
 
 
-def _keys(
-    measures: Sequence[MeasureStatistics], facts: Mapping[tuple[str, bool], MeasureFacts], redone: frozenset[str]
-) -> Iterator[tuple[TestKey, tuple[str, str]]]:
-    """Yield the key of each test in the statistics with its measure, and its key in the script."""
-    for measure in measures:
-        found = facts.get((measure.name, measure.name in redone))
-        if found is None or found.compared is None:
-            continue
-        for effect in found.compared.effects:
-            yield (measure.name, frozenset(effect.factors)), (measure.name, effect.key)
-        for contrast in found.compared.contrasts:
-            yield (f"hypothesis {contrast.statement}", frozenset()), (measure.name, contrast.key)
+def _keys(measure: MeasureStatistics, facts: MeasureFacts | None) -> Iterator[tuple[Key, str]]:
+    """Yield what stands for each test of a measure that has a p-value in its statistics, and in the script."""
+    if facts is None or facts.compared is None or measure.test is None:
+        return
+    for effect, of in zip(facts.compared.effects, measure.test.effects, strict=True):
+        if of.p_value is not None:
+            yield effect_key(measure.name, effect.factors), effect.key
+    for contrast in facts.compared.contrasts:
+        yield contrast_key(contrast.statement), contrast.key
 
 
 def _adjusted(statistics: ExperimentStatistics, facts: Mapping[tuple[str, bool], MeasureFacts]) -> Reported:
