@@ -28,6 +28,8 @@ IN_RUN_ID = re.compile(r"(.*?)[_-](?:repetition|rep|trial)[_-]?(\d+)$", re.IGNOR
 #: Repetitions that are numbered in words, as in `r3`, `rep_3` or `repeat3.csv`.
 _LAST_NUMBER = re.compile(r"(?:\w*[A-Za-z_ -])?(\d+)(?:\.[A-Za-z]+)?")
 _LIKE_A_NUMBER = re.compile(r"[+-]?[0-9.,eE+-]+")
+_OF_MOMENTS = re.compile(r"start|begin|end|stop|finish|stamp|date|time|at$")
+_THIS_CENTURY = 978_307_200  # s since 1970; counted in ms or ns it is more
 _MOMENT = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d.*")
 
 # Words that stand in the headings of what is measured.
@@ -135,6 +137,13 @@ class ColumnEvidence:
         numbers = (self._table.number(value) for value in self.values(name))
         return any(number is not None and number != int(number) for number in numbers)
 
+    def _are_epochs(self, name: str) -> bool:
+        """Return whether numbers count the time since 1970, in a column whose heading speaks of moments."""
+        if not _OF_MOMENTS.search(name.casefold()):
+            return False
+        numbers = [number for value in self.values(name) if (number := self._table.number(value)) is not None]
+        return bool(numbers) and min(numbers) >= _THIS_CENTURY
+
     def _is_even(self, name: str) -> bool:
         counts = np.bincount(self._codes(name))
         return bool(counts.min() >= _EVENLY * counts.max())
@@ -176,6 +185,12 @@ class ColumnEvidence:
             )
         return self._levels(name) > 1
 
+    def counts(self, name: str) -> bool:
+        """Return whether a column has texts that are numbered from 0 or 1 on, as `set_1` and `set_2`."""
+        numbers = sorted(number for each in self.values(name) if (number := repetition_number(each)) is not None)
+        is_counted = numbers in [list(range(first, first + self._levels(name))) for first in (0, 1)]
+        return is_counted and not self.is_numeric(name)
+
     def tells_runs_apart(self, name: str, factors: Sequence[str]) -> bool:
         """Return whether the runs of each combination have values of their own in a column."""
         return _pairs(self._combined(factors), self._codes(name)) >= _TELLING * self._count
@@ -209,7 +224,7 @@ class ColumnEvidence:
             return self.is_empty(name) and self._names_measure(name)
         if self._combination is not None:
             return self._varies(name)
-        differs = 2 * self._levels(name) > self._count
+        differs = 2 * self._levels(name) > self._count and not self._are_epochs(name)
         return differs and (self._is_decimal(name) or self._names_measure(name)) and not self._is_planned(name)
 
     def _is_planned(self, name: str) -> bool:
@@ -246,8 +261,8 @@ class ColumnEvidence:
         yield from self._texts(name, is_first=is_first)
 
     def _constant(self, name: str, *, is_first: bool) -> Verdict:
-        if self.is_numeric(name) and (self._names_measure(name) or not is_first):
-            return Role.MEASURE, Confidence.LIKELY, "the same number in all runs"
+        if self.is_measurable(name) and (self._names_measure(name) or not is_first):
+            return Role.MEASURE, Confidence.LIKELY, "the same value in all runs"
         return (Role.FACTOR if is_first else Role.TEXT), Confidence.LIKELY, "the same in all runs"
 
     def _of_truth_values(self, name: str, *, is_first: bool) -> Verdict:
@@ -289,6 +304,8 @@ class ColumnEvidence:
         levels, named = self._levels(name), self._names_measure(name)
         if self.differs_everywhere(name) and _NUMBERING.fullmatch(name) and not self._is_decimal(name):
             yield Role.TEXT, Confidence.SURE, "it numbers the rows"
+        if self._are_epochs(name):
+            yield Role.TEXT, Confidence.SURE, "moments, counted since 1970"
         if self._count == 1:
             yield Role.MEASURE, Confidence.LIKELY, "a number, in the one run"
         if self._varies(name) or self._differs_between_repetitions(name, others, repetition):

@@ -25,7 +25,7 @@ _NUMBERING = ("id", "run", "runnumber", "runname", "runno", "nr", "no", "number"
 _STATUS = ("done", "status", "progress", "state")
 #: What counts repetitions, the surest first; the values have to count, too.
 _REPETITION = re.compile(
-    r"(repetition|rep|repeat|replicate|replication|trial|iteration|iter|round|run|take)(id|no|nr|num|number|index|idx)?"
+    r"(repetition|rep|repeat|replicate|replication|trial|iteration|iter|round|run|take|experiment)(id|no|nr|num|number|index|idx)?"
 )
 _PLURALS = {"repetitions": "repetition", "reps": "rep", "repeats": "repeat", "trials": "trial"}
 #: Columns of this name are always what the name says: the earlier tools write them.
@@ -33,8 +33,8 @@ _CERTAIN = "repetition"
 
 # What runs are grouped by rather than compared for. A few robots or rooms of a kind stand for all; what is called a
 # subject or a device is as often what the study is about.
-_BLOCK = re.compile(r"block|participant|person|operator|day|date|session|room|site|lab|robot|batch")
-_MAYBE_BLOCK = re.compile(r"subject|device|host|machine|node|phone|website|app|vehicle|drone")
+_BLOCK = re.compile(r"(block|participant|person|operator|day|date|session|room|site|lab|robot|batch)s?(id|no|nr|name)?")
+_MAYBE_BLOCK = re.compile(r"(subject|device|host|machine|node|phone|website|app|vehicle|drone)s?(id|no|nr|name)?")
 _NUMBERED_NAME = re.compile(
     r"(?:[a-z_ -]*[a-z_ -])?\d+|[a-z]|\d{4}-\d\d-\d\d|mon|tue|wed|thu|fri|sat|sun", re.IGNORECASE
 )
@@ -254,8 +254,10 @@ class _Guessing:
             self._take(name, role, confidence, reason)
             if role is Role.FACTOR and name not in factors:
                 factors.append(name)
-        if not self._named(Role.FACTOR):
+        if not any(len(evidence.values(name)) > 1 for name in self._named(Role.FACTOR)):
             self._take_only_text(texts or left)
+        if repetition is None and not evidence.repetition_in_run_id:
+            self._doubt_counts()
 
     def _take_only_text(self, names: Sequence[str]) -> None:
         """Take the first text for the factor where nothing repeats: a table with one run for each treatment."""
@@ -263,6 +265,15 @@ class _Guessing:
             if self._guesses[name].role is Role.TEXT and self._evidence.could_be_only_factor(name):
                 self._take(name, Role.FACTOR, Confidence.LIKELY, "the one text of the table; each value has one run")
                 return
+
+    def _doubt_counts(self) -> None:
+        """Ask about a factor of numbered texts with one run for each combination: it may count repetitions."""
+        factors = self._named(Role.FACTOR)
+        for name in factors:
+            others = [each for each in factors if each != name]
+            if others and self._evidence.counts(name) and self._evidence.tells_runs_apart(name, others):
+                reason = "its texts are numbered, and each combination has every one once: a repetition?"
+                self._take(name, Role.FACTOR, Confidence.UNSURE, reason)
 
     def _name_aliases(self) -> None:
         """Keep as text what follows from factors: names and numbers of combinations, second names of treatments."""
@@ -281,12 +292,11 @@ class _Guessing:
         """Return the factor that is better taken for a block; others that may be one are noted."""
         found: str | None = None
         for name in self._named(Role.FACTOR):
-            others = [factor for factor in self._named(Role.FACTOR) if factor != name]
-            likely, maybe = _BLOCK.search(name.casefold()), _MAYBE_BLOCK.search(name.casefold())
-            if not (likely or maybe) or name in (self._said.factors or ()) or not others:
-                continue
+            others = [each for each in self._named(Role.FACTOR) if each != name and len(self._evidence.values(each)) > 1]
+            likely, maybe = _BLOCK.fullmatch(_folded(name)), _MAYBE_BLOCK.fullmatch(_folded(name))
             values = self._evidence.values(name)
-            if not self._evidence.crosses(name, others):
+            is_free = (likely or maybe) and name not in (self._said.factors or ())
+            if not is_free or len(values) == 1 or not others or not self._evidence.crosses(name, others):
                 continue
             is_numbered = all(map(_NUMBERED_NAME.fullmatch, values))
             if found is None and likely and is_numbered and len(values) >= _FEWEST_BLOCKS and self._said.guess:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from robot_runner.analysis.importing.sample_times import nanoseconds_since_1970
+from robot_runner.core.storage.cells import number_of
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
@@ -121,6 +123,9 @@ def _moment(run: ForeignRun, name: re.Pattern[str]) -> int | None:
     """Return the moment that a text column of this name has, ns since 1970."""
     for heading, text in run.extras.items():
         if name.search(heading) and text:
+            number = number_of(text)
+            if number is not None:
+                return nanoseconds_since_1970(number)
             moment = pd.to_datetime(text, utc=True, errors="coerce", format="ISO8601")
             if not pd.isna(moment):
                 return int(moment.value)
