@@ -52,9 +52,11 @@ if TYPE_CHECKING:
     from robot_runner.core.design.analysis_plan import Correction as Correction
     from robot_runner.core.design.analysis_plan import Estimand as Estimand
     from robot_runner.core.design.analysis_plan import Family as Family
-    from robot_runner.core.design.analysis_plan import Hypothesis as Hypothesis
     from robot_runner.core.design.analysis_plan import Statistic as Statistic
     from robot_runner.core.design.factor import Factor as Factor
+    from robot_runner.core.design.hypothesis import Hypothesis as Hypothesis
+    from robot_runner.core.design.precision import PreciseOf as PreciseOf
+    from robot_runner.core.design.precision import Precision as Precision
     from robot_runner.core.design.run_table_model import RunTableModel as RunTableModel
     from robot_runner.core.design.warm_up import WarmUp as WarmUp
     from robot_runner.core.errors import CommandError as CommandError

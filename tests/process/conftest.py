@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from robot_runner.core.storage.outliving import process_stat
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
@@ -77,6 +79,20 @@ class Experiment:
     def processes(self) -> list[int]:
         """Return the processes that the experiment started, its own included, that still live."""
         return [int(path.name) for path in Path("/proc").glob("[0-9]*") if self._is_ours(int(path.name))]
+
+    def keeper(self) -> int:
+        """Return the process that keeps the run which is being executed."""
+        return next(pid for pid in self.processes() if process_stat(pid)[1:2] == [str(self.process.pid)])
+
+    def run_process(self) -> int:
+        """Return the process of the run: of its keeper's children the one that leads a group of its own."""
+        children = [pid for pid in self.processes() if process_stat(pid)[1:2] == [str(self.keeper())]]
+        return next(pid for pid in children if process_stat(pid)[2] == str(pid))
+
+    def standby(self) -> int:
+        """Return the process that stands by to make the robot safe: the keeper's other child."""
+        keeper = str(self.keeper())
+        return next(pid for pid in self.processes() if process_stat(pid)[1:3] == [keeper, keeper])
 
     def nobody_is_left(self) -> bool:
         """Wait until none of them lives."""

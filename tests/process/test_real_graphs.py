@@ -210,3 +210,31 @@ def test_a_robot_whose_topic_s_callback_raises_stands_still_within_a_second(
     failures = list(read_journal(experiment.folder / "journal.jsonl", kinds=["failure"]))
     assert [failure["problem"] for failure in failures] == ["the callback of /erin/odom raised RuntimeError: a bump"]
     assert failures[0]["event"] == "launch_mission"
+
+
+DOOMED = {
+    "the run": lambda one: [one.run_process()],
+    "the run and its keeper": lambda one: [one.run_process(), one.keeper()],
+    "the run and the orchestrator": lambda one: [one.run_process(), one.process.pid],
+    "the keeper and the orchestrator": lambda one: [one.keeper(), one.process.pid],
+    "all three": lambda one: [one.run_process(), one.keeper(), one.process.pid],
+}
+QUICK = ("the run", "all three")
+
+
+@pytest.mark.parametrize(
+    "doomed", [pytest.param(who, marks=[] if who in QUICK else pytest.mark.soak) for who in DOOMED]
+)
+def test_a_robot_without_a_watchdog_stands_still_within_a_second_whoever_is_killed(
+    graph: str, start: Start, tmp_path: Path, doomed: str
+) -> None:
+    with simulated_robot(graph, "--namespace", "/fred", "--no-watchdog"), witness(graph, "/fred") as looking:
+        experiment = start(config=written(tmp_path, ["Video"], robot=graph, namespace="/fred", drive_s=60.0))
+        looking.sees(0.19)
+        wait, pids, killed = ProcessorWait(family()), DOOMED[doomed](experiment), time.time()
+        for pid in pids:
+            os.kill(pid, signal.SIGKILL)
+        stood = looking.sees_standstill(since=killed, meanwhile=wait.look)
+        assert stood - killed - wait.seconds < 1.0
+        experiment.end()
+        assert experiment.nobody_is_left()

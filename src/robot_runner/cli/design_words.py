@@ -82,14 +82,14 @@ def print_runs(
 
 
 def _mark_columns(model: RunTableModel, runs: Sequence[PlannedRun]) -> list[Column]:
-    marks = [BATCH] if model.batches else []
+    marks = [BATCH] if model.is_extended else []
     marks += ["block"] if any(run.block is not None for run in runs) else []
     return [Column(name, len(name), is_number=True) for name in marks]
 
 
 def _cells(run: PlannedRun, model: RunTableModel) -> list[str]:
     cells = run_cells(model, run.run_id, run.combination, run.repetition)
-    batch = [str(run.batch)] if model.batches else []
+    batch = [str(run.batch)] if model.is_extended else []
     return [*cells, *batch, *([] if run.block is None else [str(run.block)])]
 
 
@@ -114,7 +114,7 @@ def in_words(model: RunTableModel) -> str:
     runs = sum(not run.is_warm_up for run in model.plan())
     if model.repetitions > 1:
         parts.append(f"{model.repetitions:,} repetitions")
-    if model.batches:
+    if model.is_extended:
         sizes = enumerated(f"{len(batch.run_ids):,}" for batch in model.batches)
         return f"{counted(runs, 'run')} in {len(model.batches)} batches of {sizes}: {' x '.join(parts)}"
     excluded = combinations - runs // model.repetitions
@@ -147,7 +147,8 @@ def batch_as_json(batch: Batch) -> dict[str, Any]:
 
 def order_in_words(model: RunTableModel) -> str:
     """Return in which order the runs are executed."""
-    seed = f"from seed {model.seed}" if model.seed_is_given else "from a seed that is drawn at the start and recorded"
+    is_known = model.seed_is_given or model.seed_is_registered
+    seed = f"from seed {model.seed}" if is_known else "from a seed that is drawn at the start and recorded"
     randomised = f"randomised{f' within blocks of {model.blocks}' if model.blocks else ''}, {seed}"
     written = f"as written, in blocks of {model.blocks}" if model.blocks else "as written"
     return "; ".join([randomised if model.shuffle else written, *later_orders_in_words(model)])
@@ -170,7 +171,7 @@ def _with_unit(column: MeasureColumn) -> str:
 def design_as_json(model: RunTableModel) -> dict[str, Any]:
     """Return factors, repetitions and order as plain data."""
     warm_up = {"warm_up": asdict(model.warm_up)} if model.warm_up else {}
-    batches = {"batches": list(map(batch_as_json, model.batches))} if model.batches else {}
+    batches = {"batches": list(map(batch_as_json, model.batches))} if model.is_extended else {}
     return {
         "run_count": len(model.plan()),
         "factors": {factor.name: list(map(plain, factor.treatments)) for factor in model.factors},

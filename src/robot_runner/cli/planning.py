@@ -14,7 +14,9 @@ from robot_runner.core.config.dialects import load_config
 from robot_runner.core.config.experiment import event_manager_for, experiment_folder, grown_model
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.plugin_checks import gather_plugins
+from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.listed_runs import ListedRunTableModel
+from robot_runner.core.design.precision import most_repetitions, rule_in_words
 from robot_runner.core.errors import ConfigError, Finding, StorageError, did_you_mean
 from robot_runner.core.events.measure import resolve_columns, with_phases
 from robot_runner.core.execution.durations import Estimate, durations_of
@@ -62,6 +64,8 @@ class Plan:
         duration: how long the runs take that are still to be executed.
         executed: the runs that were begun, in the order in which they were.
         excluded: why runs are left out, by id.
+        repeated: until when combinations are repeated, how often at least and how often at most; empty where they
+            are executed as often as is planned.
     """
 
     model: RunTableModel
@@ -75,6 +79,7 @@ class Plan:
     duration: Estimate = field(default_factory=lambda: Estimate(None))
     executed: Sequence[str] = ()
     excluded: Mapping[str, str] = field(default_factory=dict)
+    repeated: str = ""
 
     @property
     def order(self) -> str:
@@ -104,6 +109,8 @@ class Plan:
             return "the experiment has begun: executing it goes on in this order"
         if isinstance(self.model, ListedRunTableModel):
             return "another order is drawn each time until the experiment has begun: then it is recorded"
+        if self.model.seed_is_registered:
+            return "the registration has the seed: this order comes again each time"
         if self.model.seed_is_given:
             return "the config gives the seed: this order comes again each time"
         blocks = f", blocks={self.model.blocks!r}" if self.model.blocks else ""
@@ -157,11 +164,16 @@ def _with_duration(
         return replace(plan, duration=Estimate(None, unknown=(f"the config is refused: {error.problem}",)))
     combinations = [run.combination for run in plan.runs]
     durations = durations_of(loaded.config, plugins, events, parameters, combinations, folder.journal)
+    rules = parameters.repeat_until
     durations.plan(
-        run.combination
-        for place, run in enumerate(plan.runs)
-        if rows is None or (rows.status(place) is not RunStatus.DONE and rows.excluded(place) is None)
+        (
+            run.combination
+            for place, run in enumerate(plan.runs)
+            if rows is None or (rows.status(place) is not RunStatus.DONE and rows.excluded(place) is None)
+        ),
+        may_repeat=plan.model.repetitions < most_repetitions(rules),
     )
+    plan = replace(plan, repeated=rule_in_words(rules, as_configured(plan.model).repetitions))
     is_probed = parameters.probe
     probed = probe_window_of(probed_plugins(plugins, events, parameters.robot)) if is_probed else 0.0
     estimate = durations.estimate(probe_s=probed)

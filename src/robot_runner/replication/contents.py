@@ -32,6 +32,7 @@ ENVIRONMENT = "environment/environment.json"
 REQUIREMENTS = "environment/requirements.txt"
 WHEELS = "environment/wheels"
 MANIFEST, TABLE, SCHEMA = "manifest.json", "run_table.csv", "run_table.schema.json"
+REGISTRATION = "registration.json"
 
 #: What packing makes anew; files of these names in an experiment's folder are not taken.
 GENERATED = frozenset({CRATE, DESCRIPTION, SUMS, README, CONTAINERFILE, DATA_PACKAGE, ENVIRONMENT, REQUIREMENTS})
@@ -46,6 +47,7 @@ DESCRIBED = {
     "config/": "the config and the local modules that it imports, as executed",
     "report/": "the report, with its tables and figures",
     MANIFEST: "the circumstances: host, versions, seed, what was set by hand",
+    REGISTRATION: "what was registered before the first run: plan, design, seed, power, with a checksum",
     "journal.jsonl": "the history of the experiment, one record a line",
     REQUIREMENTS: "the Python packages that the experiment needs",
     ENVIRONMENT: "the environment: all Python packages with versions and fingerprints, host, ROS",

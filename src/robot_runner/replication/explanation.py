@@ -12,6 +12,7 @@ from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import executed_order, moved_runs
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
+from robot_runner.core.storage.registration import read_registration
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.core.storage.table_columns import MARKS, ColumnRole, TableLayout
@@ -151,12 +152,26 @@ class _Explaining:
         yield "Robot", str(self._manifest.get("robot") or "as the config says")
         yield "Host", self._host()
         yield "Commit", history.commit
+        yield "Registered", self._registered()
         for host in history.hosts:
             yield "Other host", host
         for subject in history.subjects:
             yield "Subject", subject
         for owner, name, factor, value in history.bound:
             yield "Parameter", f"{name} of {owner} = {value}, bound to the factor {factor}"
+
+    def _registered(self) -> str:
+        """Return when the study was registered, and whether the file in the folder is still that one."""
+        stated = self._manifest.get("registration")
+        if not isinstance(stated, dict):
+            return ""
+        told = f"{stated.get('registered_at')}, before the first run; SHA-256 {stated.get('sha256')}"
+        try:
+            found = read_registration(self._files.registration)
+        except StorageError as error:
+            return f"{told}; {error.problem}"
+        is_same = found.is_intact and found.sha256 == stated.get("sha256")
+        return told if is_same else f"{told}; the file in the folder was changed since"
 
     def _attempt_facts(self) -> Iterator[tuple[str, str]]:
         history = self._history

@@ -10,7 +10,7 @@ from robot_runner.core.config.checks import runs_listed_in
 from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.experiment import grown_model
 from robot_runner.core.config.treatment_makers import known_treatments
-from robot_runner.core.design.batches import EXTENDED, records_of
+from robot_runner.core.design.batches import EXTENDED, REPEATED, records_of
 from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.recovery import table_differences
 from robot_runner.core.storage.cells import RunStatus
@@ -49,7 +49,7 @@ __all__ = [
 
 _UNPACKED = "package"
 #: Where the results go is the one setting that a replication never takes from the original.
-_PATH = "results_output_path"
+_PATH, _REGISTRATION = "results_output_path", "registration"
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,14 +177,16 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
     config = _config(files, manifest)
     _refuse_missing(root, manifest)
     settings = {**original_settings(manifest), **deviations, _PATH: str(target)}
+    if files.registration.exists():
+        settings[_REGISTRATION] = str(files.registration)
     _refuse_redacted(settings)
     with runs_listed_in(files.run_table):
         preparation = prepare(config, settings)
     if preparation.experiment is None:
         raise ConfigError.of_findings(preparation.findings)
     facts = _facts(files, manifest, deviations)
-    # Where its results go is no deviation from the original.
-    overrides = {name: text for name, text in settings.items() if name != _PATH}
+    # Where its results go, and where its registration is, is no deviation from the original.
+    overrides = {name: text for name, text in settings.items() if name not in {_PATH, _REGISTRATION}}
     experiment = replace(preparation.experiment, replication=facts, overrides=overrides)
     findings = list(preparation.findings)
     if experiment.folder.manifest.exists():
@@ -277,7 +279,7 @@ def _settle_table(
 
 
 def _with_batches(experiment: Experiment, files: ExperimentFolder) -> Experiment:
-    """Return the experiment with the batches that the original was extended by, which its own journal then has.
+    """Return the experiment with the batches and repetitions that the original grew by, which its journal then has.
 
     Raises:
         DesignError: the config lacks a treatment that runs of the original have.
@@ -289,7 +291,7 @@ def _with_batches(experiment: Experiment, files: ExperimentFolder) -> Experiment
     with Journal(experiment.folder.journal) as journal:
         if not experiment.model.batches:  # else an earlier try has come this far
             for fields in records_of(model.batches):
-                journal.append(EXTENDED, flush=True, **fields)
+                journal.append(EXTENDED if "batch" in fields else REPEATED, flush=True, **fields)
     return replace(experiment, model=model)
 
 

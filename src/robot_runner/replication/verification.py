@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, PackageError
 from robot_runner.core.storage.manifest import FORMAT as MANIFEST_FORMAT
+from robot_runner.core.storage.registration import checksum_of
 from robot_runner.replication import contents
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ _SHAPES: dict[str, dict[str, str]] = {
         "plugins": "list of mappings",
         "revisions": "mapping of mappings",
         "seed": "number",
+        "registration": "mapping",
         "experiment_name": "text",
     },
 }
@@ -107,6 +109,7 @@ def verify_package(package: OpenPackage, progress: Progress = lambda _, __: None
         findings += _malformed(package, contents.DESCRIPTION, description)
         findings += _malformed(package, contents.ENVIRONMENT, environment)
         findings += [*_malformed(package, contents.MANIFEST, manifest)] or _unfit(package, manifest)
+        findings += _registration(package, manifest, findings)
     more = len(findings) - _MOST_FINDINGS
     if more > 0:
         findings[_MOST_FINDINGS:] = [Finding.error(str(package.where), f"there are {more:,} more faults", _ALTERED)]
@@ -206,6 +209,21 @@ def _malformed(package: OpenPackage, name: str, facts: Mapping[str, Any]) -> Ite
     for key, shape in _SHAPES[name].items():
         if facts.get(key) is not None and not _IS_OF_SHAPE[shape](facts[key]):
             yield Finding.error(f"{package.where}, {name}", f"{key} is not a {shape}: {facts[key]!r:.80}", _ALTERED)
+
+
+def _registration(package: OpenPackage, manifest: Mapping[str, Any], findings: list[Finding]) -> Iterator[Finding]:
+    """Yield why the registration in it is not the one that the experiment began with."""
+    stated = manifest.get("registration")
+    if not isinstance(stated, dict):
+        return
+    where = f"{package.where}, {contents.REGISTRATION}"
+    if contents.REGISTRATION not in package.sizes:
+        yield Finding.error(where, "the registration is missing", _ALTERED)
+        return
+    found = _mapping(package, contents.REGISTRATION, findings)
+    if found and not (checksum_of(found) == found.get("sha256") == stated.get("sha256")):
+        problem = "the registration is not the one that the experiment began with: its checksum differs"
+        yield Finding.error(where, problem, _ALTERED)
 
 
 def _unfit(package: OpenPackage, manifest: Mapping[str, Any]) -> Iterator[Finding]:

@@ -81,12 +81,14 @@ class GraphLinkKind:
         module: where it is opened, and asked what stands in its way (`findings`); imported once it is asked for.
         opener: the function that opens it.
         takes_address: whether it has an address, and no options.
+        client: the modules that take long to import, and that `module` imports only where they are asked for.
     """
 
     description: str
     module: str
     opener: str
     takes_address: bool = False
+    client: tuple[str, ...] = ()
 
     @property
     def is_simulated(self) -> bool:
@@ -102,6 +104,12 @@ class GraphLinkKind:
         _clock_of(name)
         findings: list[Finding] = self._opening(name).findings(_without_clock(name))
         return findings
+
+    def preload(self, name: RobotName) -> None:
+        """Import the client library; nothing is opened."""
+        self._opening(name)
+        for module in self.client:
+            import_module(module)
 
     def open_robot(
         self, name: RobotName, *, resources: Resources, clock: Clock, seed: int, namespace: str
@@ -173,14 +181,20 @@ class _FoundRobot:
 
 
 # What the entry points of this room name.
-ROS1 = GraphLinkKind("ROS 1 with rospy", "robot_runner.ros.ros1_link", "open_ros1_link")
-ROS2 = GraphLinkKind("ROS 2 with rclpy", "robot_runner.ros.ros2_link", "open_ros2_link")
-DDS = GraphLinkKind("ROS 2 over DDS, with no ROS installed", "robot_runner.ros.dds_link", "open_dds_link")
+ROS1 = GraphLinkKind("ROS 1 with rospy", "robot_runner.ros.ros1_link", "open_ros1_link", client=("rospy",))
+ROS2 = GraphLinkKind("ROS 2 with rclpy", "robot_runner.ros.ros2_link", "open_ros2_link", client=("rclpy",))
+DDS = GraphLinkKind(
+    "ROS 2 over DDS, with no ROS installed",
+    "robot_runner.ros.dds_link",
+    "open_dds_link",
+    client=("robot_runner.ros.dds_transport",),
+)
 ROSBRIDGE = GraphLinkKind(
     "ROS 1 or 2 through a rosbridge, with no ROS installed",
     "robot_runner.ros.rosbridge_link",
     "open_rosbridge_link",
     takes_address=True,
+    client=("robot_runner.ros.rosbridge_transport",),
 )
 AUTO = _FoundRobot()
 

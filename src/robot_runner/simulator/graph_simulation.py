@@ -53,6 +53,7 @@ class GraphRobot:
             machine's wall clock.
         real_time_factor: simulated seconds a real second.
         meter: its power meter on a terminal, if it has one.
+        has_watchdog: whether it stops once the run that drives it has fallen silent.
 
     Attributes:
         lags: how often it could not keep up with its pace.
@@ -76,6 +77,7 @@ class GraphRobot:
         is_clock: bool = False,
         real_time_factor: float = 1.0,
         meter: MeterTerminal | None = None,
+        has_watchdog: bool = True,
     ) -> None:
         self._link = link
         self._clock = simulation.clock
@@ -84,7 +86,7 @@ class GraphRobot:
         self._factor = real_time_factor
         self._meter = meter
         self._has_transform = _is_known(link, _TRANSFORM_TYPE)
-        self._watchdog = Watchdog()
+        self._watchdog = Watchdog() if has_watchdog else Watchdog(heartbeat_timeout=0.0)
         self._lock = threading.Lock()  # callbacks come from threads of the link; the simulation has one at a time
         self._closing = ExitStack()
         self.lags = 0
@@ -214,6 +216,7 @@ class SimulatedPlace:
         seed: of the simulation.
         real_time_factor: simulated seconds a real second.
         is_clock: whether its time is published on `/clock`.
+        has_watchdog: whether it stops once the run that drives it has fallen silent.
 
     Example:
         >>> SimulatedPlace(link="dds:domain=7", namespace="/alice").real_time_factor
@@ -225,6 +228,7 @@ class SimulatedPlace:
     seed: int = 1
     real_time_factor: float = 1.0
     is_clock: bool = False
+    has_watchdog: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,6 +293,7 @@ def on_graph(place: SimulatedPlace) -> Iterator[GraphSimulation]:
             is_clock=place.is_clock,
             real_time_factor=place.real_time_factor,
             meter=meter,
+            has_watchdog=place.has_watchdog,
         )
         closing.callback(robot.close)
         if place.is_clock:

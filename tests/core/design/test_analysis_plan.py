@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Estimand, Family, Hypothesis, Statistic
+from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Estimand, Family, Statistic
+from robot_runner.core.design.hypothesis import Hypothesis
 from robot_runner.core.errors import DesignError
 
 NAMES = st.text(min_size=1, max_size=8).filter(lambda name: name.strip())

@@ -269,7 +269,7 @@ class Comparison:
     factors: tuple[str, ...]
     is_paired: bool
     measures: tuple[MeasureComparison, ...]
-    differing: tuple[tuple[str, str, str], ...]
+    differing: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...]
 
     @property

@@ -83,7 +83,8 @@ def compare(
     compared = tuple(
         _compare_measure(matching, names, bounds.of(names[0]), alpha, is_paired=paired) for names in chosen
     )
-    labels = names_of(ours, theirs, chosen)
+    is_one = ours.folder == theirs.folder and len(chosen) == 1 and len(set(chosen[0])) > 1
+    labels = chosen[0] if is_one else names_of(ours, theirs)
     return Comparison(
         Side(labels[0], ours.name, ours.folder, len(ours.done)),
         Side(labels[1], theirs.name, theirs.folder, len(theirs.done)),

@@ -171,28 +171,30 @@ _ASPECTS = (
 )
 
 
-def names_of(first: Results, second: Results, measures: Sequence[tuple[str, str]] = ()) -> tuple[str, str]:
-    """Return names that tell two experiments apart, or two measures of one."""
-    if first.folder == second.folder and len(measures) == 1 and len(set(measures[0])) > 1:
-        return measures[0]
-    if first.name != second.name:
-        return first.name, second.name
-    folders = (first.folder, second.folder)
-    if folders[0].name != folders[1].name:
-        return folders[0].name, folders[1].name
-    return f"first {first.name}", f"second {second.name}"
+def names_of(*experiments: Results) -> tuple[str, ...]:
+    """Return names that tell experiments apart: their own, those of their folders, or the order in which they stand."""
+    own = tuple(each.name for each in experiments)
+    for names in (own, tuple(each.folder.name for each in experiments)):
+        if len(set(names)) == len(names):
+            return names
+    return tuple(
+        f"{_ORDINALS.get(place, f'{place + 1}th')} {name}" if own.count(name) > 1 else name
+        for place, name in enumerate(own)
+    )
 
 
-def differing_circumstances(first: Results, second: Results) -> tuple[tuple[str, str, str], ...]:
-    """Return what differs: what it is, how it is in the first, how it is in the second."""
-    rows = [("Runs that are done", str(len(first.done)), str(len(second.done)))]
-    for name, keys in _ASPECTS:
-        rows.append((name, _shown(_within(first.manifest, keys)), _shown(_within(second.manifest, keys))))
-    for factor in first.factors:
-        if factor in second.factors:
-            ours, theirs = (", ".join(map(str, each.runs[factor].cat.categories)) for each in (first, second))
-            rows.append((f"Treatments of {factor}", ours, theirs))
-    return tuple(row for row in rows if row[1] != row[2])
+_ORDINALS = {0: "first", 1: "second", 2: "third"}
+
+
+def differing_circumstances(*experiments: Results) -> tuple[tuple[str, ...], ...]:
+    """Return what differs between experiments: what it is, then how it is in each."""
+    rows = [("Runs that are done", *(str(len(each.done)) for each in experiments))]
+    rows += [(name, *(_shown(_within(each.manifest, keys)) for each in experiments)) for name, keys in _ASPECTS]
+    for factor in experiments[0].factors:
+        if all(factor in each.factors for each in experiments):
+            treatments = (", ".join(map(str, each.runs[factor].cat.categories)) for each in experiments)
+            rows.append((f"Treatments of {factor}", *treatments))
+    return tuple(row for row in rows if len(set(row[1:])) > 1)
 
 
 def _within(manifest: Mapping[str, Any], keys: tuple[str, ...]) -> Any:

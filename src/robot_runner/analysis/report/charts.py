@@ -94,8 +94,7 @@ def points_chart(material: Material) -> Chart | None:
 def _places(material: Material) -> dict[str, int]:
     """Return the place of each run in the order of execution, from 1: by its last attempt, else as in the table."""
     order = list(material.last_attempts.sort_values("started_at")["run_id"])
-    order += [run_id for run_id in material.runs[RUN_ID] if run_id not in set(order)]
-    return {run_id: place for place, run_id in enumerate(order, start=1)}
+    return {run_id: place for place, run_id in enumerate(dict.fromkeys((*order, *material.runs[RUN_ID])), start=1)}
 
 
 def _dash(look: Look) -> list[float]:

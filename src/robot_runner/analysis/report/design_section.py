@@ -63,6 +63,10 @@ def _facts(material: Material) -> Iterator[tuple[str, str]]:
     if plan is not None:
         correction = correction_in_words(plan.correction)
         yield "Fixed beforehand", f"measures {listed(plan.measures)}, {ALPHA} = {plan.alpha:g}, {correction}"
+    if material.registered is not None:
+        yield "Registration", material.registered.sentence
+        if material.registered.power:
+            yield "Registered power", " ".join(material.registered.power)
 
 
 def order_in_words(material: Material) -> str:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.analysis.planning.registered import registered
 from robot_runner.analysis.report.blocks import Badge, Tone
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.design.columns import RUN_ID, STATUS
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
+    from robot_runner.analysis.planning.registered import Registered
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.outcome import ExperimentStatistics, MeasureStatistics
 
@@ -137,6 +139,11 @@ class Material:
 
     results: Results
     statistics: ExperimentStatistics
+
+    @cached_property
+    def registered(self) -> Registered | None:
+        """What was registered before the first run, and the deviations from it; None where nothing was."""
+        return registered(self.results, self.statistics)
 
     @cached_property
     def runs(self) -> pd.DataFrame:

@@ -61,7 +61,7 @@ def threats_section(material: Material, threats: Sequence[Remark]) -> Section:
 def threats_of(material: Material) -> tuple[Remark, ...]:
     """Return all threats, those of one kind together."""
     kinds = {
-        "Conclusion validity": (_groups, _power, _plan, _doubtful),
+        "Conclusion validity": (_groups, _power, _plan, _registered, _doubtful),
         "Internal validity": (
             _drifts,
             _order,
@@ -107,6 +107,15 @@ def _plan(material: Material) -> Threats:
     missed = [*statistics.not_computed, *(each for measure in statistics.measures for each in measure.not_computed)]
     if missed:
         yield "Not everything could be computed", listed(each.what for each in missed), Tone.NOTE
+
+
+def _registered(material: Material) -> Threats:
+    found = material.registered
+    if found is not None and found.problem:
+        yield "The registration cannot be trusted", found.problem, Tone.BAD
+    elif found is not None and found.deviations:
+        text = f"Registered on {found.registered_at[:10]}. {sentence('; '.join(found.deviations))}"
+        yield "Deviations from the registration", text, Tone.WARNING
 
 
 def _doubtful(material: Material) -> Threats:

@@ -16,6 +16,7 @@ from robot_runner.analysis.statistics.effect_sizes import correlation_magnitude
 from robot_runner.analysis.statistics.outcome import Correlation, Drift
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import Interval, NotComputed
+from robot_runner.analysis.statistics.theil_sen import theil_sen
 from robot_runner.analysis.wording import p_in_words, with_unit
 from robot_runner.core.design.columns import RUN_ID
 
@@ -114,7 +115,7 @@ def drift_of(data: MeasureData, alpha: float, unit: str = "") -> Drift | NotComp
         return NotComputed("drift over the order of execution", "within each combination all values are equal.")
     with quiet():
         rho, p_value = stats.spearmanr(places, residuals)
-        slope = stats.theilslopes(residuals, places, alpha=_LEVEL)
+        slope = theil_sen(places, residuals, _LEVEL)
     if not np.isfinite(p_value):
         return NotComputed("drift over the order of execution", "the values hardly vary.")
     is_significant = bool(p_value < alpha)
@@ -125,8 +126,8 @@ def drift_of(data: MeasureData, alpha: float, unit: str = "") -> Drift | NotComp
         run_ids=tuple(data.frame[RUN_ID].to_numpy()[order]),
         correlation=float(rho),
         p_value=float(p_value),
-        slope=float(slope.slope),
-        slope_interval=Interval(float(slope.low_slope), float(slope.high_slope), _LEVEL, "Theil-Sen"),
+        slope=slope.slope,
+        slope_interval=Interval(slope.low, slope.high, _LEVEL, "Theil-Sen"),
         is_significant=is_significant,
         is_confounded=is_confounded,
         warning=_warning(data.name, unit, slope.slope, rho, p_value, is_confounded=is_confounded)

@@ -194,10 +194,8 @@ def cliffs_delta(pairs: Sequence[tuple[Floats, Floats]]) -> EffectSize | None:
     pairs = [(one, other) for one, other in pairs if len(one) and len(other)]
     if not pairs:
         return None
-    dominances = [np.sign(one[:, None] - other[None, :]) for one, other in pairs]
-    deltas = [float(each.mean()) for each in dominances]
-    value = float(np.mean(deltas))
-    return _ROMANO.size("Cliff's delta", value, _delta_interval(dominances, deltas, value))
+    value = float(np.mean([_dominances(*pair).mean() for pair in pairs]))
+    return _ROMANO.size("Cliff's delta", value, _delta_interval(pairs, value))
 
 
 def vargha_delaney(delta: EffectSize) -> EffectSize:
@@ -229,27 +227,40 @@ def correlation_magnitude(value: float) -> Magnitude:
     return _COHEN_R.magnitude(value)
 
 
-def _delta_interval(dominances: Sequence[Floats], deltas: Sequence[float], delta: float) -> Interval | None:
+def _dominances(of: Floats, over: Floats) -> Floats:
+    """Return for each value how many others it is above less how many it is below, as a share of them.
+
+    By ranks: the table of all pairs would take gigabytes for thousands of runs.
+    """
+    others = np.sort(over)
+    above, not_below = (np.searchsorted(others, of, side) for side in ("left", "right"))
+    return (above - (len(others) - not_below)) / len(others)
+
+
+def _delta_interval(pairs: Sequence[tuple[Floats, Floats]], delta: float) -> Interval | None:
     method = "Feng and Cliff 2004"
-    sizes = [each.shape for each in dominances]
+    sizes = [(len(one), len(other)) for one, other in pairs]
     if min(map(min, sizes)) < _LEAST_FOR_SPREAD:
         return None
     z = float(stats.norm.ppf(1 - (1 - _LEVEL) / 2))
     if abs(delta) == 1:
-        smaller = min(sum(shape[side] for shape in sizes) for side in (0, 1))
+        smaller = min(sum(size[side] for size in sizes) for side in (0, 1))
         inner = max(0.0, (smaller - z**2) / (smaller + z**2))
         return Interval(min(inner * delta, delta), max(inner * delta, delta), _LEVEL, method)
     t = float(stats.t.ppf(1 - (1 - _LEVEL) / 2, sum(n + m - 2 for n, m in sizes)))
-    variance = sum(map(_delta_variance, dominances, deltas)) / len(deltas) ** 2
+    variance = sum(_delta_variance(*pair) for pair in pairs) / len(pairs) ** 2
     root = t * math.sqrt(variance) * math.sqrt((1 - delta**2) ** 2 + t**2 * variance)
     scale = 1 - delta**2 + t**2 * variance
     return Interval((delta - delta**3 - root) / scale, (delta - delta**3 + root) / scale, _LEVEL, method)
 
 
-def _delta_variance(dominance: Floats, delta: float) -> float:
-    n, m = dominance.shape
-    rows = float(np.sum((dominance.mean(axis=1) - delta) ** 2))
-    columns = float(np.sum((dominance.mean(axis=0) - delta) ** 2))
-    cells = float(np.sum((dominance - delta) ** 2))
+def _delta_variance(one: Floats, other: Floats) -> float:
+    n, m = len(one), len(other)
+    by_row, by_column = _dominances(one, other), -_dominances(other, one)
+    delta = float(by_row.mean())
+    others = np.sort(other)
+    ties = int(np.sum(np.searchsorted(others, one, "right") - np.searchsorted(others, one, "left")))
+    rows, columns = (float(np.sum((each - delta) ** 2)) for each in (by_row, by_column))
+    cells = n * m * (1 - delta**2) - ties  # each pair's dominance is -1, 0 or 1
     variance = (m**2 * rows + n**2 * columns - cells) / (n * m * (n - 1) * (m - 1))
     return float(max(variance, (1 - delta**2) / (n * m - 1)))

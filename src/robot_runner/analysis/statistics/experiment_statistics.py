@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.design import Design, MeasureData
     from robot_runner.analysis.statistics.outcome import Description, Power
     from robot_runner.analysis.statistics.tested import AssumptionCheck, ContrastTest
-    from robot_runner.core.design.analysis_plan import AnalysisPlan, Hypothesis
+    from robot_runner.core.design.analysis_plan import AnalysisPlan
+    from robot_runner.core.design.hypothesis import Hypothesis
 
 __all__ = ["analyse", "measure_statistics"]
 

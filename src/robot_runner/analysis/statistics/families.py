@@ -16,7 +16,7 @@ from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Est
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.analysis.statistics.outcome import MeasureStatistics
     from robot_runner.analysis.statistics.tested import (
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
         PostHoc,
         TestPart,
     )
-    from robot_runner.core.design.analysis_plan import Hypothesis
+    from robot_runner.core.design.hypothesis import Hypothesis
 
-__all__ = ["concluded", "judge"]
+__all__ = ["Key", "claim_of", "concluded", "contrast_key", "effect_key", "families_of", "judge"]
 
 #: What was tested: an effect by its measure and factors, or the contrast of a hypothesis by its statement.
-_Key = tuple[str, frozenset[str]]
+Key = tuple[str, frozenset[str]]
 
 _PAIR = 2
 
@@ -65,55 +65,80 @@ def concluded(
 
 def _adjusted(
     measures: Sequence[MeasureStatistics], plan: AnalysisPlan | None, correction: Correction
-) -> Iterator[tuple[_Key, _Adjusted]]:
-    left = dict(_p_values(measures))
-    families = [*_planned(left, measures, plan), *((f"the effects on {each.name}", _of(each)) for each in measures)]
-    for name, keys in families:
-        tests = {key: left.pop(key) for key in keys if key in left}
+) -> Iterator[tuple[Key, _Adjusted]]:
+    found = dict(_p_values(measures))
+    for name, keys in families_of({each.name: _of(each) for each in measures}, plan):
+        tests = {key: found[key] for key in keys if key in found}
         for (key, _), value in zip(tests.items(), adjusted(list(tests.values()), correction), strict=True):
             yield key, _Adjusted(value, name, len(tests))
 
 
-def _p_values(measures: Sequence[MeasureStatistics]) -> Iterator[tuple[_Key, float]]:
+def families_of(
+    tested: Mapping[str, Sequence[Key]], plan: AnalysisPlan | None
+) -> Iterator[tuple[str, tuple[Key, ...]]]:
+    """Yield the families of tests among which errors are controlled: the name of each, and what it holds.
+
+    Args:
+        tested: what is tested of each measure.
+        plan: what was fixed beforehand; None where nothing was.
+    """
+    left = dict.fromkeys(key for keys in tested.values() for key in keys)
+    for name, keys in (*_planned(tested, plan), *((f"the effects on {each}", keys) for each, keys in tested.items())):
+        family = tuple(key for key in dict.fromkeys(keys) if key in left)
+        for key in family:
+            del left[key]
+        yield name, family
+
+
+def effect_key(measure: str, factors: Iterable[str]) -> Key:
+    """Return what stands for an effect on a measure."""
+    return measure, frozenset(factors)
+
+
+def contrast_key(statement: str) -> Key:
+    """Return what stands for the contrast of a hypothesis."""
+    return f"hypothesis {statement}", frozenset()
+
+
+def _p_values(measures: Sequence[MeasureStatistics]) -> Iterator[tuple[Key, float]]:
     for measure in measures:
         for effect in measure.test.effects if measure.test is not None else ():
             if effect.p_value is not None:
-                yield (measure.name, frozenset(effect.factors)), effect.p_value
+                yield effect_key(measure.name, effect.factors), effect.p_value
         for each in measure.contrasts:
-            yield (f"hypothesis {each.statement}", frozenset()), each.p_value
+            yield contrast_key(each.statement), each.p_value
 
 
-def _of(measure: MeasureStatistics) -> list[_Key]:
+def _of(measure: MeasureStatistics) -> list[Key]:
     effects = measure.test.effects if measure.test is not None else ()
-    contrasts = [(f"hypothesis {each.statement}", frozenset[str]()) for each in measure.contrasts]
-    return [*((measure.name, frozenset(effect.factors)) for effect in effects), *contrasts]
+    tested = [effect_key(measure.name, effect.factors) for effect in effects]
+    return [*tested, *(contrast_key(each.statement) for each in measure.contrasts)]
 
 
-def _planned(
-    left: Mapping[_Key, float], measures: Sequence[MeasureStatistics], plan: AnalysisPlan | None
-) -> Iterator[tuple[str, list[_Key]]]:
+def _planned(tested: Mapping[str, Sequence[Key]], plan: AnalysisPlan | None) -> Iterator[tuple[str, Sequence[Key]]]:
     if plan is None or plan.family is Family.MEASURE:
         return
     if plan.family is Family.HYPOTHESES:
-        yield "the hypotheses", [key for each in plan.hypotheses if (key := _claimed(each)) in left]
+        yield "the hypotheses", [claim_of(each) for each in plan.hypotheses]
     else:
-        keys = [key for each in measures if each.name in plan.measures for key in _of(each)]
+        keys = [key for name, several in tested.items() if name in plan.measures for key in several]
         yield "all effects on the primary measures", keys
 
 
-def _claimed(hypothesis: Hypothesis) -> _Key:
+def claim_of(hypothesis: Hypothesis) -> Key:
+    """Return what a hypothesis claims: a contrast of its own, or an effect."""
     if hypothesis.contrast is not None or hypothesis.within is not None:
-        return f"hypothesis {hypothesis.statement}", frozenset()
-    return hypothesis.measure, frozenset(hypothesis.factors)
+        return contrast_key(hypothesis.statement)
+    return effect_key(hypothesis.measure, hypothesis.factors)
 
 
-def _measure(measure: MeasureStatistics, found: Mapping[_Key, _Adjusted], alpha: float) -> MeasureStatistics:
+def _measure(measure: MeasureStatistics, found: Mapping[Key, _Adjusted], alpha: float) -> MeasureStatistics:
     test = measure.test
     if test is None:
         return measure
     known = [found[key] for key in _of(measure) if key in found]
     effects = [
-        _effect(measure, effect, found.get((measure.name, frozenset(effect.factors))), alpha) for effect in test.effects
+        _effect(measure, effect, found.get(effect_key(measure.name, effect.factors)), alpha) for effect in test.effects
     ]
     interacting = [effect.factors for effect in effects if len(effect.factors) > 1 and effect.is_significant]
     compared = {1: None, **{len(each): each for each in interacting}}
@@ -232,11 +257,11 @@ def _beside(effect: Effect) -> str:
 
 
 def judge(
-    hypothesis: Hypothesis, measures: Sequence[MeasureStatistics], found: Mapping[_Key, _Adjusted], alpha: float
+    hypothesis: Hypothesis, measures: Sequence[MeasureStatistics], found: Mapping[Key, _Adjusted], alpha: float
 ) -> HypothesisOutcome:
     """Return the outcome of a hypothesis, from the adjusted p-value of what it claims."""
     measure = next((each for each in measures if each.name == hypothesis.measure), None)
-    adjusted_p = found.get(_claimed(hypothesis))
+    adjusted_p = found.get(claim_of(hypothesis))
     tested = _tested(hypothesis, measure)
     if measure is None or adjusted_p is None or tested is None or tested.p_value is None:
         return HypothesisOutcome(

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
         PostHoc,
         QuantilePairs,
     )
-    from robot_runner.core.design.analysis_plan import Correction, Hypothesis
+    from robot_runner.core.design.analysis_plan import Correction
+    from robot_runner.core.design.hypothesis import Hypothesis
 
 __all__ = [
     "Correlation",

@@ -29,9 +29,16 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.design import MeasureData
     from robot_runner.analysis.statistics.tested import EffectSize, MeasureTest
     from robot_runner.analysis.statistics.tests import Choices
-    from robot_runner.core.design.analysis_plan import Hypothesis
+    from robot_runner.core.design.hypothesis import Hypothesis
 
-__all__ = ["adjusted", "carry_out_contrast", "compare_pairs", "missing_intervals"]
+__all__ = [
+    "adjusted",
+    "carry_out_contrast",
+    "compare_pairs",
+    "contrast_of",
+    "missing_intervals",
+    "p_value_of_contrast",
+]
 
 #: More pairs can neither be read nor tested with any power left: 15 treatments make 105.
 _MOST_PAIRS = 105
@@ -124,26 +131,43 @@ def carry_out_contrast(
     model: CellMeans | FittedModel, hypothesis: Hypothesis, choices: Choices
 ) -> ContrastTest | NotComputed:
     """Test the contrast of a hypothesis, or that a difference is within its bound (two one-sided tests)."""
-    what = f"test of the hypothesis {hypothesis.statement!r}"
+    found = contrast_of(model, hypothesis)
+    if isinstance(found, NotComputed):
+        return found
+    estimate, error, freedom = (float(each) for each in found)
+    if not (error > 0 and math.isfinite(freedom)):
+        return NotComputed(_test_of(hypothesis), "the values of its treatments do not vary.")
+    level = 1 - choices.alpha if hypothesis.within is None else 1 - 2 * choices.alpha
+    p_value = float(p_value_of_contrast(found, hypothesis))
+    reach = error * float(stats.t.ppf((1 + level) / 2, freedom))
+    interval = Interval(estimate - reach, estimate + reach, level, _T)
+    return ContrastTest(hypothesis.statement, estimate, interval, estimate / error, freedom, p_value)
+
+
+def contrast_of(model: CellMeans | FittedModel, hypothesis: Hypothesis) -> Contrast | NotComputed:
+    """Estimate the contrast of a hypothesis; of many experiments at once where the model is."""
     levels = dict(model.factors if isinstance(model, FittedModel) else model.layout.factors)
     (factor,) = hypothesis.factors
     weights = hypothesis.contrast
     if factor in levels and weights is None and len(levels[factor]) == 2:  # noqa: PLR2004
         weights = dict(zip(levels[factor], (1.0, -1.0), strict=True))
     if factor not in levels or weights is None or not set(weights) <= set(levels[factor]):
-        return NotComputed(what, f"its treatments are not those of {factor}: {', '.join(levels.get(factor, ()))}.")
+        why = f"its treatments are not those of {factor}: {', '.join(levels.get(factor, ()))}."
+        return NotComputed(_test_of(hypothesis), why)
     with quiet():
-        found = model.difference([({factor: level}, weight) for level, weight in weights.items()])
-    estimate, error, freedom = (float(each) for each in found)
-    if not (error > 0 and math.isfinite(freedom)):
-        return NotComputed(what, "the values of its treatments do not vary.")
-    level, p_value = 1 - choices.alpha, float(found.p_value)
-    if hypothesis.within is not None:
-        level = 1 - 2 * choices.alpha
-        p_value = float(stats.t.sf((hypothesis.within - abs(estimate)) / error, freedom))
-    reach = error * float(stats.t.ppf((1 + level) / 2, freedom))
-    interval = Interval(estimate - reach, estimate + reach, level, _T)
-    return ContrastTest(hypothesis.statement, estimate, interval, estimate / error, freedom, p_value)
+        return model.difference([({factor: level}, weight) for level, weight in weights.items()])
+
+
+def p_value_of_contrast(found: Contrast, hypothesis: Hypothesis) -> NDArray[np.float64]:
+    """Return the p-value of a difference from zero; with a bound, that of a difference smaller than it."""
+    if hypothesis.within is None:
+        return found.p_value
+    with quiet():
+        return np.asarray(stats.t.sf((hypothesis.within - np.abs(found.estimate)) / found.error, found.freedom))
+
+
+def _test_of(hypothesis: Hypothesis) -> str:
+    return f"test of the hypothesis {hypothesis.statement!r}"
 
 
 def _compared(test: MeasureTest, alpha: float) -> Iterator[tuple[str, ...]]:

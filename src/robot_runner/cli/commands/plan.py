@@ -56,6 +56,7 @@ def execute(arguments: Namespace) -> int:
         console,
         [
             ("Runs", in_words(plan.model) if plan.source is None else counted(len(plan.runs), "run")),
+            ("Repeated", plan.repeated),
             ("Warm-up", warm_ups_in_words(plan.model, plan.runs)),
             ("Measures", measures_in_words(plan.columns)),
             ("Order", plan.order),
@@ -77,6 +78,7 @@ def _as_json(plan: Plan) -> dict[str, object]:
         "is_begun": plan.is_recorded,
         "executed": list(plan.executed),
         "excluded": dict(plan.excluded),
+        "repeat_until": plan.repeated or None,
         "run_table": str(plan.source) if plan.source else None,
         "measures": columns_as_json(plan.columns),
         "duration": asdict(plan.duration),

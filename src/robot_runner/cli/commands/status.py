@@ -61,6 +61,8 @@ def _print(console: UserConsole, status: ExperimentStatus) -> None:
             ("Waited", f"{shown_duration(status.gate_seconds)} at gates" if status.gate_seconds else ""),
             ("Quality", quality_in_words(status.bad_values)),
             ("Excluded", _excluded(status)),
+            ("Repeated", status.repeated),
+            ("Precision", "; ".join(status.precision)),
             ("Order", status.order),
             ("Sessions", _sessions(status)),
             ("Started", status.started_at or ""),

@@ -41,6 +41,7 @@ from robot_runner.core.execution.notices import (
     InterruptionNoticed,
     Notice,
     Paused,
+    PrecisionJudged,
     PreparationStarted,
     ProbeStarted,
     QuestionAsked,
@@ -120,6 +121,9 @@ class LiveScreen:
                 self.refresh()
             case AttemptFinished():
                 self._take_end(notice)
+            case PrecisionJudged():
+                self._print_finished()
+                self._print_lines([Text(f"  {notice.in_words()}")])
             case FindingsNoticed(findings):
                 self._print_finished()
                 print_findings(self._console, findings)

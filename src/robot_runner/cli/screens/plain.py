@@ -29,6 +29,7 @@ from robot_runner.core.execution.notices import (
     InterruptionNoticed,
     Notice,
     Paused,
+    PrecisionJudged,
     PreparationStarted,
     ProbeStarted,
     QuestionAsked,
@@ -318,6 +319,8 @@ class PlainScreen:
                 self._print(f"{_named(task)} starts{f': {treatments}' if treatments else ''}")
             case AttemptFinished(task, outcome, is_last):
                 self._print(f"{_named(task)} {self._ended(outcome, is_last=is_last)}")
+            case PrecisionJudged():
+                self._print(notice.in_words())
             case FindingsNoticed(findings):
                 print_findings(self._console, findings)
             case InterruptionNoticed(run_id):

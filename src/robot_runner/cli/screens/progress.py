@@ -14,6 +14,7 @@ from robot_runner.core.execution.notices import (
     GatePassed,
     GateWaiting,
     Paused,
+    PrecisionJudged,
     RunRecord,
     UserHasContinued,
     WaitingForUser,
@@ -125,10 +126,10 @@ class Progress:
             case AttemptFinished():
                 self._take_end(notice)
                 self._take_left(notice.left)
-            case WaitingForUser() | Paused():
-                self.is_waiting = True
-            case UserHasContinued():
-                self.is_waiting = False
+            case PrecisionJudged():
+                self.run_count = notice.run_count
+            case WaitingForUser() | Paused() | UserHasContinued():
+                self.is_waiting = not isinstance(notice, UserHasContinued)
             case GateWaiting():
                 self.gate = notice
             case GatePassed():

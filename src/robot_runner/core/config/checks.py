@@ -19,7 +19,10 @@ from robot_runner.core.config.parameters import (
     RunProcess,
 )
 from robot_runner.core.config.plugin_checks import failed_check
+from robot_runner.core.config.registration import take_registered_seed
+from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.design_findings import listed_elsewhere
+from robot_runner.core.design.precision import precision_findings
 from robot_runner.core.design.run_table_model import RunTable, RunTableModel
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, StorageError
@@ -44,6 +47,7 @@ __all__ = [
     "check_analysis",
     "check_disk_space",
     "check_names",
+    "check_repeat_until",
     "check_results_path",
     "check_threads",
     "create_model",
@@ -60,6 +64,17 @@ def check_analysis(parameters: Parameters, model: RunTableModel | None, columns:
     if parameters.analysis is None or model is None:
         return []
     return list(parameters.analysis.findings([factor.name for factor in model.factors], columns.names))
+
+
+def check_repeat_until(
+    loaded: LoadedConfig, parameters: Parameters, model: RunTableModel | None, columns: MeasureColumns
+) -> list[Finding]:
+    """Return what of `repeat_until` does not fit the design as the config has it."""
+    if not parameters.repeat_until or model is None:
+        return []
+    units = {column.name: column.measure.unit for column in columns.in_table if not column.tells_of}
+    least = as_configured(model).repetitions
+    return list(precision_findings(f"{loaded.where}.repeat_until", parameters.repeat_until, least, units))
 
 
 # Misspelt attributes and callbacks: a name that is nearly one of ours was meant to be it.
@@ -277,6 +292,7 @@ def create_model(loaded: LoadedConfig) -> tuple[RunTableModel | None, list[Findi
     model = created.model if isinstance(created, RunTable) else created
     if isinstance(model, RunTableModel):
         refused = _take_listed(model, table)
+        take_registered_seed(loaded, model)
         return (None, refused) if refused else (model, list(model.warnings))
     problem = f"create_run_table returned {_shown(created)}"
     return None, [Finding.error(where, problem, "Return the RunTableModel (`return run_table`).")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.batches import EXTENDED, GrownRunTableModel, batches_of
+from robot_runner.core.design.batches import EXTENDED, REPEATED, GrownRunTableModel, batches_of
 from robot_runner.core.design.columns import WARM_UP
 from robot_runner.core.events.manager import EventManager, OwnerKind
 from robot_runner.core.events.measure import CONFIG_OWNER, MeasureColumns
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from robot_runner.core.config.loader import LoadedConfig
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.design.run_table_model import RunTableModel
+    from robot_runner.core.storage.registration import Registration
 
 __all__ = ["Experiment", "event_manager_for", "experiment_folder", "grown_model"]
 
@@ -37,6 +38,7 @@ class Experiment:
         spelling: how the run table's file spells headings and statuses.
         replication: which package is executed again and what was changed on purpose, for the manifest; None where
             the experiment is nobody's replication.
+        registration: what was registered before the first run; None where nothing was.
         kept: how much of the config's source the folder keeps: the `file`, the notebook's `cell` alone, or `nothing`.
     """
 
@@ -54,6 +56,7 @@ class Experiment:
     spelling: TableSpelling = OWN_SPELLING
     replication: Mapping[str, Any] | None = None
     kept: str = "file"
+    registration: Registration | None = None
 
     def table_layout(self, types: Mapping[str, str] | None = None, *, warms_up: bool = False) -> TableLayout:
         """Return the columns of the run table.
@@ -85,7 +88,7 @@ def experiment_folder(parameters: Parameters, loaded: LoadedConfig) -> Experimen
 
 
 def grown_model(model: RunTableModel, folder: ExperimentFolder) -> RunTableModel:
-    """Return the design with the batches of runs that were added to the experiment, as its journal has them.
+    """Return the design with the batches and repetitions that were added to the experiment, as its journal has them.
 
     Raises:
         StorageError: the journal cannot be read.
@@ -93,7 +96,7 @@ def grown_model(model: RunTableModel, folder: ExperimentFolder) -> RunTableModel
     """
     if not folder.journal.exists():
         return model
-    batches = batches_of(read_journal(folder.journal, kinds={EXTENDED}))
+    batches = batches_of(read_journal(folder.journal, kinds={EXTENDED, REPEATED}))
     return GrownRunTableModel(model, batches) if batches else model
 
 

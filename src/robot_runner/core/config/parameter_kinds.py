@@ -12,6 +12,7 @@ from robot_runner.core.config.authors import Author, authors_from_text, is_licen
 from robot_runner.core.config.notify import Notify
 from robot_runner.core.config.operator_steps import OperatorStep
 from robot_runner.core.design.analysis_plan import AnalysisPlan
+from robot_runner.core.design.precision import Precision
 from robot_runner.core.events.window import is_phase_name
 from robot_runner.core.links.declared_host import are_hosts, named_hosts
 
@@ -31,6 +32,7 @@ __all__ = [
     "PATH",
     "PHASES",
     "PLAN",
+    "REPEAT_UNTIL",
     "ROS_DISTRIBUTION",
     "ROS_GENERATION",
     "SECONDS",
@@ -155,6 +157,12 @@ ROS_DISTRIBUTION = Kind("", _is_text).or_any('the name of a ROS distribution, su
 SECONDS = Kind("a positive number of seconds", _is_seconds, float)
 FLAG = Kind("True or False", lambda value: isinstance(value, bool), _flag_from_text)
 PLAN = Kind("an AnalysisPlan(...) in the config file", lambda value: isinstance(value, AnalysisPlan), _not_from_text)
+REPEAT_UNTIL = Kind(
+    "Precision(...), or a list of them, in the config file; from outside, none",
+    lambda value: all(isinstance(each, Precision) for each in (value if isinstance(value, list | tuple) else [value])),
+    lambda text: () if text.casefold() == "none" else _not_from_text(text),
+    lambda value: tuple(value) if isinstance(value, list | tuple) else (value,),
+)
 AUTHORS = Kind(
     "a list of names or Author(...)",
     _are_authors,

@@ -24,6 +24,7 @@ from robot_runner.core.config.parameter_kinds import (
     PATH,
     PHASES,
     PLAN,
+    REPEAT_UNTIL,
     ROS_DISTRIBUTION,
     ROS_GENERATION,
     SECONDS,
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from robot_runner.core.config.notify import Notify
     from robot_runner.core.config.operator_steps import OperatorStep
     from robot_runner.core.design.analysis_plan import AnalysisPlan
+    from robot_runner.core.design.precision import Precision
     from robot_runner.core.design.run_table_model import RunTable, RunTableModel
     from robot_runner.core.links.declared_host import Host
     from robot_runner.core.plugin import Plugin
@@ -258,6 +260,18 @@ class StaticParameters:
         PLAN.or_none(),
         None,
     )
+    registration: Path | str | None = _declare(
+        "The file that `robot-runner preregister` writes, and that the report cites; a relative path begins where the "
+        "config file is. None is `<config>.registration.json` beside it, where there is one.",
+        PATH.or_none(),
+        None,
+    )
+    repeat_until: Precision | Sequence[Precision] = _declare(
+        "How precisely measures are to be known: all combinations are executed once more until they are, `repetitions` "
+        "times at least: `Precision(...)`, or a list of them.",
+        REPEAT_UNTIL,
+        (),
+    )
     authors: Sequence[Author | str] = _declare(
         "Who made the experiment: names, or `Author(name, orcid=..., affiliation=..., affiliation_url=...)`.",
         AUTHORS,
@@ -290,6 +304,7 @@ class Parameters(StaticParameters):
     operator_steps: tuple[OperatorStep, ...]
     gates: tuple[Gate, ...]
     guards: tuple[Guard, ...]
+    repeat_until: tuple[Precision, ...]
 
     def __init__(self, **values: Any) -> None:
         vars(self).update(values)

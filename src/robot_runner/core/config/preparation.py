@@ -13,6 +13,7 @@ from robot_runner.core.config.checks import (
     check_analysis,
     check_disk_space,
     check_names,
+    check_repeat_until,
     check_results_path,
     check_threads,
     create_model,
@@ -25,8 +26,10 @@ from robot_runner.core.config.notify import check_notify
 from robot_runner.core.config.operator_checks import check_operator_steps
 from robot_runner.core.config.operator_steps import operator_measures
 from robot_runner.core.config.plugin_checks import check_plugins, companions, gather_plugins
+from robot_runner.core.config.registration import check_registration, registered
 from robot_runner.core.config.treatment_makers import maker_findings
-from robot_runner.core.design.batches import GrownRunTableModel
+from robot_runner.core.design.batches import as_configured
+from robot_runner.core.design.precision import most_repetitions
 from robot_runner.core.errors import ConfigError, DesignError, Finding, LinkError, StorageError
 from robot_runner.core.events.manager import EventManager
 from robot_runner.core.events.measure import OPERATOR_OWNER, MeasureColumns, resolve_columns, with_phases
@@ -119,6 +122,8 @@ def prepare(
     columns = _columns(model, plugins, parameters if not step_findings else None, findings)
     if parameters is not None:
         findings += [*check_analysis(parameters, complete, columns), *check_threads(loaded, parameters)]
+        findings += check_registration(loaded, model, parameters.analysis, columns) if is_for_here else ()
+        findings += check_repeat_until(loaded, parameters, model, columns)
     if is_for_here:
         findings += _check_machine(loaded, parameters, plugins, complete)
     ordered = tuple(sorted(findings, key=lambda finding: not finding.is_error))
@@ -144,7 +149,7 @@ def _grown(
 
 def _with_all_factors(model: RunTableModel | None) -> RunTableModel | None:
     """Return the design that plugins are looked at with: one with a factor that only the config has so far."""
-    own = model.as_configured if isinstance(model, GrownRunTableModel) else model
+    own = as_configured(model) if model else None
     known = {factor.name for factor in model.factors} if model else set()
     return own if own and any(factor.name not in known for factor in own.factors) else model
 
@@ -162,13 +167,19 @@ def _check_machine(
     yield from loaded.lacking
     yield from check_plugins(plugins, model, getattr(loaded.config, "robot", None))
     if parameters is not None:
-        runs = len(model.plan()) if model is not None else 0
+        runs = _most_runs(model, parameters) if model is not None else 0
         yield from check_robot(loaded, parameters, plugins)
         if model is not None:
             yield from maker_findings(model.factors, experiment_folder(parameters, loaded))
         yield from check_notify(f"{loaded.where}.notify", parameters.notify)
         yield from check_results_path(loaded, parameters)
         yield from check_disk_space(loaded, parameters, plugins, runs)
+
+
+def _most_runs(model: RunTableModel, parameters: Parameters) -> int:
+    """Return how many runs there are at most: combinations may be repeated until the experiment is precise."""
+    runs = len(model.plan())
+    return max(runs, runs * most_repetitions(parameters.repeat_until) // model.repetitions)
 
 
 def prepare_or_refuse(
@@ -229,4 +240,5 @@ def _experiment(
         folder=experiment_folder(parameters, loaded),
         spelling=loaded.spelling,
         kept=loaded.kept,
+        registration=registered(loaded),
     )

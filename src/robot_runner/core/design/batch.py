@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -67,6 +67,7 @@ class Batch:
         factors: all factors with all treatments from this batch on, in order, as `plain_treatment` makes them plain.
         chosen: the treatments among them that were added on the command line, so that a config need not have them.
         defaults: the treatment that earlier runs count as having had, of each factor that this batch added, as text.
+        repeated: the runs of each repetition that was added while the experiment was executed, until it was precise.
         runs: in the order of execution.
         at: when the batch was added (UTC); empty for the first plan.
     """
@@ -79,11 +80,17 @@ class Batch:
     chosen: Mapping[str, Sequence[str]] = field(default_factory=lambda: MappingProxyType({}))
     defaults: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     at: str = ""
+    repeated: tuple[tuple[str, ...], ...] = ()
 
     @property
     def run_ids(self) -> list[str]:
         """The ids of the runs that count: warm-up runs are left out."""
         return [run.run_id for run in self.runs if not run.is_warm_up]
+
+    def with_repetition(self, repetitions: int, runs: Sequence[BatchRun]) -> Self:
+        """Return the batch with a repetition more, with which each combination is executed so often."""
+        repeated = (*self.repeated, tuple(run.run_id for run in runs)) if runs else self.repeated
+        return replace(self, repetitions=repetitions, runs=[*self.runs, *runs], repeated=repeated)
 
     def as_mapping(self) -> dict[str, Any]:
         """Return the batch as plain data, for a record of the journal."""

@@ -1,7 +1,8 @@
 """The plan of an experiment that was extended: what was planned first, and each batch of runs that was added since.
 
-Once an experiment is extended, its plan is what the journal lists, batch by batch, and the config no longer makes it:
-the runs that were executed keep their ids, whatever becomes of the config.
+Once an experiment has grown, its plan is what the journal lists, batch by batch, and the config no longer makes it:
+the runs that were executed keep their ids, whatever becomes of the config. It grows by batches, which somebody adds,
+and by repetitions, which are added while it is executed until it is precise: these belong to the batch before them.
 """
 
 from __future__ import annotations
@@ -25,22 +26,28 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.core.design.growing import Begun, GrownDesign
+    from robot_runner.core.design.warm_up import WarmUp
 
 __all__ = [
     "EXTENDED",
+    "REPEATED",
     "GrownRunTableModel",
+    "as_configured",
     "batches_of",
     "first_batch",
     "next_batch",
     "records_of",
+    "repetition_record",
 ]
 
 #: The kind of the journal's record of an extension: the batch that it added; the first one has the plan before it, too.
 EXTENDED = "extended"
+#: The kind of the record of a repetition more; the first one has the plan before it, where none was extended before.
+REPEATED = "repeated"
 
 
 def batches_of(records: Iterable[Mapping[str, Any]]) -> tuple[Batch, ...]:
-    """Return all batches of an experiment from the journal's `extended` records; nothing where there are none.
+    """Return all batches of an experiment from the journal's records of its growth; nothing where there are none.
 
     Raises:
         DesignError: a record is none of ours.
@@ -49,7 +56,11 @@ def batches_of(records: Iterable[Mapping[str, Any]]) -> tuple[Batch, ...]:
     for record in records:
         try:
             batches += [Batch.of_mapping(record["base"])] if not batches else []
-            batches.append(Batch.of_mapping(record))
+            if "batch" in record:
+                batches.append(Batch.of_mapping(record))
+            else:
+                runs = [BatchRun.of_mapping(run) for run in record["runs"]]
+                batches[-1] = batches[-1].with_repetition(int(record["repetition"]), runs)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             problem = f"a record of an extension is damaged: {type(error).__name__}: {error}"
             raise DesignError(problem, where="journal", fix="Restore the journal from a backup.") from error
@@ -57,10 +68,27 @@ def batches_of(records: Iterable[Mapping[str, Any]]) -> tuple[Batch, ...]:
 
 
 def records_of(batches: Sequence[Batch]) -> Iterator[dict[str, Any]]:
-    """Yield the fields of the journal's `extended` records that `batches_of` makes these batches from."""
+    """Yield the fields of the journal's records that `batches_of` makes these batches from: `extended` ones.
+
+    A plan that has grown by repetitions only is one batch: of it, a `repeated` record is made that adds no run.
+    """
+    if len(batches) == 1:
+        yield repetition_record(batches[0], [], is_first=True)
     for batch in batches[1:]:
         base = {"base": batches[0].as_mapping()} if batch is batches[1] else {}
         yield batch.as_mapping() | base
+
+
+def repetition_record(batch: Batch, runs: Sequence[BatchRun], *, is_first: bool) -> dict[str, Any]:
+    """Return the fields of the journal's `repeated` record that adds a repetition to a batch.
+
+    Args:
+        batch: the last one, as it was before.
+        runs: those of the repetition; none where the plan is only written down.
+        is_first: whether the journal does not have the plan before it yet.
+    """
+    base = {"base": batch.as_mapping()} if is_first else {}
+    return {"repetition": batch.repetitions + bool(runs), "runs": [run.as_mapping() for run in runs], **base}
 
 
 class GrownRunTableModel(RunTableModel):
@@ -138,6 +166,11 @@ class GrownRunTableModel(RunTableModel):
         return factor_places(factor.name for factor in self.factors)
 
 
+def as_configured(model: RunTableModel) -> RunTableModel:
+    """Return the design as the config has it, also where the plan has grown."""
+    return model.as_configured if isinstance(model, GrownRunTableModel) else model
+
+
 def _factor(own: Factor | None, name: str, recorded: Sequence[Any]) -> Factor:
     """Return a factor with the treatments that were recorded: the config's own objects, where it has them."""
     return Factor(name, [_own_treatment(own, name, each) for each in recorded])
@@ -178,14 +211,14 @@ def first_batch(begun: Begun, order: RunOrder) -> Batch:
 
 
 def next_batch(
-    begun: Begun, design: GrownDesign, config: RunTableModel, *, order: RunOrder, number: int, at: str
+    begun: Begun, design: GrownDesign, warm_up: WarmUp | None, *, order: RunOrder, number: int, at: str
 ) -> Batch:
     """Return the batch of runs that are missing; it has none where nothing is.
 
     Args:
         begun: as the run table has it.
         design: what is to be there.
-        config: the design as the config has it: how it warms up.
+        warm_up: how the new runs warm up; None where they do not.
         order: how the new runs are put in order among themselves.
         number: of the batch.
         at: when it is added (UTC).
@@ -213,7 +246,7 @@ def next_batch(
         order=replace(order, seed_is_given=True),
         repetitions=design.repetitions,
         factors=_plain(design.factors),
-        runs=[BatchRun.of(run) for run in with_warm_ups(runs, config.warm_up, first=warm_ups + 1)],
+        runs=[BatchRun.of(run) for run in with_warm_ups(runs, warm_up, first=warm_ups + 1)],
         chosen=design.chosen,
         defaults={name: str(treatment) for name, treatment in design.defaults.items()},
         at=at,

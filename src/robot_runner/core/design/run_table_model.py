@@ -83,6 +83,7 @@ class RunTableModel:
         data_columns: the measures that the run table has columns for, by name, or as a `Measure` where it is the
             config's own; None stands for all measures of all plugins.
         warm_up: how the experiment warms up; None where it does not.
+        seed_is_registered: whether the seed is that of the study's registration.
         batches: how the runs of an experiment that was extended were planned, batch by batch; empty for all others.
         defaults: which treatment runs count as having had that were planned before their factor was added, by factor.
         warnings: findings that do not refuse the design, as on exclusions that remove nothing.
@@ -99,6 +100,7 @@ class RunTableModel:
     """
 
     warm_up: WarmUp | None = None
+    seed_is_registered: bool = False
     batches: tuple[Batch, ...] = ()
     defaults: Mapping[str, Any] = MappingProxyType({})
     _too_large: Finding | None = None
@@ -190,6 +192,11 @@ class RunTableModel:
         return self.plan()
 
     @property
+    def is_extended(self) -> bool:
+        """Whether runs were added to the experiment in batches of their own."""
+        return len(self.batches) > 1
+
+    @property
     def is_too_large(self) -> bool:
         """Whether the design has so many runs that none but those of a table can be planned."""
         return self._too_large is not None
@@ -199,9 +206,15 @@ class RunTableModel:
         self._listed_runs = tuple(runs)
         self._planned = None
 
-    def take_seed(self, seed: int) -> None:
-        """Take the seed of an experiment that is executed again, in place of the one that is given or was drawn."""
+    def take_seed(self, seed: int, *, is_registered: bool = False) -> None:
+        """Take the seed of an experiment that is executed again, in place of the one that is given or was drawn.
+
+        Args:
+            seed: what a randomised order comes from.
+            is_registered: whether it was registered before the first run, for an order that comes again each time.
+        """
         self._order = replace(self._order, seed=seed)
+        self.seed_is_registered = is_registered
         self._planned = None
 
     def plan(self, seed: int | None = None) -> RunTable:

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.operator import Operator
     from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
     from robot_runner.core.execution.patience import Patience
-    from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
+    from robot_runner.core.execution.progress_manager import ProgressManager
+    from robot_runner.core.execution.task import PendingRun
 
 __all__ = ["BetweenRuns"]
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.batches import as_configured
+from robot_runner.core.design.design_facts import described_design
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.execution.recovery import config_files
 from robot_runner.core.plugin import described_circumstances, installed_plugins
@@ -22,12 +24,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.plugin import Plugin
 
 __all__ = [
     "RestoredManifest",
-    "described_design",
     "keep_config",
     "keep_config_files",
     "manifest_of",
@@ -61,6 +61,8 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "seed_is_given": model.seed_is_given,
         # What was fixed for the analysis before the first run: statistics tell it from what is exploratory.
         "analysis": _analysis(experiment),
+        "registration": experiment.registration.facts() if experiment.registration is not None else None,
+        "repeat_until": _repeat_until(experiment),
         "authors": [author.as_mapping() for author in experiment.parameters.authors],
         "licence": experiment.parameters.licence,
         "citation": experiment.parameters.citation,
@@ -71,21 +73,6 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "software": describe_software(),
         "executions": [_execution(experiment)],
     }
-
-
-def described_design(model: RunTableModel) -> dict[str, Any]:
-    """Return what the manifest says of a design: factors, repetitions, order, warm-up runs, batches."""
-    design: dict[str, Any] = {
-        "factors": {factor.name: list(factor.texts) for factor in model.factors},
-        "repetitions": model.repetitions,
-        "shuffle": model.shuffle,
-        "blocks": model.blocks,
-    }
-    if model.warm_up is not None:
-        design["warm_up"] = asdict(model.warm_up)
-    if model.batches:
-        design["batches"] = [batch.summary() for batch in model.batches]
-    return design
 
 
 def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[str, Any]:
@@ -105,7 +92,18 @@ def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[s
         manifest["design"] |= described_design(experiment.model)
     if _analysis(experiment) != manifest.get("analysis"):
         manifest.setdefault("analysis_changes", []).append({"at": utc_now(), "analysis": _analysis(experiment)})
+    now = experiment.registration.facts() if experiment.registration is not None else None
+    if now != manifest.get("registration") and now != _last_registration(manifest):
+        manifest.setdefault("registration_changes", []).append({"at": utc_now(), "registration": now})
+    if (rule := _repeat_until(experiment)) != manifest.get("repeat_until"):
+        manifest.setdefault("repeat_until_changes", []).append({"at": utc_now(), "was": manifest.get("repeat_until")})
+        manifest["repeat_until"] = rule
     return manifest
+
+
+def _last_registration(manifest: Mapping[str, Any]) -> Any:
+    changes = manifest.get("registration_changes") or [{}]
+    return changes[-1].get("registration", {})
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,8 +186,15 @@ def keep_config_files(experiment: Experiment) -> None:
             for source, target in files.items():
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(source, target)
+        _keep_registration(experiment)
     except OSError as error:
         raise storage_error(kept, "written", error) from error
+
+
+def _keep_registration(experiment: Experiment) -> None:
+    """Keep the registration that was there at the first run; it is never replaced."""
+    if experiment.registration is not None and not experiment.folder.manifest.exists():
+        shutil.copyfile(experiment.registration.path, experiment.folder.registration)
 
 
 def _is_same(source: Path, target: Path) -> bool:
@@ -204,6 +209,13 @@ def _free(folder: Path) -> Path:
 def _analysis(experiment: Experiment) -> dict[str, Any] | None:
     plan = experiment.parameters.analysis
     return plan.as_mapping() if plan else None
+
+
+def _repeat_until(experiment: Experiment) -> dict[str, Any] | None:
+    """Return until when, how often at least, and how often at most combinations are repeated."""
+    rules = experiment.parameters.repeat_until
+    least = as_configured(experiment.model).repetitions
+    return {"least": least, "rules": [rule.as_mapping() for rule in rules]} if rules else None
 
 
 def _execution(experiment: Experiment) -> dict[str, Any]:

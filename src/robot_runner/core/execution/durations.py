@@ -150,6 +150,7 @@ class Durations:
         self._has_begun = False
         self._left: Counter[CombinationKey] = Counter()
         self._to_come = 0
+        self._may_repeat = False
         self._expected: float | None = None
         self._computed = self._cost = 0.0
 
@@ -173,8 +174,9 @@ class Durations:
             case "attempt_finished" if not record.get("is_amended"):  # which only adds what was published later
                 self.end(_seconds(record["at"]), record["status"], is_last=record.get("is_last", True))
 
-    def plan(self, combinations: Iterable[Mapping[str, Any]]) -> None:
-        """Take down which runs are to come."""
+    def plan(self, combinations: Iterable[Mapping[str, Any]], *, may_repeat: bool = False) -> None:
+        """Take down which runs are to come, and whether more may follow, until the experiment is precise."""
+        self._may_repeat = may_repeat
         self._left = Counter()
         if self._are_alike:
             self._left[frozenset()] = sum(1 for _ in combinations)
@@ -297,6 +299,7 @@ class Durations:
     def _unknown(self) -> tuple[str, ...]:
         """Return what comes on top of what is known."""
         waits = () if self._pauses else self._waits
+        waits = (*waits, "how often it is repeated until it is precise") if self._may_repeat else waits
         if self.count or not self._said:
             return waits
         opening = "what opens and closes a run"

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import select
 import time
-from contextlib import redirect_stderr, redirect_stdout, suppress
+from contextlib import ExitStack, closing, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from robot_runner.core.config.parameters import RunProcess
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.keeper import Keeper
 from robot_runner.core.execution.run_events import execute_run
+from robot_runner.core.execution.standby import standby_of
 from robot_runner.core.execution.task import FINISHED, RecordReader
 from robot_runner.core.execution.worker import be_run, become_interpreter
 from robot_runner.core.storage.layout import LazyLog
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.interruption import Interruption
+    from robot_runner.core.execution.standby import Standby
+    from robot_runner.core.execution.systems_state import SystemsState
     from robot_runner.core.execution.task import OutcomeBuilder, RecordWriter, Report, RunOutcome, RunTask
 
 __all__ = ["Executor", "Watch", "executor_for"]
@@ -77,15 +80,21 @@ def executor_for(experiment: Experiment) -> Executor:
 
 
 class _ProcessExecutor:
-    def __init__(self, experiment: Experiment, start: Callable[[Experiment, RunTask, RecordWriter], None]) -> None:
+    def __init__(
+        self, experiment: Experiment, start: Callable[[Experiment, RunTask, SystemsState | None, RecordWriter], None]
+    ) -> None:
         self._experiment = experiment
         self._start = start
 
     def execute(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunOutcome:
         parameters = self._experiment.parameters
         limits = _Limits(parameters.run_deadline_in_s, parameters.event_deadline_in_s, parameters.grace_in_s)
-        with Keeper(partial(self._start, self._experiment, task), limits.grace, self._experiment.folder) as keeper:
-            return _Supervision(keeper, builder, limits, watch).follow()
+        with ExitStack() as opened:
+            standby = standby_of(self._experiment, task)
+            state = None if standby is None else opened.enter_context(closing(standby.state))
+            start = partial(self._start, self._experiment, task, state)
+            keeper = opened.enter_context(Keeper(start, limits.grace, self._experiment.folder, standby))
+            return _Supervision(keeper, builder, limits, watch, standby).follow()
 
 
 class _InProcessExecutor:
@@ -124,8 +133,11 @@ class _Supervision:
     it with everything that it started when it has not ended after the grace period.
     """
 
-    def __init__(self, keeper: Keeper, builder: OutcomeBuilder, limits: _Limits, watch: Watch) -> None:
+    def __init__(
+        self, keeper: Keeper, builder: OutcomeBuilder, limits: _Limits, watch: Watch, standby: Standby | None
+    ) -> None:
         self._keeper = keeper
+        self._standby = standby
         self._builder = builder
         self._limits = limits
         self._watch = watch
@@ -157,6 +169,10 @@ class _Supervision:
         if self._keeper.was_killed:
             self._keeper.end_abandoned_run(self._limits.grace, meanwhile=self._take_records)
         self._take_records()  # the last ones before it ended
+        if self._standby is not None and self._keeper.run is not None:
+            self._standby.look_after(self._keeper.run)
+            if (finding := self._standby.finding()) is not None:
+                self._take("finding", finding)
         return self._builder.outcome(ended_because=self._reason(), interrupted=self._is_interrupted)
 
     def _take_records(self) -> None:
@@ -168,11 +184,14 @@ class _Supervision:
             elif kind == "mission_stopped" or fields.get("ends_event"):
                 reason = fields.get("reason") or fields["problem"]
                 self._leave_by = self._leave_by or (time.monotonic() + self._limits.grace, reason)
-            self._builder.take(kind, fields)
-            self._watch.report(kind, fields)
+            self._take(kind, fields)
         if not is_open:
             with suppress(KeyError):
                 self._poll.unregister(self._keeper.records)
+
+    def _take(self, kind: str, fields: dict[str, Any]) -> None:
+        self._builder.take(kind, fields)
+        self._watch.report(kind, fields)
 
     def _milliseconds(self) -> float | None:
         now = time.monotonic()

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.precision import Precision, rule_in_words
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import Quality, quality_of_value
 from robot_runner.core.execution.durations import Durations, TimeLeft
@@ -85,6 +86,8 @@ class ExperimentStatus:
         is_paused: whether somebody paused it; `robot-runner continue` goes on.
         pause_is_requested: whether it is to pause before the next run.
         is_of_older_tool: whether another tool executed what is there.
+        repeated: until when combinations are repeated, and how often at least and at most; empty where they are not.
+        precision: how precise the experiment was when it was looked at last, for each rule, in words.
         order: how many runs were executed out of the order of the run table; empty where none was.
     """
 
@@ -114,6 +117,8 @@ class ExperimentStatus:
     pause_is_requested: bool = False
     is_of_older_tool: bool = False
     order: str = ""
+    repeated: str = ""
+    precision: tuple[str, ...] = ()
     gate: Mapping[str, Any] | None = None
     gate_seconds: float = 0.0
     waiting_for: Mapping[str, Any] | None = None
@@ -164,8 +169,17 @@ def read_status(folder: Path) -> ExperimentStatus:
         is_paused=holder is not None and history.is_paused,
         pause_is_requested=holder is not None and pause_is_requested(files.pause),
         order=moved_in_words(moved_runs(list(statuses), history.executed), history.executed),
+        repeated=_repeated(manifest.get("repeat_until")),
+        precision=history.precision,
         gate=history.gate if holder else None,
         gate_seconds=history.gate_seconds,
+    )
+
+
+def _repeated(recorded: Mapping[str, Any] | None) -> str:
+    """Return until when, how often at least, and how often at most combinations are repeated."""
+    return (
+        rule_in_words([Precision.of_mapping(rule) for rule in recorded["rules"]], recorded["least"]) if recorded else ""
     )
 
 
@@ -222,6 +236,7 @@ class _History:
         self.findings: list[Finding] = []
         self.waiting_for: dict[str, Any] | None = None
         self.warm_ups: set[str] = set()
+        self.precision: tuple[str, ...] = ()
         self.is_paused = False
         self.sessions: list[Session] = []
         self._begun: dict[str, None] = {}
@@ -304,6 +319,13 @@ class _History:
     def _take_experiment_finished(self, record: Mapping[str, Any]) -> None:
         self.finished_at = record["at"]
         self.sessions[-1] = replace(self.sessions[-1], is_whole=True)
+
+    def _take_repeated(self, record: Mapping[str, Any]) -> None:
+        self._planned += len(record["runs"])
+        self._take_judged(record)
+
+    def _take_judged(self, record: Mapping[str, Any]) -> None:
+        self.precision = tuple(str(each["in_words"]) for each in record.get("precision", ()))
 
     def _take_attempt_started(self, record: Mapping[str, Any]) -> None:
         self.current_run, self.current_event = record["run"], None

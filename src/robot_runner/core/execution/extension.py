@@ -14,13 +14,21 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.plugin_checks import check_treatments
-from robot_runner.core.design.batches import EXTENDED, GrownRunTableModel, first_batch, next_batch, records_of
+from robot_runner.core.design.batches import (
+    EXTENDED,
+    GrownRunTableModel,
+    as_configured,
+    first_batch,
+    next_batch,
+    records_of,
+)
 from robot_runner.core.design.columns import WARM_UP
+from robot_runner.core.design.design_facts import described_design
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.growing import Additions, Begun, grown_design
 from robot_runner.core.design.planned_runs import RunOrder
 from robot_runner.core.errors import ExecutionError, Finding
-from robot_runner.core.execution.circumstances import described_design, keep_config_files, restored_manifest
+from robot_runner.core.execution.circumstances import keep_config_files, restored_manifest
 from robot_runner.core.execution.recovery import (
     ACCEPT,
     Resumption,
@@ -116,7 +124,7 @@ class _Extending:
         self._manifest = lost.manifest if lost else read_manifest(self._folder.manifest)
         self._findings = [lost.finding] if lost else []
         self._design: Mapping[str, Any] = self._manifest["design"]
-        self._config = _as_configured(experiment.model)
+        self._config = as_configured(experiment.model)
 
     def extension(self) -> Extension:
         self._refuse_other_changes()
@@ -126,7 +134,7 @@ class _Extending:
         batches = self._experiment.model.batches or (first_batch(begun, self._first_order()),)
         seed = self._request.seed if self._request.seed is not None else randbits(32)
         order = RunOrder(shuffle=not self._request.as_written, blocks=self._config.blocks, seed=seed)
-        batch = next_batch(begun, design, self._config, order=order, number=len(batches) + 1, at=utc_now())
+        batch = next_batch(begun, design, self._config.warm_up, order=order, number=len(batches) + 1, at=utc_now())
         if not batch.runs:
             raise self._nothing_to_add(begun)
         model = GrownRunTableModel(self._config, [*batches, batch])
@@ -277,7 +285,7 @@ def unplanned_additions(
     design = manifest.get("design") or {}
     if design.get("source") != "config" or "factors" not in design:
         return ()
-    now = _as_configured(model)
+    now = as_configured(model)
     more = list(_more(now, design))
     if not more:
         return ()
@@ -305,10 +313,6 @@ def _more(model: RunTableModel, design: Mapping[str, Any]) -> Iterator[str]:
             yield f"the factor {factor.name!r}"
         elif new:
             yield f"{counted(len(new), 'treatment')} of {factor.name} ({listed(new)})"
-
-
-def _as_configured(model: RunTableModel) -> RunTableModel:
-    return model.as_configured if isinstance(model, GrownRunTableModel) else model
 
 
 def _chosen(model: RunTableModel) -> Mapping[str, Sequence[str]]:

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.execution.notices import Notice
     from robot_runner.core.execution.patience import Patience
-    from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
-    from robot_runner.core.execution.task import Report, RunOutcome, RunTask
+    from robot_runner.core.execution.progress_manager import ProgressManager
+    from robot_runner.core.execution.task import PendingRun, Report, RunOutcome, RunTask
 
 __all__ = ["Gates", "Passage"]
 

@@ -11,8 +11,9 @@ to its turn. The keeper can: it does nothing else. Three pipes connect the proce
     records    run -> orchestrator             what happens in the run, one JSON record a line
 
 Asked to stop, the keeper sends SIGTERM to the run, and kills it when it has not ended after the grace. Once the run
-has ended in whatever way, the keeper kills the rest of its process group and its orphans. If the keeper itself dies,
-the system sends SIGTERM to the run (Linux), and the orchestrator, if there is one, does the keeper's work.
+has ended in whatever way, the keeper kills the rest of its process group and its orphans. Where the run had no time to
+make its systems safe, another process that the keeper forks, the *standby*, does it (`standby.py`). If the keeper
+itself dies, the system sends SIGTERM to the run (Linux), and the orchestrator, if there is one, does the keeper's work.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ from robot_runner.core.storage.outliving import is_spared, outliving
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from robot_runner.core.execution.standby import Standby
     from robot_runner.core.storage.layout import ExperimentFolder
 
 __all__ = ["Keeper"]
@@ -67,7 +69,11 @@ class Keeper:
     """
 
     def __init__(
-        self, start: Callable[[RecordWriter], None], grace: float, folder: ExperimentFolder | None = None
+        self,
+        start: Callable[[RecordWriter], None],
+        grace: float,
+        folder: ExperimentFolder | None = None,
+        standby: Standby | None = None,
     ) -> None:
         """Prepare a keeper.
 
@@ -75,10 +81,12 @@ class Keeper:
             start: executes the run; called in the run's own process.
             grace: how long a run that is asked to stop may take to close what it opened, s.
             folder: the experiment's; its run is marked, so that it is found should its keeper be killed.
+            standby: makes the systems safe where the run has died and has not.
         """
         self._start = start
         self._grace = grace
         self._folder = folder
+        self._standby = standby
         self._numbers = b""
         self._status: int | None = None
         self.was_killed = False
@@ -94,7 +102,7 @@ class Keeper:
             for descriptor in (self._requests, self.told, self.records):
                 os.close(descriptor)
             report = RecordWriter(records)
-            process = _KeeperProcess(requests, tell, report, self._start, self._grace, self._folder)
+            process = _KeeperProcess(requests, tell, report, self._start, self._grace, self._folder, self._standby)
             leave_after(process.keep, report)
         for descriptor in (requests, tell, records):
             os.close(descriptor)
@@ -136,10 +144,15 @@ class Keeper:
             grace: how long the run may take to close what it opened, s.
             meanwhile: called again and again while we wait: reads the run's records, or the run would wait for that.
         """
-        if self._numbers:  # else the run had not begun, and does not begin without a keeper
-            end_group(_number(self._numbers[:_NUMBER_BYTES]), grace, meanwhile, _spared(self._folder))
+        if self.run is not None:  # else the run had not begun, and does not begin without a keeper
+            end_group(self.run, grace, meanwhile, _spared(self._folder))
         if self._folder is not None:
             end_left_over(self._folder)
+
+    @property
+    def run(self) -> int | None:
+        """The id of the run's process; None where it had not begun."""
+        return _number(self._numbers[:_NUMBER_BYTES]) if self._numbers else None
 
     def death(self) -> str:
         """Return how the run's process died, or its keeper's if that was killed; empty if it exited with 0."""
@@ -175,8 +188,10 @@ class _KeeperProcess:
         start: Callable[[RecordWriter], None],
         grace: float,
         folder: ExperimentFolder | None,
+        standby: Standby | None,
     ) -> None:
         self._folder = folder
+        self._standby = standby
         self._requests = requests
         self._tell = tell
         self._report = report
@@ -192,8 +207,13 @@ class _KeeperProcess:
         self._mark = None if self._folder is None else RunMark(self._folder)
         self._fork_run()
         self._report.close()  # the run's alone from here on
+        if self._standby is not None:
+            marks = [] if self._mark is None else [self._mark.descriptor]  # it may outlive us, and is not of the run
+            self._standby.begin(self._run, let_go=[self._requests, self._tell, *marks])
         status = self._watch()
         kill_group(self._run, _spared(self._folder))
+        if self._standby is not None:
+            self._standby.wait()
         self._end_orphans()
         with suppress(BrokenPipeError):  # the orchestrator is gone
             os.write(self._tell, _bytes(status))

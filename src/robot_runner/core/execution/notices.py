@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
+from robot_runner.core.words import counted
+
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.core.config.operator_steps import Question
+    from robot_runner.core.design.precise_estimates import Judgement
     from robot_runner.core.errors import Finding
     from robot_runner.core.execution.durations import TimeLeft
     from robot_runner.core.execution.task import RunOutcome, RunTask
@@ -28,6 +31,7 @@ __all__ = [
     "Notice",
     "Observer",
     "Paused",
+    "PrecisionJudged",
     "PreparationStarted",
     "ProbeStarted",
     "QuestionAsked",
@@ -107,6 +111,29 @@ class FindingsNoticed:
     """A run that was just recorded shows something about all that follow; it is said again at the end."""
 
     findings: Sequence[Finding]
+
+
+@dataclass(frozen=True, slots=True)
+class PrecisionJudged:
+    """All runs are done that were planned, and it was looked at how precise the experiment is.
+
+    Attributes:
+        repetitions: how often each combination was executed.
+        judgements: what is known, for each rule of `repeat_until`.
+        run_count: all runs of the table, with those that were added.
+        added: how many runs were added, as it is not precise yet; 0 where it ends.
+    """
+
+    repetitions: int
+    judgements: Sequence[Judgement]
+    run_count: int
+    added: int = 0
+
+    def in_words(self) -> str:
+        """Return what is known, and what follows."""
+        known = "; ".join(judgement.in_words() for judgement in self.judgements)
+        follows = f"once more, {counted(self.added, 'run')}" if self.added else "repeated no further"
+        return f"after {counted(self.repetitions, 'repetition')}, {known}: {follows}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,6 +285,7 @@ Notice = (
     | RunRecord
     | AttemptFinished
     | FindingsNoticed
+    | PrecisionJudged
     | WaitingForUser
     | HostRestarts
     | Paused

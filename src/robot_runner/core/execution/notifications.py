@@ -24,6 +24,7 @@ from robot_runner.core.execution.notices import (
     ExperimentFinished,
     ExperimentStarted,
     GateWaiting,
+    PrecisionJudged,
     WaitingForUser,
 )
 from robot_runner.core.execution.task import AttemptStatus
@@ -108,6 +109,8 @@ class Notifications:
         match notice:
             case ExperimentStarted():
                 self._run_count, self._done = notice.run_count, notice.done_count
+            case PrecisionJudged():
+                self._run_count = notice.run_count
             case AttemptFinished(task, outcome, is_last=True) if outcome.status is not AttemptStatus.INTERRUPTED:
                 has_failed = outcome.status is AttemptStatus.FAILED
                 self._done, self._failures = self._done + (not has_failed), self._failures + has_failed

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from robot_runner.core.events.measure import MeasureValue
     from robot_runner.core.execution.notices import Notice
     from robot_runner.core.execution.patience import Patience
-    from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
-    from robot_runner.core.execution.task import Report, RunTask
+    from robot_runner.core.execution.progress_manager import ProgressManager
+    from robot_runner.core.execution.task import PendingRun, Report, RunTask
 
 __all__ = ["Operator"]
 

@@ -38,15 +38,15 @@ from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
 from robot_runner.core.execution.patience import Patience
 from robot_runner.core.execution.prepared_treatments import prepared_treatments
 from robot_runner.core.execution.probe import Probe, probe_profilers, probed_profilers
-from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
+from robot_runner.core.execution.progress_manager import ProgressManager
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.execution.run_ending import failure_fields
-from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder, RunOutcome, RunTask
+from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder, PendingRun, RunOutcome, RunTask
 from robot_runner.core.treatments import bind, factors_of, values_of
 from robot_runner.core.words import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from typing import Any
 
     from robot_runner.core.config.experiment import Experiment
@@ -202,13 +202,26 @@ class _Orchestrator:
         gc.freeze()  # what a forked run does not collect it does not have to copy
         try:
             finished = None
-            for run in self._progress.pending():
+            for run in self._runs():
                 self._between_runs.prepare(run, finished, is_cleared=is_cleared and finished is None)
                 if self._interruption.is_requested or not self._execute_run(run):
                     return
                 finished = run
         finally:
             gc.unfreeze()
+
+    def _runs(self) -> Iterator[PendingRun]:
+        """Yield the runs to execute: those that are left, then a repetition at a time until all is precise."""
+        begun = 0
+        while True:
+            for run in self._progress.pending(begun):
+                begun += 1
+                yield run
+            judged = self._progress.repeat()
+            if judged is not None:
+                self._notice(judged)
+            if judged is None or not judged.added:
+                return
 
     def _execute_run(self, run: PendingRun) -> bool:
         """Try to execute a run as often as the config allows; return whether the experiment goes on."""

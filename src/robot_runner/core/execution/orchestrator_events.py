@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.patience import Patience
-    from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
-    from robot_runner.core.execution.task import Report, RunTask
+    from robot_runner.core.execution.progress_manager import ProgressManager
+    from robot_runner.core.execution.task import PendingRun, Report, RunTask
 
 __all__ = ["OrchestratorEvents"]
 

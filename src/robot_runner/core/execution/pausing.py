@@ -13,7 +13,8 @@ if TYPE_CHECKING:
 
     from robot_runner.core.execution.notices import Notice
     from robot_runner.core.execution.patience import Patience
-    from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
+    from robot_runner.core.execution.progress_manager import ProgressManager
+    from robot_runner.core.execution.task import PendingRun
     from robot_runner.core.storage.layout import ExperimentFolder
 
 __all__ = ["pause_where_requested"]

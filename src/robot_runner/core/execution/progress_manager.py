@@ -5,22 +5,22 @@ from __future__ import annotations
 import time
 from collections import Counter
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.config.treatment_makers import PREPARED, known_treatments
+from robot_runner.core.design.batches import REPEATED
+from robot_runner.core.design.design_facts import described_design
 from robot_runner.core.execution.begun_experiment import begun_manifest, refuse_unfit_treatments
-from robot_runner.core.execution.circumstances import (
-    keep_config,
-    note_clock,
-)
+from robot_runner.core.execution.circumstances import keep_config, note_clock
 from robot_runner.core.execution.durations import durations_of
 from robot_runner.core.execution.left_over import await_left_over
-from robot_runner.core.execution.recovery import selected_places
+from robot_runner.core.execution.recovery import selected_places, with_session_warm_ups
+from robot_runner.core.execution.repeating import Repeating
 from robot_runner.core.execution.run_findings import UnreadFactors, missing_measures
 from robot_runner.core.execution.table_on_disk import TableOnDisk
 from robot_runner.core.execution.table_recovery import recover_table, texts_of
-from robot_runner.core.execution.task import AttemptStatus, RunOutcome, RunTask, seed_of_run
+from robot_runner.core.execution.task import AttemptStatus, PendingRun, RunOutcome, RunTask, seed_of_run
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import Journal, utc_now
 from robot_runner.core.storage.layout import drop_empty_log, keep_log, keep_refused, put_earlier_attempt_away
@@ -34,29 +34,18 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.errors import Finding
     from robot_runner.core.execution.durations import Durations, TimeLeft
+    from robot_runner.core.execution.notices import PrecisionJudged
     from robot_runner.core.execution.probe import Probe
     from robot_runner.core.execution.recovered_table import RecoveredTable
     from robot_runner.core.execution.recovery import Resumption
+    from robot_runner.core.execution.repeating import Growth
 
-__all__ = ["PendingRun", "ProgressManager"]
+__all__ = ["ProgressManager"]
 
 #: What a run reports that is kept in the journal; measures are kept with the end of the attempt.
 _OF_RUN = ("event", "window", "phase", "shared", "finding", "refused", "failure", "clock", "bound")
 _OF_ATTENDANCE = ("waited", "guard", "asked", "answered", "subject", "mission_stopped", "outlives")
 _KEPT = frozenset((*_OF_RUN, *_OF_ATTENDANCE))
-
-
-@dataclass(frozen=True, slots=True)
-class PendingRun:
-    """A run that is still to be executed: its place in the run table, from 0."""
-
-    run_id: str
-    place: int
-
-    @property
-    def number(self) -> int:
-        """The place in the order of execution, from 1."""
-        return self.place + 1
 
 
 class ProgressManager:
@@ -112,6 +101,7 @@ class ProgressManager:
                 self._experiment, self._manifest, recovered, self._selected, accept_changes=accept_changes
             )
             self._take(recovered)
+            self._repeating = Repeating(self._experiment, self._manifest)
             prepared = self._prepare(known_treatments(self._folder))
             self._manifest |= prepared
             self._durations = self._expected_durations()
@@ -208,10 +198,31 @@ class ProgressManager:
         """What looked odd in the table on disk and in the runs."""
         return (*self._findings, *self._unread.findings)
 
-    def pending(self) -> Iterator[PendingRun]:
-        """Yield the runs to execute, in order: those to do, those that failed, those asked for again."""
-        for place in self._selected:
-            yield PendingRun(self._rows.run_id(place), place)
+    def pending(self, first: int = 0) -> Iterator[PendingRun]:
+        """Yield the runs to execute from this one on: those to do, those that failed, those asked for again."""
+        return (PendingRun(self._rows.run_id(place), place) for place in self._selected[first:])
+
+    def repeat(self) -> PrecisionJudged | None:
+        """Add a repetition where the experiment is not precise yet; it is in the journal when this returns.
+
+        Returns:
+            what is known by now; None where nothing is to be known, or runs are left to do.
+        """
+        is_partial = self._resumption.only or self._resumption.skip or self.todo_count
+        return None if is_partial else self._repeating.judge(self, self._rows)
+
+    def grow(self, growth: Growth) -> None:
+        """Add the runs of a repetition, and write down why."""
+        self.note(REPEATED, flush=True, **growth.record)
+        # A session that begins with it warms up as it would for what is left to do.
+        warm_up = None if self._selected else self._experiment.model.warm_up
+        places = with_session_warm_ups(growth.rows, list(growth.places), warm_up)
+        self._selected += places
+        self._rows = self._table.rows = growth.rows
+        self._file.take(growth.rows)
+        self._durations.plan(map(growth.rows.combination, places), may_repeat=self._repeating.may_add)
+        self._manifest["design"] |= described_design(growth.model)
+        write_manifest(self._folder.manifest, self._manifest)
 
     def runs_left(self, run: PendingRun) -> int:
         """Return how many runs are to be executed in this session from this one on, itself included."""
@@ -368,7 +379,8 @@ class ProgressManager:
         self._findings += recovered.findings
 
     def _probed(self) -> Probe | None:
-        first = next(self.pending(), None)
+        of_table = PendingRun(self._rows.run_id(0), 0) if self._repeating.may_add else None  # as a run more may come
+        first = next(self.pending(), of_table)
         return self._probe(self.task_of(first)) if self._probe is not None and first is not None else None
 
     def _expected_durations(self) -> Durations:
@@ -376,7 +388,7 @@ class ProgressManager:
         combinations = [run.combination for run in self._rows.planned]
         journal = self._folder.journal
         durations = durations_of(each.config, each.plugins, each.events, each.parameters, combinations, journal)
-        durations.plan(combinations[place] for place in self._selected)
+        durations.plan(map(combinations.__getitem__, self._selected), may_repeat=self._repeating.may_add)
         return durations
 
     def _left(self) -> dict[str, Any]:

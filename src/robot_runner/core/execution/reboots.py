@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.execution.notices import Notice
     from robot_runner.core.execution.patience import Patience
-    from robot_runner.core.execution.progress_manager import PendingRun, ProgressManager
-    from robot_runner.core.execution.task import RunTask
+    from robot_runner.core.execution.progress_manager import ProgressManager
+    from robot_runner.core.execution.task import PendingRun, RunTask
     from robot_runner.core.links.declared_host import Host
     from robot_runner.core.links.host_commands import HostCommands, Shell
 

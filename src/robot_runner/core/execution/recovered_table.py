@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field
+from itertools import chain
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,7 @@ from robot_runner.core.storage.table_schema import ColumnDescription, describe_c
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from robot_runner.core.config.experiment import Experiment
@@ -46,22 +47,33 @@ class Deviation:
 
 
 def with_later_batches(path: Path, plan: RunTable, rows: RunTableRows) -> tuple[RunTableRows, tuple[Finding, ...]]:
-    """Return rows with the batches of which the file has no run, as it is older, and a finding that says so.
+    """Return rows with the batches and repetitions of which the file has no run, as it is older, and a finding.
 
     Args:
         path: the file that the rows were read from.
         plan: the runs by the journal.
         rows: as the file has them.
     """
-    there = {run.batch for run in rows.planned} if plan.model.batches else set()
-    numbers = [batch.number for batch in plan.model.batches if batch.number not in there]
-    if not numbers:
+    added = dict(_added(plan))
+    there = {run.run_id for run in rows.planned} if added else set()
+    names = [name for name, ids in added.items() if not there.intersection(ids)]
+    if not names:
         return rows, ()
-    missing = [run for run in plan if run.batch in numbers]
-    older = f"the run table is older than batch {enumerated(map(str, numbers))}"
+    lacking = set(chain.from_iterable(added[name] for name in names))
+    missing = [run for run in plan if run.run_id in lacking]
+    older = f"the run table is older than {enumerated(names)}"
     problem = f"{older}: {counted(len(missing), 'run')} taken from the journal"
     grown = rows.with_plan([*rows.planned, *missing], rows.layout)
     return grown, (Finding.warning(str(path), problem),)
+
+
+def _added(plan: RunTable) -> Iterator[tuple[str, set[str]]]:
+    """Yield the name and the runs of each batch and of each repetition that the journal added at once."""
+    for batch in plan.model.batches:
+        later = set(chain.from_iterable(batch.repeated))
+        yield f"batch {batch.number}", {run.run_id for run in batch.runs} - later
+        first = batch.repetitions - len(batch.repeated) + 1
+        yield from ((f"repetition {number}", set(ids)) for number, ids in enumerate(batch.repeated, first))
 
 
 def lacks_runs(plan: RunTable, rows: RunTableRows) -> bool:

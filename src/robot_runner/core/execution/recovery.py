@@ -37,6 +37,7 @@ __all__ = [
     "refuse_differences",
     "selected_places",
     "table_differences",
+    "with_session_warm_ups",
 ]
 
 
@@ -108,7 +109,7 @@ def selected_places(rows: RunTableRows, resumption: Resumption, warm_up: WarmUp 
     """
     left = _left(rows)
     if not resumption.selection:
-        return _with_warm_ups(rows, left, warm_up)
+        return with_session_warm_ups(rows, left, warm_up)
     chooser = RunChooser(rows.planned, has_repetition=rows.layout.has_repetition)
     redo, only, skip, first = (
         chooser.choose(f"--{option}", getattr(resumption, option)) for option in ("redo", "only", "skip", "first")
@@ -120,10 +121,10 @@ def selected_places(rows: RunTableRows, resumption: Resumption, warm_up: WarmUp 
     if resumption.only:
         wanted &= {*only.places, *again}
     ahead = [place for place in first.places if place in wanted]
-    return _with_warm_ups(rows, [*ahead, *sorted(wanted.difference(ahead))], warm_up, skipped)
+    return with_session_warm_ups(rows, [*ahead, *sorted(wanted.difference(ahead))], warm_up, skipped)
 
 
-def _with_warm_ups(
+def with_session_warm_ups(
     rows: RunTableRows, selected: list[int], warm_up: WarmUp | None, skipped: Collection[int] = ()
 ) -> list[int]:
     """Return these places with those of warm-up runs that are done, where each session warms up again."""

@@ -17,6 +17,7 @@ from robot_runner.core.events.resources import Resources
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.run_ending import RunEnding
+from robot_runner.core.execution.systems_state import Care
 from robot_runner.core.links.connect import is_simulated, open_clock
 from robot_runner.core.links.host_commands import DeclaredHosts
 from robot_runner.core.storage.journal import utc_now
@@ -25,17 +26,24 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.events.context import Clock
     from robot_runner.core.events.early_end import Ending
+    from robot_runner.core.execution.systems_state import SystemsState
     from robot_runner.core.execution.task import Report, RunTask
 
 __all__ = ["execute_run", "publish_returned", "run_contexts"]
 
 
-def execute_run(experiment: Experiment, task: RunTask, report: Report, gate: InterruptGate | None = None) -> None:
+def execute_run(
+    experiment: Experiment,
+    task: RunTask,
+    report: Report,
+    gate: InterruptGate | None = None,
+    systems: SystemsState | None = None,
+) -> None:
     """Execute one run and report what happens as it happens.
 
     Nothing is raised: a failure is a record like any other. What was opened is closed, systems are made safe.
     """
-    run = _Run(experiment, task, report, gate or InterruptGate())
+    run = _Run(experiment, task, report, gate or InterruptGate(), systems)
     run.execute()
 
 
@@ -98,7 +106,14 @@ def run_contexts(
 class _Run:
     """The life of one run in its own process: what one line opens, the end of its block closes."""
 
-    def __init__(self, experiment: Experiment, task: RunTask, report: Report, gate: InterruptGate) -> None:
+    def __init__(
+        self,
+        experiment: Experiment,
+        task: RunTask,
+        report: Report,
+        gate: InterruptGate,
+        systems: SystemsState | None,
+    ) -> None:
         self._experiment = experiment
         self._task = task
         self._report = report
@@ -106,6 +121,9 @@ class _Run:
         self._resources = Resources()
         self._ending = RunEnding(report, gate)
         self._is_stopped = False
+        self._systems = systems
+        self._has_moved = False
+        self._made_safe: set[str] = set()
 
     def execute(self) -> None:
         closed_last = RobotRunnerEvents.STOP_RUN.value  # the event during which a link fails to close
@@ -117,6 +135,14 @@ class _Run:
         ):
             self._open()
             self._emit_events()
+        if self._systems is not None and self._is_safe:
+            self._systems.set(Care.SAFE)
+
+    @property
+    def _is_safe(self) -> bool:
+        """Whether each system was closed in order or made safe, or did not come to its mission."""
+        was_left = self._ending.has_failed and self._has_moved
+        return not was_left or len(self._made_safe) == len(self._experiment.systems)
 
     def _open(self) -> None:
         task, resources = self._task, self._resources
@@ -131,6 +157,8 @@ class _Run:
         )
 
     def _emit_events(self) -> None:
+        if self._systems is not None:
+            self._systems.set(Care.RUN)  # from here on, whatever becomes of this process, somebody makes them safe
         with self._between(RobotRunnerEvents.START_RUN):
             if not self._ending.has_failed:
                 with self._between(RobotRunnerEvents.START_MEASUREMENT):
@@ -146,6 +174,7 @@ class _Run:
     def _execute_mission(self) -> None:
         times = self._context_for(CONFIG_OWNER).times
         times.begin()
+        self._has_moved = True
         try:
             self._emit(RobotRunnerEvents.LAUNCH_MISSION)
         finally:
@@ -167,6 +196,7 @@ class _Run:
         for system in reversed(self._experiment.systems):
             with self._recorded("make_safe", system.name):
                 system.make_safe(self._context_for(system.name))
+                self._made_safe.add(system.name)
 
     def _populate(self) -> None:
         self._miss_phases()

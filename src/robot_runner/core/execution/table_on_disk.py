@@ -45,6 +45,11 @@ class TableOnDisk:
         self._written = time.monotonic()
         self._is_stale = False
 
+    def take(self, rows: RunTableRows) -> None:
+        """Take these rows in the place of those that there were, and write them where the time has come."""
+        self._rows = rows
+        self.refresh()
+
     def refresh(self) -> None:
         """Write it unless that was done a moment ago: the rows have changed."""
         self._is_stale = True

@@ -86,6 +86,19 @@ def seed_of_run(experiment_seed: int, run_id: str) -> int:
 
 
 @dataclass(frozen=True, slots=True)
+class PendingRun:
+    """A run that is still to be executed: its place in the run table, from 0."""
+
+    run_id: str
+    place: int
+
+    @property
+    def number(self) -> int:
+        """The place in the order of execution, from 1."""
+        return self.place + 1
+
+
+@dataclass(frozen=True, slots=True)
 class RunFailure:
     """Why an attempt failed.
 

@@ -20,8 +20,9 @@ from robot_runner.core.execution.left_over import RunMark, end_left_over
 from robot_runner.core.execution.prepared_treatments import describe_revisions, restore_revisions
 from robot_runner.core.execution.processes import leave_after, settle_streams
 from robot_runner.core.execution.run_events import execute_run
+from robot_runner.core.execution.systems_state import SystemsState
 from robot_runner.core.execution.task import FINISHED, RecordWriter, RunTask
-from robot_runner.core.storage.layout import open_log
+from robot_runner.core.storage.layout import print_to_log
 from robot_runner.core.treatments import bind
 
 if TYPE_CHECKING:
@@ -34,20 +35,24 @@ __all__ = ["be_run", "become_interpreter"]
 _MODULE = "robot_runner.core.execution.worker"
 
 
-def be_run(experiment: Experiment, task: RunTask, report: RecordWriter) -> None:
+def be_run(experiment: Experiment, task: RunTask, systems: SystemsState | None, report: RecordWriter) -> None:
     """Execute the run in this process, which was forked for it and sees what was set up in memory before."""
-    _print_to_log(experiment)
+    print_to_log(experiment.folder)
     settle_streams()
-    _execute(experiment, task, report)
+    _execute(experiment, task, systems, report)
 
 
-def become_interpreter(experiment: Experiment, task: RunTask, report: RecordWriter) -> NoReturn:
+def become_interpreter(
+    experiment: Experiment, task: RunTask, systems: SystemsState | None, report: RecordWriter
+) -> NoReturn:
     """Replace this process, which was forked for the run, by a fresh interpreter that executes it."""
-    _print_to_log(experiment)
+    print_to_log(experiment.folder)
     for number in STOP_SIGNALS:  # until the interpreter listens there is nothing to close: it may simply end
         signal.signal(number, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
-    os.set_inheritable(report.descriptor, True)  # noqa: FBT003 - the system's own signature
+    inherited = [report.descriptor, *([] if systems is None else [systems.descriptor])]
+    for descriptor in inherited:
+        os.set_inheritable(descriptor, True)  # noqa: FBT003 - the system's own signature
     description = {
         "config": str(experiment.config_path),
         # Of a replication, the config that is executed lies in the package, and its results go elsewhere.
@@ -55,25 +60,19 @@ def become_interpreter(experiment: Experiment, task: RunTask, report: RecordWrit
         "task": _described(experiment, task),
         "revisions": describe_revisions(experiment.model.factors),
         "records": report.descriptor,
+        "systems": None if systems is None else systems.descriptor,
     }
     os.execv(sys.executable, [sys.executable, "-m", _MODULE, json.dumps(description)])  # noqa: S606 - our own program
 
 
-def _execute(experiment: Experiment, task: RunTask, report: RecordWriter) -> None:
+def _execute(experiment: Experiment, task: RunTask, systems: SystemsState | None, report: RecordWriter) -> None:
     gate = InterruptGate()
     gate.listen()
     keeper = os.getppid()
-    execute_run(experiment, task, report, gate)
+    execute_run(experiment, task, report, gate, systems)
     report(FINISHED, {})
     if os.getppid() != keeper:  # it was killed, and cannot end what the run leaves behind
         end_left_over(experiment.folder)
-
-
-def _print_to_log(experiment: Experiment) -> None:
-    log = open_log(experiment.folder)
-    os.dup2(log, 1)
-    os.dup2(log, 2)
-    os.close(log)
 
 
 def _execute_described(description: Mapping[str, Any], report: RecordWriter) -> None:
@@ -83,7 +82,8 @@ def _execute_described(description: Mapping[str, Any], report: RecordWriter) -> 
     task = _task_of(experiment, description["task"])
     for plugin in experiment.plugins:  # a forked run finds this done
         bind(plugin, task.combination)
-    _execute(experiment, task, report)
+    shared = description["systems"]
+    _execute(experiment, task, None if shared is None else SystemsState(shared), report)
 
 
 def _described(experiment: Experiment, task: RunTask) -> dict[str, Any]:

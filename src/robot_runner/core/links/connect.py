@@ -9,7 +9,15 @@ from robot_runner.core.errors import Finding, LinkError, PluginError, nearest
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.host import LOCAL
-from robot_runner.core.links.kinds import BringsDevices, FindsRobot, RobotLinkKind, installed_links, link_key, link_kind
+from robot_runner.core.links.kinds import (
+    BringsDevices,
+    FindsRobot,
+    Preloads,
+    RobotLinkKind,
+    installed_links,
+    link_key,
+    link_kind,
+)
 from robot_runner.core.links.robot import RobotName
 
 if TYPE_CHECKING:
@@ -35,6 +43,7 @@ __all__ = [
     "looks_for_robot",
     "open_clock",
     "open_serial_line",
+    "preload_robot",
 ]
 
 #: The name of the embedded robot, which messages offer as a way out; nothing here depends on it.
@@ -110,6 +119,18 @@ def open_clock(robot: str | None, resources: Resources, seed: int) -> Clock:
         return SystemClock()
     kind, name = _resolved(robot)
     return kind.open_clock(name, resources=resources, seed=seed)
+
+
+def preload_robot(robot: str | None) -> None:
+    """Import what reaches this robot, so that a process which does nothing else is connected to it in no time.
+
+    Raises:
+        LinkError: there is no such link.
+    """
+    if robot is not None:
+        kind, name = _resolved(robot)
+        if isinstance(kind, Preloads):
+            kind.preload(name)
 
 
 def connect_robot(context: RobotRunnerContext, *, namespace: str = "") -> RobotLink:

@@ -15,7 +15,16 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import RobotLink, RobotName
     from robot_runner.core.links.serial_line import SerialLine
 
-__all__ = ["BringsDevices", "FindsRobot", "FoundRobot", "RobotLinkKind", "installed_links", "link_key", "link_kind"]
+__all__ = [
+    "BringsDevices",
+    "FindsRobot",
+    "FoundRobot",
+    "Preloads",
+    "RobotLinkKind",
+    "installed_links",
+    "link_key",
+    "link_kind",
+]
 
 _GROUP = "links"
 
@@ -86,6 +95,15 @@ class BringsDevices(Protocol):
 
     def open_host(self, name: RobotName, *, resources: Resources, seed: int, namespace: str) -> HostLink:
         """Open a link to the robot's on-board computer."""
+        ...
+
+
+@runtime_checkable
+class Preloads(Protocol):
+    """A kind of link whose client library takes long to import."""
+
+    def preload(self, name: RobotName) -> None:
+        """Import it; nothing is opened."""
         ...
 
 

@@ -24,7 +24,7 @@ __all__ = [
     "drop_empty_log",
     "keep_log",
     "keep_refused",
-    "open_log",
+    "print_to_log",
     "put_earlier_attempt_away",
 ]
 
@@ -92,6 +92,11 @@ class ExperimentFolder:
     def config(self) -> Path:
         """The config file and the local modules that it imports, as executed."""
         return self.root / "config"
+
+    @property
+    def registration(self) -> Path:
+        """What was registered before the first run, where anything was."""
+        return self.root / "registration.json"
 
     def uncommitted(self, digest: str) -> Path:
         """Return the file of changes that were not committed to the config's repository, by their SHA-256."""
@@ -169,13 +174,25 @@ class ExperimentFolder:
         return self.earlier_attempts / run_id / str(attempt)
 
 
-def open_log(folder: ExperimentFolder) -> int:
+def _open_log(folder: ExperimentFolder) -> int:
     """Return a descriptor that appends to the log of the run that is being executed.
 
     Raises:
         OSError: it cannot be opened.
     """
     return os.open(folder.current_log, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+
+
+def print_to_log(folder: ExperimentFolder) -> None:
+    """Have this process print to the log of the run that is being executed, what it starts and what is in C included.
+
+    Raises:
+        OSError: the log cannot be opened.
+    """
+    log = _open_log(folder)
+    os.dup2(log, 1)
+    os.dup2(log, 2)
+    os.close(log)
 
 
 class LazyLog(io.TextIOBase):
@@ -218,7 +235,7 @@ class LazyLog(io.TextIOBase):
         if self.closed:
             raise ValueError("I/O operation on closed file.")
         if self._file is None:
-            self._file = os.fdopen(open_log(self._folder), "a", encoding="utf-8", errors="backslashreplace")
+            self._file = os.fdopen(_open_log(self._folder), "a", encoding="utf-8", errors="backslashreplace")
         return self._file
 
 

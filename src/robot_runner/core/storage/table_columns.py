@@ -306,5 +306,5 @@ def _factor_column(factor: Factor, defaults: Mapping[str, Any]) -> FactorColumn:
 
 def _marks_of(model: RunTableModel) -> tuple[str, ...]:
     has_warm_ups = model.warm_up is not None or any(run.is_warm_up for batch in model.batches for run in batch.runs)
-    needed = {BATCH: bool(model.batches), WARM_UP: has_warm_ups}
+    needed = {BATCH: model.is_extended, WARM_UP: has_warm_ups}
     return tuple(name for name in MARKS if needed[name])

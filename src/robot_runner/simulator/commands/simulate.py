@@ -51,6 +51,11 @@ def add_arguments(parser: Parser) -> None:
         default=1.0,
         help="simulated seconds a real second; 1 if it is left out, and another needs --use-sim-time",
     )
+    parser.add_argument(
+        "--no-watchdog",
+        action="store_true",
+        help="have no watchdog, as a robot on which ours was not installed: it carries out its last command for ever",
+    )
 
 
 def execute(arguments: Namespace) -> int:
@@ -69,6 +74,7 @@ def execute(arguments: Namespace) -> int:
         seed=arguments.seed,
         real_time_factor=arguments.real_time_factor,
         is_clock=arguments.use_sim_time,
+        has_watchdog=not arguments.no_watchdog,
     )
     check_pace(place)
     console = output()

@@ -1,0 +1,259 @@
+"""Say how many repetitions a study needs, by simulation through the tests that its report will use.
+
+Experiments are drawn from what is assumed and analysed as the config's plan says: its tests, families, corrections,
+contrasts and bounds, in its design and its blocks. What is assumed comes from a pilot (--pilot) or from options (--sd
+and --difference, or --means). Each figure has its Monte Carlo error.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robot_runner.analysis.libraries import require_libraries
+from robot_runner.cli.console import (
+    Column,
+    UserConsole,
+    aligned,
+    complaints,
+    is_live_terminal,
+    output,
+    print_facts,
+    print_folded,
+    print_json,
+    quiet_loading,
+    shown_path,
+)
+from robot_runner.cli.findings import show_findings
+from robot_runner.cli.parser import UsageError, add_config, add_json, add_set
+from robot_runner.cli.planning import folder_of_target
+from robot_runner.core.config.loader import parse_assignments
+from robot_runner.core.config.preparation import prepare
+from robot_runner.core.design.batches import GrownRunTableModel
+from robot_runner.core.errors import ConfigError
+from robot_runner.core.storage.safe_write import storage_error
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Callable
+
+    from robot_runner.analysis.planning.power_analysis import PowerAnalysis
+    from robot_runner.analysis.planning.power_search import PowerPoint, ScenarioPower, Search
+    from robot_runner.analysis.planning.study import Study
+    from robot_runner.cli.parser import Parser
+
+__all__ = ["add_arguments", "add_assumptions", "computed_power", "execute"]
+
+_RANGE = re.compile(r"(\d+)(?:\.\.(\d+))?")
+_BAR = 30
+#: With a single run of each treatment nothing is tested.
+_LEAST = 2
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add what the command takes."""
+    add_config(parser)
+    add_set(parser)
+    add_assumptions(parser)
+    parser.add_argument("--output", metavar="FOLDER", help="write power.json, power.svg and power.png there")
+    add_json(parser)
+
+
+def add_assumptions(parser: Parser) -> None:
+    """Add what is assumed of the values, and what is looked for."""
+    parser.add_argument("--pilot", metavar="FOLDER", help="an experiment whose means, spreads and blocks are taken")
+    parser.add_argument("--means", metavar="FILE", help="a CSV file with the mean of each combination")
+    for name, metavar, text in (
+        ("--sd", "[MEASURE=]SD", "standard deviation of runs of one combination, in the measure's unit"),
+        (
+            "--difference",
+            "[MEASURE:]FACTOR=SIZE",
+            "what the last treatment adds to the first (beside a pilot: the smallest of interest; 'A x B' interact)",
+        ),
+        ("--block-sd", "[MEASURE=]SD", "standard deviation of what a block adds to all of its runs"),
+        ("--response-sd", "[MEASURE=]SD", "the same of what a block adds to one combination"),
+        ("--measure", "NAME", "simulate this measure; those of the plan where none is named"),
+        ("--effect", "CLAIM", "what is to be found: a hypothesis, Task or 'Task x Speed'"),
+    ):
+        parser.add_argument(
+            name, metavar=metavar, action="append", default=[], help=f"{text}; may be given several times"
+        )
+    parser.add_argument("--power", metavar="SHARE", type=float, default=0.8, help="what is asked for (%(default)s)")
+    parser.add_argument(
+        "--repetitions", metavar="FROM..TO", default="2..50", help="among how many to look (%(default)s)"
+    )
+    parser.add_argument(
+        "--first-batch",
+        metavar="REPETITIONS",
+        type=int,
+        help="so many were executed already: others are a second batch, as `extend` adds",
+    )
+    parser.add_argument(
+        "--simulations", metavar="NUMBER", type=int, help="experiments of each number of repetitions, at most (10,000)"
+    )
+    parser.add_argument("--seed", metavar="NUMBER", type=int, default=1, help="what is drawn from (%(default)s)")
+
+
+def execute(arguments: Namespace) -> int:
+    """Print the table, the curve and the answer."""
+    analysis = computed_power(arguments)
+    if arguments.output is not None:
+        _write(analysis, Path(arguments.output).expanduser())
+    if arguments.json:
+        print_json(analysis.as_mapping())
+        return 0
+    console = output()
+    for scenario in analysis.scenarios:
+        _print(console, analysis, scenario)
+    for note in analysis.notes:
+        print_folded(console, "  ! ", note, style="yellow")
+    if arguments.output is not None:
+        print_facts(console, [("Written", f"{shown_path(Path(arguments.output).expanduser().resolve())}/")])
+    return 0
+
+
+def computed_power(arguments: Namespace) -> PowerAnalysis:
+    """Return the power of the study that a config plans, as the options say.
+
+    Raises:
+        ConfigError: the config is refused.
+        UsageError: an option cannot be.
+        AnalysisError: the assumptions do not suffice.
+    """
+    require_libraries()
+    search = _search(arguments)
+    pilot_folder = folder_of_target(arguments.pilot, []).root if arguments.pilot else None
+    study = _study(arguments)
+    from robot_runner.analysis.planning.power_analysis import Assumptions, power_analysis  # noqa: PLC0415 - slow, and an extra
+    from robot_runner.analysis.results import load_results  # noqa: PLC0415 - as above
+
+    assumptions = Assumptions(
+        pilot=load_results(pilot_folder) if pilot_folder is not None else None,
+        means=Path(arguments.means).expanduser() if arguments.means else None,
+        measures=arguments.measure,
+        spreads=arguments.sd,
+        differences=arguments.difference,
+        blocks=arguments.block_sd,
+        responses=arguments.response_sd,
+    )
+    return power_analysis(study, assumptions, search, _progress())
+
+
+def _study(arguments: Namespace) -> Study:
+    from robot_runner.analysis.planning.study import Study  # noqa: PLC0415 - slow, and an extra
+
+    with quiet_loading():
+        preparation = prepare(Path(arguments.config), parse_assignments(arguments.set), is_for_here=False)
+    experiment = preparation.experiment
+    if experiment is None:
+        raise ConfigError.of_findings(preparation.findings)
+    show_findings([each for each in preparation.findings if each.where.startswith("analysis")])
+    model = experiment.model.as_configured if isinstance(experiment.model, GrownRunTableModel) else experiment.model
+    units = {column.name: column.measure.unit for column in experiment.columns.in_table if not column.tells_of}
+    return Study.of_model(experiment.parameters.experiment_name, model, experiment.parameters.analysis, units)
+
+
+def _search(arguments: Namespace) -> Search:
+    from robot_runner.analysis.planning.power_search import Search  # noqa: PLC0415 - slow, and an extra
+
+    def refuse(option: str, given: object, fix: str) -> UsageError:
+        return UsageError(f"{option} is {given}", where="robot-runner power", fix=fix)
+
+    match = _RANGE.fullmatch(arguments.repetitions)
+    if match is None:
+        raise refuse("--repetitions", arguments.repetitions, "Give two numbers, as in 5..40.")
+    first, last = int(match[1]), int(match[2] or match[1])
+    if not _LEAST <= first <= last:
+        raise refuse("--repetitions", arguments.repetitions, "Begin with 2 or more, and end no lower.")
+    if not 0 < arguments.power < 1:
+        raise refuse("--power", arguments.power, "Give a share between 0 and 1, such as 0.8.")
+    if arguments.simulations is not None and arguments.simulations < 1:
+        raise refuse("--simulations", arguments.simulations, "Give a number above 0.")
+    if arguments.seed < 0:
+        raise refuse("--seed", arguments.seed, "Give a number from 0 on.")
+    batch = arguments.first_batch
+    if batch is not None and not 0 < batch < first:
+        raise refuse("--first-batch", batch, "Give --repetitions that begin above it.")
+    return Search(arguments.power, first, last, tuple(arguments.effect), arguments.simulations, arguments.seed, batch)
+
+
+def _progress() -> Callable[[int, int], None]:
+    """Return what is told how far the simulation is; shown on a terminal alone."""
+    if not is_live_terminal(sys.stderr):
+        return lambda _, __: None
+
+    def tell(repetitions: int, experiments: int) -> None:
+        text = f"{repetitions} repetitions: {experiments:,} experiments"
+        print(f"\r\033[K{text}", end="\r", file=sys.stderr, flush=True)
+
+    return tell
+
+
+def _print(console: UserConsole, analysis: PowerAnalysis, scenario: ScenarioPower) -> None:
+    from robot_runner.analysis.planning.power_analysis import answer_in_words, share_in_words  # noqa: PLC0415 - slow, and an extra
+
+    if is_live_terminal(sys.stderr):
+        complaints().print("\033[K", end="")
+    console.print(f"Power at {scenario.scenario.title}", style="bold")
+    columns = [
+        Column("Repetitions", 11, is_number=True),
+        Column("Runs", 6, is_number=True),
+        Column("Power (Monte Carlo)", 24),
+        Column(f"0 {'·' * (_BAR - 8)} 100 %", _BAR),
+    ]
+    console.print(f"  {aligned(columns, [column.heading for column in columns])}", style="dim", soft_wrap=True)
+    for point in scenario.points:
+        cells = [
+            f"{point.repetitions}",
+            f"{point.runs}",
+            share_in_words(point.least),
+            _bar(point, analysis.search.power),
+        ]
+        print(f"  {aligned(columns, cells)}")
+    print_folded(console, "  ", answer_in_words(analysis, scenario), style="")
+    _print_claims(console, analysis, scenario)
+    console.print()
+
+
+def _bar(point: PowerPoint, target: float) -> str:
+    """Return the power as a bar, with a mark where the target is."""
+    filled, mark = round(_BAR * point.least.share), min(_BAR - 1, round(_BAR * target))
+    return "".join("|" if place == mark else "█" if place < filled else " " for place in range(_BAR)).rstrip()
+
+
+def _print_claims(console: UserConsole, analysis: PowerAnalysis, scenario: ScenarioPower) -> None:
+    """Print how often each claim is found with the number of repetitions that is the answer."""
+    from robot_runner.analysis.planning.power_analysis import share_in_words  # noqa: PLC0415 - slow, and an extra
+
+    repetitions = analysis.search.last if scenario.needed is None else scenario.needed.repetitions
+    point = scenario.point(repetitions)
+    print_folded(console, "  ", f"What {repetitions} repetitions find (* is sought):", style="dim")
+    for place, (claim, found) in enumerate(zip(scenario.claims, point.claims, strict=True)):
+        mark = "*" if place in scenario.sought else " "
+        print_folded(console, f"   {mark} ", f"{claim.label}: {share_in_words(found)}", style="")
+    if len(scenario.sought) > 1:
+        print_folded(
+            console, "     ", f"all that are sought, in one experiment: {share_in_words(point.together)}", style=""
+        )
+
+
+def _write(analysis: PowerAnalysis, folder: Path) -> None:
+    from robot_runner.analysis.figures.power_curve import draw_power  # noqa: PLC0415 - slow, and an extra
+    from robot_runner.analysis.figures.style import FigureFormat, figure_bytes  # noqa: PLC0415 - as above
+
+    curves = {
+        each.scenario.title: [(point.repetitions, point.least.share, *point.least.interval) for point in each.points]
+        for each in analysis.scenarios
+    }
+    figure = draw_power(curves, analysis.search.power)
+    text = json.dumps(analysis.as_mapping(), indent=2, ensure_ascii=False) + "\n"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "power.json").write_text(text, encoding="utf-8")
+        for kind in (FigureFormat.SVG, FigureFormat.PNG):
+            (folder / f"power.{kind.value}").write_bytes(figure_bytes(figure, kind))
+    except OSError as error:
+        raise storage_error(folder, "written", error) from error

@@ -1,0 +1,261 @@
+"""Combines the effects of treatments over several experiments, measure by measure: a meta-analysis."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import combinations
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy import special, stats
+
+from robot_runner.analysis.comparison.combined import CombinedEffect, CombinedMeasure, EffectIn, MetaAnalysis
+from robot_runner.analysis.comparison.combined_conclusions import conclusion_of_effect
+from robot_runner.analysis.comparison.compared import Side
+from robot_runner.analysis.comparison.harmonising import (
+    Experiment,
+    chosen_measures_of_all,
+    differing_names,
+    renamed,
+    repeated,
+    unit_findings,
+)
+from robot_runner.analysis.comparison.matching import differing_circumstances, names_of
+from robot_runner.analysis.comparison.pooling import combine
+from robot_runner.analysis.results import Results, load_results
+from robot_runner.analysis.statistics.batch_strata import comparable
+from robot_runner.analysis.statistics.descriptive import quiet
+from robot_runner.analysis.statistics.post_hoc import adjusted
+from robot_runner.analysis.statistics.tested import Interval, NotComputed
+from robot_runner.analysis.statistics.tests import model_of
+from robot_runner.core.design.analysis_plan import Correction, Estimand
+from robot_runner.core.errors import AnalysisError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from robot_runner.analysis.comparison.harmonising import MeasureChoice
+    from robot_runner.analysis.statistics.cell_means import CellMeans
+    from robot_runner.analysis.statistics.design import MeasureData
+    from robot_runner.analysis.statistics.linear_model import FittedModel
+
+__all__ = ["meta_analyse"]
+
+_ALPHA = 0.05
+_FEWEST = 2
+#: More pairs can neither be read nor tested with any power left.
+_MOST_PAIRS = 105
+#: The square of a larger value, summed up, comes near the end of floating-point numbers.
+_LARGEST = 1e100
+
+
+def meta_analyse(
+    *experiments: Results | Path | str,
+    measures: Sequence[str] | None = None,
+    alpha: float = _ALPHA,
+    same: Sequence[str] = (),
+) -> MetaAnalysis:
+    """Combine the effects of treatments over several experiments, each of which replicates the others.
+
+    In each experiment treatments are compared as its report does, by the difference of means; the differences are
+    then averaged over experiments.
+
+    Args:
+        experiments: two and more, or their folders.
+        measures: names, or `one=other` where experiments call it otherwise; None for the primary measures of the
+            experiments' plans, or else all numbers that two and more experiments have.
+        alpha: the level of significance.
+        same: factors and treatments that experiments call otherwise, each as `name=other`.
+
+    Example:
+        >>> found = meta_analyse("original", "replication", "third_lab", measures=["Energy"])  # doctest: +SKIP
+        >>> found.measure("Energy").effects[0].difference.random.interval  # doctest: +SKIP
+
+    Raises:
+        StorageError: there is no experiment in a folder, or it cannot be read.
+        AnalysisError: they cannot be combined: an experiment is given twice, or is a copy of another; there is no such
+            measure, or units cannot be converted; `findings` lists everything that was found.
+    """
+    if not 0 < alpha < 1:
+        raise AnalysisError(f"alpha is {alpha!r}", where="meta_analyse", fix="Give a number between 0 and 1.")
+    results = [each if isinstance(each, Results) else load_results(each) for each in experiments]
+    if len(results) < _FEWEST:
+        raise AnalysisError(f"{len(results)} experiment is given", where="meta_analyse", fix="Give two and more.")
+    given = [Experiment.of_results(*each) for each in zip(names_of(*results), results, strict=True)]
+    findings = list(repeated(given))
+    alike, found = renamed(given, same)
+    findings += [*found, *differing_names(alike)]
+    chosen, found = chosen_measures_of_all(alike, measures)
+    findings += [*found, *(finding for choice in chosen for finding in unit_findings(choice, alike))]
+    if errors := [each for each in findings if each.is_error]:
+        raise AnalysisError.of_findings(errors)
+    factors = [name for each in alike for name in each.design.factors]
+    return MetaAnalysis(
+        tuple(Side(each.name, each.results.name, each.results.folder, len(each.results.done)) for each in alike),
+        alpha,
+        tuple(name for name in dict.fromkeys(factors) if factors.count(name) >= _FEWEST),
+        tuple(_combined(choice, alike, alpha) for choice in chosen),
+        differing_circumstances(*results),
+        tuple(findings),
+    )
+
+
+class _Estimated(NamedTuple):
+    """What one experiment says of one measure."""
+
+    experiment: str
+    data: MeasureData
+    model: CellMeans | FittedModel
+
+
+class _Question(NamedTuple):
+    """A difference or contrast that experiments are asked for."""
+
+    factor: str
+    weights: tuple[tuple[str, float], ...]
+    statement: str = ""
+
+    @property
+    def effect(self) -> CombinedEffect:
+        return CombinedEffect(self.factor, dict(self.weights), self.statement, ())
+
+
+def _combined(choice: MeasureChoice, experiments: Sequence[Experiment], alpha: float) -> CombinedMeasure:
+    missing: list[NotComputed] = []
+    telling: list[_Estimated] = []
+    for each in experiments:
+        found = _estimated(each, choice) if each.name in choice.columns else None
+        if isinstance(found, NotComputed):
+            missing.append(found)
+        elif found is not None:
+            telling.append(found)
+    effects: list[CombinedEffect] = []
+    for question in _questions(choice, experiments, telling, missing):
+        answers = tuple(answer for each in telling if (answer := _answer(question, each, alpha)) is not None)
+        if len(answers) < _FEWEST:
+            known = f"only {answers[0].experiment} tells of it" if answers else "no experiment tells of it"
+            missing.append(NotComputed(f"average of {question.effect.label}", f"{known}: two are needed."))
+            continue
+        effects.append(_averaged(replace(question.effect, experiments=answers), alpha))
+    if not effects and not missing:
+        missing.append(NotComputed(f"effects on {choice.name}", "no two experiments vary the same factor."))
+    names = {each.name: each for each in experiments}
+    origins = {name: names[name].results.columns[column].origin for name, column in choice.columns.items()}
+    judged = tuple(_judged(effects, choice, alpha))
+    return CombinedMeasure(choice.name, choice.columns, choice.unit, origins, choice.is_primary, judged, tuple(missing))
+
+
+def _estimated(experiment: Experiment, choice: MeasureChoice) -> _Estimated | NotComputed:
+    """Estimate the means of an experiment's combinations, as its report does."""
+    what = f"{choice.name} in {experiment.name}"
+    data = experiment.data(choice.columns[experiment.name], choice.unit)
+    if data is None or not len(data.frame):
+        return NotComputed(what, "its values are no numbers." if data is None else "no run that is done has a value.")
+    if float(np.max(np.abs(data.values))) > _LARGEST:
+        return NotComputed(what, f"it has values beyond {_LARGEST:g}, too large to compute with.")
+    compared, _, apart = comparable(data)
+    if not compared.factors:
+        return NotComputed(what, apart[0].why if apart else "all runs that have a value have the same treatments.")
+    model = model_of(compared, Estimand.MEAN)
+    return (
+        NotComputed(what, model.why) if isinstance(model, NotComputed) else _Estimated(experiment.name, compared, model)
+    )
+
+
+def _questions(
+    choice: MeasureChoice, experiments: Sequence[Experiment], telling: Sequence[_Estimated], missing: list[NotComputed]
+) -> Iterator[_Question]:
+    """Yield all pairs of treatments of factors that two experiments vary, then what hypotheses of plans name."""
+    factors = [name for each in telling for name in each.data.factors]
+    shared = [name for name in dict.fromkeys(factors) if factors.count(name) >= _FEWEST]
+    for factor in shared:
+        levels = dict.fromkeys(
+            name for each in telling if factor in each.data.factors for name in each.data.levels(factor)
+        )
+        if math.comb(len(levels), 2) > _MOST_PAIRS:
+            why = f"{len(levels)} treatments make {math.comb(len(levels), 2):,} pairs: name contrasts in a plan."
+            missing.append(NotComputed(f"pairs of {factor}", why))
+            continue
+        yield from (_Question(factor, ((one, 1.0), (other, -1.0))) for one, other in combinations(levels, 2))
+    asked: dict[frozenset[tuple[str, float]], _Question] = {}
+    for each in experiments:
+        for hypothesis in each.results.plan.hypotheses if each.results.plan else ():
+            weights = tuple((hypothesis.contrast or {}).items())
+            is_pair = sorted(weight for _, weight in weights) == [-1.0, 1.0]
+            if weights and not is_pair and hypothesis.measure == choice.columns.get(each.name):
+                asked.setdefault(frozenset(weights), _Question(hypothesis.factors[0], weights, hypothesis.statement))
+    yield from (question for question in asked.values() if question.factor in shared)
+
+
+def _answer(question: _Question, of: _Estimated, alpha: float) -> EffectIn | None:
+    """Return what an experiment says of a difference; None where it lacks a treatment, or nothing varies there."""
+    factor, weights = question.factor, dict(question.weights)
+    if factor not in of.data.factors or not set(weights) <= set(of.data.levels(factor)):
+        return None
+    with quiet():
+        found = of.model.difference([({factor: level}, weight) for level, weight in weights.items()])
+    estimate, error, freedom, spread = (float(each) for each in (*found, of.model.spread))
+    if not (error > 0 and freedom > 0 and math.isfinite(freedom) and spread > 0):
+        return None
+    reach = error * float(stats.t.ppf(1 - alpha / 2, freedom))
+    g, g_error = hedges_g(estimate, error, freedom, spread)
+    return EffectIn(
+        of.experiment,
+        int(of.data.frame[factor].astype(str).isin(list(weights)).sum()),
+        estimate,
+        error,
+        freedom,
+        Interval(estimate - reach, estimate + reach, 1 - alpha, "t distribution"),
+        float(found.p_value),
+        g,
+        g_error,
+    )
+
+
+def hedges_g(difference: float, error: float, freedom: float, spread: float) -> tuple[float, float]:
+    """Return Hedges' g of a difference, and its standard error.
+
+    The difference is divided by the standard deviation that the report divides it by, and freed of its bias (Hedges,
+    Distribution theory for Glass's estimator of effect size, 1981). The variance adds that of the standard deviation
+    to that of the difference (Bonett, Confidence intervals for standardized linear contrasts of means, 2008).
+
+    Args:
+        difference: of means.
+        error: its standard error.
+        freedom: the degrees of freedom of that.
+        spread: the standard deviation.
+    """
+    correction = (
+        math.exp(float(special.gammaln(freedom / 2) - special.gammaln((freedom - 1) / 2))) * math.sqrt(2 / freedom)
+        if freedom > 1
+        else 0.0
+    )
+    size = difference / spread
+    return correction * size, correction * math.sqrt((error / spread) ** 2 + size**2 / (2 * freedom))
+
+
+def _averaged(effect: CombinedEffect, alpha: float) -> CombinedEffect:
+    told = effect.experiments
+    difference = combine(
+        [each.estimate for each in told], [each.error for each in told], [each.freedom for each in told], alpha=alpha
+    )
+    sizes = [each for each in told if each.g_error > 0]
+    standardised = None
+    if len(sizes) >= _FEWEST:
+        standardised = combine(
+            [each.g for each in sizes], [each.g_error for each in sizes], [math.inf] * len(sizes), alpha=alpha
+        )
+    return replace(effect, difference=difference, standardised=standardised)
+
+
+def _judged(effects: Sequence[CombinedEffect], choice: MeasureChoice, alpha: float) -> Iterator[CombinedEffect]:
+    """Yield the effects with adjusted p-values and conclusions."""
+    p_values = [each.difference.random.p_value for each in effects if each.difference is not None]
+    after = iter(adjusted([each for each in p_values if each is not None], Correction.HOLM))
+    for each in effects:
+        is_tested = each.difference is not None and each.difference.random.p_value is not None
+        p_value = next(after) if is_tested else None
+        judged = replace(each, adjusted_p_value=p_value, is_significant=None if p_value is None else p_value < alpha)
+        yield replace(judged, conclusion=conclusion_of_effect(judged, choice.name, choice.unit, alpha))

@@ -1,0 +1,299 @@
+"""Brings several experiments to the same names and units, and refuses those that are no replications of each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from robot_runner.analysis.importing.units import unit_of
+from robot_runner.analysis.statistics.design import VALUE, design_of
+from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.errors import Finding, did_you_mean, nearest
+from robot_runner.core.words import enumerated
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    import pandas as pd
+
+    from robot_runner.analysis.results import Results
+    from robot_runner.analysis.statistics.design import Design, MeasureData
+
+__all__ = [
+    "Experiment",
+    "MeasureChoice",
+    "chosen_measures_of_all",
+    "differing_names",
+    "renamed",
+    "repeated",
+    "unit_findings",
+]
+
+#: Attempts that two experiments share, as a part of the smaller one: a copy that went on, or lost runs, is a copy.
+_COPIED = 0.5
+_PAIR = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """One of several experiments, with the names that factors and treatments have in all of them.
+
+    Attributes:
+        name: what it is called among them.
+        design: of its runs that are done, renamed.
+    """
+
+    name: str
+    results: Results
+    design: Design
+
+    @classmethod
+    def of_results(cls, name: str, results: Results) -> Experiment:
+        """Take an experiment as its own plan has its blocks."""
+        return cls(name, results, design_of(results, blocks=results.plan.blocks if results.plan else None))
+
+    def treatments(self, factor: str) -> tuple[str, ...]:
+        """Return the treatments of a factor that runs which are done have had, in their order."""
+        if factor not in (*self.design.factors, *self.design.constant):
+            return ()
+        return tuple(map(str, self.design.frame[factor].cat.categories))
+
+    def data(self, column: str, unit: str) -> MeasureData | None:
+        """Return the values of a measure in this unit; None where they are no numbers."""
+        found = self.design.data(column)
+        ours, wanted = unit_of(self.results.unit(column)), unit_of(unit)
+        if found is None or ours is None or wanted is None or ours == wanted:
+            return found
+
+        def converted(frame: pd.DataFrame) -> pd.DataFrame:
+            return frame.assign(**{VALUE: (ours.to_si(frame[VALUE]) - wanted.offset) / wanted.factor})
+
+        return replace(found, frame=converted(found.frame), every=converted(found.every))
+
+
+# Whether they are replications of each other.
+
+
+def repeated(experiments: Sequence[Experiment]) -> Iterator[Finding]:
+    """Yield an error for each experiment that was given before, or whose runs are those of another."""
+    for one, other in combinations(experiments, _PAIR):
+        if why := _sameness(one.results, other.results):
+            fix = "Leave one of them out: it would count twice, and is no replication."
+            yield Finding.error(other.name, f"this is {one.name} again: {why}", fix)
+
+
+def _sameness(one: Results, other: Results) -> str:
+    if one.folder == other.folder:
+        return "it is the same folder"
+    stamps = ["run_id", "attempt", "started_at"]
+    attempts = [set(each.attempts[stamps].dropna().itertuples(index=False, name=None)) for each in (one, other)]
+    smaller = min(map(len, attempts))
+    if smaller and len(attempts[0] & attempts[1]) >= _COPIED * smaller:
+        return "its runs were executed at the same moments, so that one is a copy of the other"
+    return (
+        "every value is the same to the last digit, as of a copy, or a simulation with the same seed"
+        if _has_same_values(one, other)
+        else ""
+    )
+
+
+def _has_same_values(one: Results, other: Results) -> bool:
+    """Return whether all measures are the same in each run; whole numbers may be by chance."""
+    frames = [each.done.set_index(RUN_ID).sort_index() for each in (one, other)]
+    shared = [
+        name
+        for name in one.measures
+        if name in other.measures and frames[0][name].dtype == "float64" == frames[1][name].dtype
+    ]
+    values = [frame[shared].to_numpy(dtype=np.float64) for frame in frames]
+    if not shared or not len(values[0]) or not frames[0].index.equals(frames[1].index):
+        return False
+    has_digits = bool(np.any(np.nan_to_num(values[0]) % 1))
+    return has_digits and np.array_equal(values[0], values[1], equal_nan=True)
+
+
+# Names of factors and treatments.
+
+
+def renamed(
+    experiments: Sequence[Experiment], same: Sequence[str]
+) -> tuple[tuple[Experiment, ...], tuple[Finding, ...]]:
+    """Return the experiments with the names that a user gave, each as `NAME=OTHER`, and what is wrong with these."""
+    findings: list[Finding] = []
+    for text in same:
+        known = {each for experiment in experiments for each in _names(experiment)}
+        name, equals, other = text.partition("=")
+        if not equals or other not in known:
+            problem = (
+                f"no experiment has a factor or a treatment {other!r}"
+                if equals
+                else f"{text!r} names one name, not two"
+            )
+            fix = did_you_mean(other, sorted(known)) if equals else "Give both: --same Video=video."
+            findings.append(Finding.error("--same", problem, fix))
+            continue
+        findings += [
+            Finding.error(each.name, f"it has both {name!r} and {other!r}", f"Leave out --same {text}.")
+            for each in experiments
+            if any({name, other} <= set(names) for names in _kinds(each))
+        ]
+        if not findings:
+            experiments = [replace(each, design=_with_name(each.design, other, name)) for each in experiments]
+    return tuple(experiments), tuple(findings)
+
+
+def _kinds(experiment: Experiment) -> Iterator[tuple[str, ...]]:
+    """Yield names that must differ from each other: the factors, and the treatments of each."""
+    factors = (*experiment.design.factors, *experiment.design.constant)
+    yield factors
+    yield from (experiment.treatments(factor) for factor in factors)
+
+
+def _names(experiment: Experiment) -> Iterator[str]:
+    return (name for names in _kinds(experiment) for name in names)
+
+
+def _with_name(design: Design, old: str, new: str) -> Design:
+    frame = design.frame.rename(columns={old: new} if old in (*design.factors, *design.constant) else {})
+
+    def swapped(names: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(new if name == old else name for name in names)
+
+    factors, constant = swapped(design.factors), swapped(design.constant)
+    for name in (*factors, *constant):
+        frame[name] = frame[name].cat.rename_categories({old: new} if old in frame[name].cat.categories else {})
+    return replace(design, frame=frame, factors=factors, constant=constant)
+
+
+def differing_names(experiments: Sequence[Experiment]) -> Iterator[Finding]:
+    """Yield a warning for each factor, and each treatment, that one experiment lacks and others have."""
+    factors = dict.fromkeys(name for each in experiments for name in each.design.factors)
+    for experiment in experiments:
+        own = (*experiment.design.factors, *experiment.design.constant)
+        for factor in factors:
+            if factor not in own:
+                fix = _same(
+                    factor,
+                    [name for name in own if name not in factors or name not in _of_others(experiment, experiments)],
+                )
+                yield Finding.warning(experiment.name, f"there is no factor {factor!r}", fix)
+                continue
+            others = [each for each in experiments if each is not experiment]
+            theirs = dict.fromkeys(name for each in others for name in each.treatments(factor))
+            ours = experiment.treatments(factor)
+            lacking = [name for name in theirs if name not in ours]
+            if lacking:
+                fixes = (_same(name, [each for each in ours if each not in theirs]) for name in lacking)
+                problem = f"of {factor} there is no {enumerated(map(repr, lacking))}"
+                yield Finding.warning(experiment.name, problem, " ".join(filter(None, fixes)))
+
+
+def _of_others(experiment: Experiment, experiments: Sequence[Experiment]) -> set[str]:
+    return {
+        name for each in experiments if each is not experiment for name in (*each.design.factors, *each.design.constant)
+    }
+
+
+def _same(name: str, candidates: Sequence[str]) -> str:
+    near = nearest(name, candidates)
+    return "" if near is None else f"If {near!r} is the same, say so: --same {name}={near}."
+
+
+# Measures and their units.
+
+
+@dataclass(frozen=True, slots=True)
+class MeasureChoice:
+    """A measure that is combined.
+
+    Attributes:
+        columns: its name in each experiment that has it.
+        unit: the one that values are converted to: the first that is known.
+        is_primary: whether a plan names it among its primary measures.
+    """
+
+    name: str
+    columns: Mapping[str, str]
+    unit: str
+    is_primary: bool
+
+
+def chosen_measures_of_all(
+    experiments: Sequence[Experiment], wanted: Sequence[str] | None
+) -> tuple[tuple[MeasureChoice, ...], tuple[Finding, ...]]:
+    """Return the measures to combine, and what is to be said of those that experiments lack.
+
+    Args:
+        experiments: all of them.
+        wanted: names, or `one=other` where experiments call it otherwise; None for the primary measures of the plans,
+            or else all numbers that two and more experiments have.
+    """
+    texts = list(wanted) if wanted is not None else _planned(experiments) or _shared(experiments)
+    chosen, findings = [], []
+    if not texts:
+        fix = "Say which is the same: --measure Energy=E."
+        findings.append(
+            Finding.error(enumerated(each.name for each in experiments), "they have no measure of one name", fix)
+        )
+    for text in texts:
+        names = (text,) if any(text in each.results.measures for each in experiments) else tuple(text.split("="))
+        columns = {
+            each.name: next(name for name in names if name in each.results.measures)
+            for each in experiments
+            if any(name in each.results.measures for name in names)
+        }
+        if len(columns) >= _PAIR:
+            units = [each.results.unit(columns[each.name]) for each in experiments if each.name in columns]
+            is_primary = any(each.results.plan and set(names) & set(each.results.plan.measures) for each in experiments)
+            chosen.append(MeasureChoice(names[0], columns, next(filter(None, units), ""), is_primary))
+        findings += _lacking(names, columns, experiments)
+    return tuple(chosen), tuple(findings)
+
+
+def _lacking(names: Sequence[str], columns: Mapping[str, str], experiments: Sequence[Experiment]) -> Iterator[Finding]:
+    """Yield what is to be said of experiments without a measure: an error where fewer than two have it."""
+    if not columns:
+        known = dict.fromkeys(name for each in experiments for name in each.results.measures)
+        yield Finding.error("--measure", f"no experiment has a measure {names[0]!r}", did_you_mean(names[0], known))
+        return
+    make = Finding.warning if len(columns) >= _PAIR else Finding.error
+    for each in experiments:
+        if each.name not in columns:
+            yield make(each.name, f"there is no measure {names[0]!r}", _call(names, each.results))
+
+
+def _planned(experiments: Sequence[Experiment]) -> list[str]:
+    plans = [each.results.plan for each in experiments if each.results.plan is not None]
+    return list(dict.fromkeys(name for plan in plans for name in plan.measures))
+
+
+def _shared(experiments: Sequence[Experiment]) -> list[str]:
+    names = [name for each in experiments for name in each.results.measures if each.design.data(name) is not None]
+    return [name for name in dict.fromkeys(names) if names.count(name) >= _PAIR]
+
+
+def _call(names: Sequence[str], results: Results) -> str:
+    near = nearest(names[0], results.measures)
+    return "" if near is None else f"If {near!r} is the same, say so: --measure {'='.join((*names, near))}."
+
+
+def unit_findings(choice: MeasureChoice, experiments: Sequence[Experiment]) -> Iterator[Finding]:
+    """Yield what is to be said of an experiment that gives a measure in another unit, or in none."""
+    wanted = unit_of(choice.unit)
+    for each in experiments:
+        column = choice.columns.get(each.name)
+        unit = choice.unit if column is None else each.results.unit(column)
+        if unit == choice.unit:
+            continue
+        ours = unit_of(unit)
+        if not unit:
+            problem = f"the unit of {column} is not known: its values are taken to be in {choice.unit}"
+            yield Finding.warning(each.name, problem, "Name the unit, as in data_columns or when it is imported.")
+        elif ours is None or wanted is None or ours.si != wanted.si:
+            problem = f"{column} is in {unit}, which cannot be converted to {choice.unit}"
+            yield Finding.error(each.name, problem, "Leave the experiment out, or name other measures with --measure.")
+        else:
+            yield Finding.warning(each.name, f"{column} is in {unit}: its values are converted to {choice.unit}")

@@ -1,0 +1,289 @@
+"""What is assumed of the values that a study will measure: the mean and the spread of each combination, and its blocks.
+
+Options give them (`--sd`, `--difference`), or a file of means; `pilot_values` takes them from a pilot.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from robot_runner.analysis.statistics.families import effect_key
+from robot_runner.core.errors import AnalysisError, did_you_mean
+from robot_runner.core.words import counted, enumerated
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from robot_runner.analysis.planning.study import Cell, Study
+    from robot_runner.analysis.statistics.families import Key
+
+    Floats = NDArray[np.float64]
+
+__all__ = [
+    "AssumedMeasure",
+    "Difference",
+    "Scenario",
+    "assumed_scenario",
+    "differences_of",
+    "means_file",
+    "numbers_of",
+    "with_blocks",
+]
+
+_AND = " x "
+#: The column of a file of means that holds the standard deviation of a measure.
+_SPREAD = ".sd"
+
+
+@dataclass(frozen=True, slots=True)
+class AssumedMeasure:
+    """How the values of a measure are assumed to be distributed: normally, around the mean of each combination.
+
+    Attributes:
+        means, spreads: the mean and the standard deviation of each combination, in the measure's unit.
+        block_sd: the standard deviation of what a block adds to all of its values.
+        response_sd: the standard deviation of what a block adds to one combination: blocks that respond differently.
+    """
+
+    name: str
+    means: Mapping[Cell, float]
+    spreads: Mapping[Cell, float]
+    block_sd: float = 0.0
+    response_sd: float = 0.0
+
+    def draw(
+        self, random: np.random.Generator, experiments: int, cells: Sequence[Cell], blocks: Sequence[str]
+    ) -> Floats:
+        """Return the values of many experiments, (experiments, runs).
+
+        Args:
+            random: what they are drawn from.
+            experiments: how many.
+            cells: the combination of each run.
+            blocks: the block of each run.
+        """
+        means = np.array([self.means[cell] for cell in cells])
+        spreads = np.array([self.spreads[cell] for cell in cells])
+        values = means + spreads * random.normal(size=(experiments, len(cells)))
+        _, block = np.unique(blocks, return_inverse=True)
+        if self.block_sd:
+            values += self.block_sd * random.normal(size=(experiments, block.max() + 1))[:, block]
+        if self.response_sd:
+            numbers = {cell: place for place, cell in enumerate(dict.fromkeys(cells))}
+            cell = np.array([numbers[each] for each in cells])
+            drawn = random.normal(size=(experiments, block.max() + 1, len(numbers)))
+            values += self.response_sd * drawn[:, block, cell]
+        return values
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """One set of assumptions.
+
+    Attributes:
+        title: what the effects are, as in `the pilot's effects`.
+        given: the effects that differences were stated for.
+    """
+
+    title: str
+    measures: tuple[AssumedMeasure, ...]
+    given: frozenset[Key] = frozenset()
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """A difference that is assumed: of the last treatment of a factor less the first, others lying in the middle.
+
+    Of several factors it is their interaction: how much the difference of the first changes from the first to the last
+    treatment of the second.
+    """
+
+    measure: str
+    factors: tuple[str, ...]
+    size: float
+
+    def at(self, study: Study, cell: Cell) -> float:
+        """Return what it adds to the mean of a combination."""
+        share = 1.0
+        for name, text in zip(study.factors, cell, strict=True):
+            if name in self.factors:
+                texts = study.factors[name]
+                share *= {texts[0]: -0.5, texts[-1]: 0.5}.get(text, 0.0)
+        return self.size * share
+
+
+def numbers_of(study: Study, option: str, texts: Sequence[str], measures: Sequence[str]) -> dict[str, float]:
+    """Return a number for each measure, from texts as `12` (for all of them) or `Energy=12`.
+
+    Raises:
+        AnalysisError: one cannot be read.
+    """
+    found: dict[str, float] = {}
+    for text in texts:
+        name, has_name, number = text.rpartition("=")
+        names = [study.measure(name.strip(), option)] if has_name else measures
+        size = _number(number, option, text)
+        if size < 0:
+            raise AnalysisError(f"{text!r} is below 0", where=option, fix="Give a standard deviation.")
+        found |= dict.fromkeys(names, size)
+    return found
+
+
+def differences_of(study: Study, texts: Sequence[str], measures: Sequence[str]) -> list[Difference]:
+    """Return the differences that texts state, as `Task=5`, `Energy:Task=5` or `Task x Speed=3`.
+
+    Raises:
+        AnalysisError: one cannot be read, or names what the study does not have.
+    """
+    option = "--difference"
+    found = []
+    for text in texts:
+        what, _, number = text.rpartition("=")
+        measure, has_measure, names = what.rpartition(":")
+        if not what:
+            fix = "Write FACTOR=NUMBER, as in --difference Task=5."
+            raise AnalysisError(f"{text!r} is no difference", where=option, fix=fix)
+        factors = tuple(each.strip() for each in names.split(_AND))
+        for name in factors:
+            if len(study.factor(name, option)) < 2:  # noqa: PLR2004 - a difference takes two
+                fix = f"Name a factor with two treatments: {', '.join(study.varied)}."
+                raise AnalysisError(f"{name} has a single treatment", where=option, fix=fix)
+            if name not in study.varied:
+                fix = f"Name a factor whose effect is tested: {', '.join(study.varied)}."
+                raise AnalysisError(f"{name} makes the blocks, and has no effect to test", where=option, fix=fix)
+        if len(set(factors)) < len(factors):
+            raise AnalysisError(f"{text!r} names a factor twice", where=option, fix="Name each factor once.")
+        of = [study.measure(measure.strip(), option)] if has_measure else measures
+        found += [Difference(each, factors, _number(number, option, text)) for each in of]
+    return found
+
+
+def _number(text: str, where: str, shown: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise AnalysisError(f"{shown!r} has no number", where=where, fix="Give a number in the measure's unit.")
+    return number
+
+
+def assumed_scenario(
+    study: Study,
+    measures: Sequence[str],
+    differences: Sequence[Difference],
+    spreads: Mapping[str, float],
+    base: Mapping[str, AssumedMeasure],
+    title: str,
+) -> Scenario:
+    """Return what is assumed of some measures.
+
+    Args:
+        study: what is planned.
+        measures: which.
+        differences: that are assumed; other effects are none.
+        spreads: the standard deviation of each measure, instead of those of `base`.
+        base: what is known of measures from elsewhere; of their means only the grand mean counts.
+        title: what the effects are.
+
+    Raises:
+        AnalysisError: the spread of a measure is not known.
+    """
+    missing = [name for name in measures if name not in spreads and name not in base]
+    if missing:
+        fix = "Give " + " ".join(f"--sd {name}=..." for name in missing) + ", or a pilot: --pilot FOLDER."
+        raise AnalysisError(f"nothing is assumed of {enumerated(missing)}", where="power", fix=fix)
+    made = []
+    for name in measures:
+        known = base.get(name)
+        centre = float(np.mean(list(known.means.values()))) if known is not None else 0.0
+        mine = [each for each in differences if each.measure == name]
+        made.append(
+            AssumedMeasure(
+                name,
+                {cell: centre + sum(each.at(study, cell) for each in mine) for cell in study.cells},
+                dict.fromkeys(study.cells, spreads[name]) if known is None or name in spreads else known.spreads,
+                known.block_sd if known is not None else 0.0,
+                known.response_sd if known is not None else 0.0,
+            )
+        )
+    return Scenario(title, tuple(made), frozenset(effect_key(each.measure, each.factors) for each in differences))
+
+
+def means_file(study: Study, path: Path, spreads: Mapping[str, float]) -> dict[str, AssumedMeasure]:
+    """Return the means of a CSV file: columns for factors and measures, `<measure>.sd` beside; a row a combination.
+
+    A factor that has no column has no effect.
+
+    Raises:
+        AnalysisError: the file cannot be read, or lacks a combination or a spread.
+    """
+    where = f"--means {path}"
+    try:
+        table = pd.read_csv(path, dtype=str, keep_default_na=False)
+    except (OSError, ValueError) as error:
+        raise AnalysisError(f"the file cannot be read: {error}", where=where, fix="Name a CSV file.") from error
+    known = [*study.factors, *study.units, *(f"{name}{_SPREAD}" for name in study.units)]
+    for name in table.columns:
+        if name not in known:
+            raise AnalysisError(f"there is no factor or measure {name!r}", where=where, fix=did_you_mean(name, known))
+    names = [name for name in table.columns if name in study.units]
+    if not names:
+        raise AnalysisError("no column is a measure", where=where, fix=f"Name one: {', '.join(study.units)}.")
+    return {name: _of_table(study, table, name, spreads, where) for name in names}
+
+
+def _of_table(study: Study, table: pd.DataFrame, name: str, spreads: Mapping[str, float], where: str) -> AssumedMeasure:
+    rows = list(_rows_of_cells(study, table, where))
+    means = {cell: _number(table[name][row], where, f"{name} of {_AND.join(cell)}") for cell, row in rows}
+    own = f"{name}{_SPREAD}"
+    if own in table:
+        found = {cell: _number(table[own][row], where, f"{own} of {_AND.join(cell)}") for cell, row in rows}
+    elif name in spreads:
+        found = dict.fromkeys(study.cells, spreads[name])
+    else:
+        raise AnalysisError(f"the spread of {name} is missing", where=where, fix=f"Add the column {own}, or give --sd.")
+    return AssumedMeasure(name, means, found)
+
+
+def _rows_of_cells(study: Study, table: pd.DataFrame, where: str) -> Iterator[tuple[Cell, int]]:
+    """Yield the row that tells of each combination."""
+    told = [name for name in study.factors if name in table]
+    rows: dict[Cell, int] = {}
+    for row, texts in enumerate(table[told].itertuples(index=False) if told else [()]):
+        rows[tuple(map(str, texts))] = row
+    missing = []
+    for cell in study.cells:
+        own = tuple(text for name, text in zip(study.factors, cell, strict=True) if name in told)
+        if own in rows:
+            yield cell, rows[own]
+        else:
+            missing.append(" / ".join(own))
+    if missing:
+        problem = (
+            f"{counted(len(missing), 'combination')} of the design {'has' if len(missing) == 1 else 'have'} no row"
+        )
+        raise AnalysisError(problem, where=where, fix=f"Add {enumerated(missing[:5])}.")
+
+
+def with_blocks(scenario: Scenario, blocks: Mapping[str, float], responses: Mapping[str, float]) -> Scenario:
+    """Return the same with how blocks vary, where that is given."""
+    return replace(
+        scenario,
+        measures=tuple(
+            replace(
+                each,
+                block_sd=blocks.get(each.name, each.block_sd),
+                response_sd=responses.get(each.name, each.response_sd),
+            )
+            for each in scenario.measures
+        ),
+    )

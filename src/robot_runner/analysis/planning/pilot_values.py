@@ -1,0 +1,165 @@
+"""What a pilot experiment tells of the values of a study: means and spreads of combinations, and how blocks vary."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+from robot_runner.analysis.planning.assumed_values import AssumedMeasure
+from robot_runner.analysis.statistics.design import BATCH, VALUE, design_of
+from robot_runner.core.errors import AnalysisError, did_you_mean
+from robot_runner.core.words import counted, enumerated
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    import pandas as pd
+
+    from robot_runner.analysis.planning.study import Cell, Study
+    from robot_runner.analysis.results import Results
+    from robot_runner.analysis.statistics.design import Design
+
+__all__ = ["Pilot", "pilot_values"]
+
+#: Of fewer runs a combination's own standard deviation is hardly known (by half and more); that of all takes its place.
+_ENOUGH = 5
+_BLOCK, _CELL = " block", " cell"
+
+
+@dataclass(frozen=True, slots=True)
+class Pilot:
+    """What a pilot tells.
+
+    Attributes:
+        measures: by name.
+        notes: what it does not tell, and what was done about that.
+    """
+
+    name: str
+    measures: dict[str, AssumedMeasure]
+    notes: tuple[str, ...]
+
+
+def pilot_values(study: Study, results: Results, measures: Sequence[str]) -> Pilot:
+    """Return what a pilot tells of some measures, for each combination of a study.
+
+    Runs of a combination that differ in factors which the study does not have are taken together. What a batch of an
+    extended pilot adds is taken out.
+
+    Raises:
+        AnalysisError: it lacks a measure, a treatment or a combination of the study, or has too few runs.
+    """
+    where = f"--pilot {results.name}"
+    design = design_of(results, blocks=study.plan.blocks if study.plan is not None else None)
+    for name in measures:
+        if name not in results.measures:
+            problem = f"the pilot has no measure {name!r}"
+            raise AnalysisError(problem, where=where, fix=did_you_mean(name, results.measures))
+    shared = _shared(study, design, where)
+    found = {name: _measure(study, design, name, shared, where) for name in measures}
+    return Pilot(results.name, found, tuple(_notes(study, design, shared)))
+
+
+def _shared(study: Study, design: Design, where: str) -> list[str]:
+    """Return the factors of the study that the pilot has, with all treatments of the study."""
+    shared = [name for name in study.factors if name in design.frame]
+    for name in shared:
+        known = list(map(str, design.frame[name].cat.categories))
+        for text in study.factors[name]:
+            if text not in known and name in study.varied:
+                problem = f"the pilot has no runs with {name} = {text}"
+                raise AnalysisError(problem, where=where, fix=did_you_mean(text, known))
+    return [name for name in shared if name in study.varied]
+
+
+def _notes(study: Study, design: Design, shared: Sequence[str]) -> Iterator[str]:
+    yield (
+        "A pilot's effect is uncertain, and one that was large enough to go on with is more often too large than too "
+        "small: plan with the smallest effect that matters to you (--difference)."
+    )
+    alone = [name for name in study.varied if name not in shared]
+    if alone:
+        of = "it" if len(alone) == 1 else "them"
+        yield f"The pilot did not vary {enumerated(alone)}: no effect of {of} is assumed."
+    if (study.blocks or (study.plan is not None and study.plan.blocks)) and design.block is None:
+        yield "The pilot has no blocks: blocks are taken not to vary, unless --block-sd and --response-sd say how."
+
+
+def _measure(study: Study, design: Design, name: str, shared: Sequence[str], where: str) -> AssumedMeasure:
+    data = design.data(name)
+    if data is None:
+        raise AnalysisError(f"{name} is no number in the pilot", where=where, fix="Name another with --measure.")
+    frame = _with_cells(data.frame, shared)
+    means = frame.groupby(_CELL)[VALUE].mean().to_dict()
+    counts = frame[_CELL].value_counts().to_dict()
+    wanted = {cell: _part(study, cell, shared) for cell in study.cells}
+    missing = [" / ".join(part) for part in dict.fromkeys(wanted.values()) if part not in means]
+    if missing:
+        which = f"{counted(len(missing), 'combination')}: {enumerated(missing[:5])}"
+        fix = "Execute these runs, or give --sd and --difference instead."
+        raise AnalysisError(f"the pilot has no value of {name} for {which}", where=where, fix=fix)
+    freedom = len(frame) - len(means)
+    if freedom < 1:
+        problem = f"the pilot has a single run of each combination: {name} has no spread"
+        raise AnalysisError(problem, where=where, fix="Repeat its runs, or give --sd and --difference instead.")
+    residuals = frame[VALUE] - frame[_CELL].map(means)
+    if data.is_extended:
+        residuals -= residuals.groupby(frame[BATCH].astype(str)).transform("mean")
+    varying = _blocks(residuals, frame) if data.is_blocked else _Blocks(0.0, 0.0, residuals)
+    squares = varying.left**2
+    pooled = math.sqrt(float(squares.sum()) / freedom)
+    own = squares.groupby(frame[_CELL]).agg(lambda each: math.sqrt(each.sum() / max(1, len(each) - 1)))
+    return AssumedMeasure(
+        name,
+        {cell: float(means[part]) for cell, part in wanted.items()},
+        {cell: float(own[part]) if counts[part] >= _ENOUGH else pooled for cell, part in wanted.items()},
+        varying.block_sd,
+        varying.response_sd,
+    )
+
+
+def _with_cells(frame: pd.DataFrame, shared: Sequence[str]) -> pd.DataFrame:
+    if not shared:
+        return frame.assign(**{_CELL: [()] * len(frame)})
+    return frame.assign(**{_CELL: [tuple(map(str, row)) for row in frame[list(shared)].itertuples(index=False)]})
+
+
+def _part(study: Study, cell: Cell, shared: Sequence[str]) -> Cell:
+    return tuple(text for name, text in zip(study.factors, cell, strict=True) if name in shared)
+
+
+class _Blocks(NamedTuple):
+    """How blocks vary and how their responses to treatments do, and the residuals that are left, on the old scale."""
+
+    block_sd: float
+    response_sd: float
+    left: pd.Series
+
+
+def _blocks(residuals: pd.Series, frame: pd.DataFrame) -> _Blocks:
+    """Take residuals apart by moments (analysis of variance), with the harmonic mean of the numbers of runs.
+
+    Without repeated runs in blocks, responses cannot be told from chance, and stay in it. Where not even blocks can be
+    told from it, all is chance.
+    """
+    block, total = frame[_BLOCK].astype(str), len(residuals)
+    within = residuals.groupby([block, frame[_CELL]])
+    sizes, means = within.size(), within.mean()
+    of_blocks = means.groupby(level=0).mean()
+    blocks, cells = len(of_blocks), frame[_CELL].nunique()
+    each = len(sizes) / float((1 / sizes).sum())
+    freedom = len(sizes) - blocks - cells + 1
+    between = float(((means - means.groupby(level=0).transform("mean")) ** 2).sum()) / freedom if freedom > 0 else 0.0
+    if total > len(sizes):
+        left = residuals - within.transform("mean")
+        chance = float((left**2).sum()) / (total - len(sizes))
+        response, scale = max(0.0, between - chance / each), math.sqrt((total - cells) / (total - len(sizes)))
+    elif freedom > 0:
+        left = residuals - block.map(of_blocks)
+        chance, response, scale = between, 0.0, math.sqrt((total - cells) / freedom)
+    else:
+        return _Blocks(0.0, 0.0, residuals)
+    noise = (response + chance / each) * blocks / len(sizes)
+    spread = float(of_blocks.var(ddof=1)) if blocks > 1 else 0.0
+    return _Blocks(math.sqrt(max(0.0, spread - noise)), math.sqrt(response), left * scale)

@@ -1,0 +1,261 @@
+"""From what is assumed of a study to its power: which measures, under which assumptions, and the answers."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.analysis.planning.assumed_values import (
+    Scenario,
+    assumed_scenario,
+    differences_of,
+    means_file,
+    numbers_of,
+    with_blocks,
+)
+from robot_runner.analysis.planning.pilot_values import Pilot, pilot_values
+from robot_runner.analysis.planning.power_search import PowerPoint, ScenarioPower, Search, search_repetitions
+from robot_runner.core.design.analysis_plan import Family
+from robot_runner.core.errors import AnalysisError
+from robot_runner.core.words import counted, enumerated
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.analysis.planning.assumed_values import AssumedMeasure
+    from robot_runner.analysis.planning.power_search import Found
+    from robot_runner.analysis.planning.study import Study
+    from robot_runner.analysis.results import Results
+
+__all__ = ["Assumptions", "PowerAnalysis", "answer_in_words", "power_analysis", "share_in_words"]
+
+#: Without a plan every measure is a family of its own; more than a few would only take time.
+_MOST_MEASURES = 6
+_FORMAT = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Assumptions:
+    """What is assumed, as options state it.
+
+    Attributes:
+        pilot: an experiment that was executed; its means, spreads and blocks are taken.
+        means: a CSV file of means.
+        measures: which measures; empty for those of the plan.
+        spreads, differences, blocks, responses: texts such as `12` or `Energy=12`, `Task=5` or `Energy:Task=5`.
+    """
+
+    pilot: Results | None = None
+    means: Path | None = None
+    measures: Sequence[str] = ()
+    spreads: Sequence[str] = ()
+    differences: Sequence[str] = ()
+    blocks: Sequence[str] = ()
+    responses: Sequence[str] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PowerAnalysis:
+    """The power of a study.
+
+    Attributes:
+        scenarios: one for each set of assumptions.
+        notes: what the figures do not tell.
+    """
+
+    study: Study
+    search: Search
+    scenarios: tuple[ScenarioPower, ...]
+    notes: tuple[str, ...] = field(default=())
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return everything as plain data."""
+        plan = self.study.plan
+        return {
+            "format": _FORMAT,
+            "experiment": self.study.name,
+            "factors": {name: list(texts) for name, texts in self.study.factors.items()},
+            "combinations": len(self.study.cells),
+            "blocks": self.study.blocks,
+            "analysis": plan.as_mapping() if plan is not None else None,
+            "power": self.search.power,
+            "repetitions": [self.search.first, self.search.last],
+            "first_batch": self.search.first_batch,
+            "seed": self.search.seed,
+            "scenarios": [_scenario_as_mapping(each) for each in self.scenarios],
+            "answers": [answer_in_words(self, each) for each in self.scenarios],
+            "notes": list(self.notes),
+        }
+
+
+def _scenario_as_mapping(each: ScenarioPower) -> dict[str, Any]:
+    return {
+        "title": each.scenario.title,
+        "assumed": [_assumed_as_mapping(measure) for measure in each.scenario.measures],
+        "sought": [each.claims[place].label for place in each.sought],
+        "needed": None if each.needed is None else asdict(each.needed),
+        "points": [
+            {
+                "repetitions": point.repetitions,
+                "runs": point.runs,
+                "simulations": point.least.simulations,
+                "least": _found_as_mapping(point.least),
+                "together": _found_as_mapping(point.together),
+                "claims": [
+                    {"claim": claim.label, "measure": claim.measure, **_found_as_mapping(found)}
+                    for claim, found in zip(each.claims, point.claims, strict=True)
+                ],
+            }
+            for point in each.points
+        ],
+    }
+
+
+def _assumed_as_mapping(measure: AssumedMeasure) -> dict[str, Any]:
+    return {
+        "measure": measure.name,
+        "combinations": [
+            {"treatments": list(cell), "mean": measure.means[cell], "sd": measure.spreads[cell]}
+            for cell in measure.means
+        ],
+        "block_sd": measure.block_sd,
+        "response_sd": measure.response_sd,
+    }
+
+
+def _found_as_mapping(found: Found) -> dict[str, Any]:
+    low, high = found.interval
+    return {"power": found.share, "error": found.error, "low": low, "high": high}
+
+
+def power_analysis(
+    study: Study,
+    assumptions: Assumptions,
+    search: Search,
+    progress: Callable[[int, int], None] = lambda _, __: None,
+) -> PowerAnalysis:
+    """Find how many repetitions a study needs, under each set of assumptions.
+
+    Raises:
+        AnalysisError: the assumptions do not suffice, or name what the study does not have.
+    """
+    measures = _measures(study, assumptions)
+    pilot = pilot_values(study, assumptions.pilot, measures) if assumptions.pilot is not None else None
+    scenarios = list(_scenarios(study, assumptions, measures, pilot))
+    blocks = numbers_of(study, "--block-sd", assumptions.blocks, measures)
+    responses = numbers_of(study, "--response-sd", assumptions.responses, measures)
+    found = tuple(
+        search_repetitions(study, with_blocks(each, blocks, responses), search, progress) for each in scenarios
+    )
+    return PowerAnalysis(study, search, found, tuple(_notes(study, measures, pilot, found)))
+
+
+def _measures(study: Study, assumptions: Assumptions) -> tuple[str, ...]:
+    """Return the measures that are simulated: those asked for, those of the plan, or all that something is assumed of.
+
+    Raises:
+        AnalysisError: one is not known, or shares a family with others that are left out.
+    """
+    asked = tuple(study.measure(name, "--measure") for name in assumptions.measures)
+    if study.plan is not None:
+        primary = tuple(study.measure(name, "analysis") for name in study.plan.measures)
+        left_out = [name for name in primary if name not in asked]
+        if asked and left_out and study.plan.family is not Family.MEASURE:
+            problem = f"errors are controlled together with those of {enumerated(left_out)}, which --measure leaves out"
+            raise AnalysisError(problem, where="--measure", fix="Leave out --measure, or name all primary measures.")
+        return asked or primary
+    named = [text.rpartition("=")[0] for text in assumptions.spreads]
+    found = asked or tuple(dict.fromkeys(study.measure(name, "--sd") for name in named if name))
+    if not found and assumptions.pilot is not None:
+        found = tuple(name for name in study.units if name in assumptions.pilot.measures)[:_MOST_MEASURES]
+    if not found and len(study.units) == 1:
+        found = tuple(study.units)
+    if not found:
+        names = ", ".join(study.units)
+        fix = f"Name one with --measure ({names}), or write an AnalysisPlan."
+        raise AnalysisError("the config has no analysis plan, and no measure is named", where="power", fix=fix)
+    return found
+
+
+def _scenarios(
+    study: Study, assumptions: Assumptions, measures: Sequence[str], pilot: Pilot | None
+) -> Iterator[Scenario]:
+    spreads = numbers_of(study, "--sd", assumptions.spreads, measures)
+    differences = differences_of(study, assumptions.differences, measures)
+    base: Mapping[str, AssumedMeasure] = pilot.measures if pilot is not None else {}
+    if assumptions.means is not None:
+        if pilot is not None:
+            fix = "Give one of them."
+            raise AnalysisError("--means and --pilot both say what the means are", where="power", fix=fix)
+        base = means_file(study, assumptions.means, spreads)
+        _refuse_unknown(measures, base, f"--means {assumptions.means}")
+        yield Scenario("the means of the file", tuple(base[name] for name in measures))
+    elif pilot is not None:
+        yield Scenario("the pilot's effects", tuple(base[name] for name in measures))
+    if differences:
+        title = "the smallest effects of interest" if base else "the assumed effects"
+        yield assumed_scenario(study, measures, differences, spreads, base, title)
+    elif not base:
+        if not spreads:
+            fix = "Give --pilot FOLDER, or --sd and --difference, or --means FILE."
+            raise AnalysisError("nothing is assumed of the values that will be measured", where="power", fix=fix)
+        fix = "Give --difference FACTOR=NUMBER, in the measure's unit."
+        raise AnalysisError("no difference is assumed that could be found", where="power", fix=fix)
+
+
+def _refuse_unknown(measures: Sequence[str], base: Mapping[str, AssumedMeasure], where: str) -> None:
+    missing = [name for name in measures if name not in base]
+    if missing:
+        fix = f"Add {'a column' if len(missing) == 1 else 'columns'} for {enumerated(missing)}."
+        raise AnalysisError(f"the file has no means of {enumerated(missing)}", where=where, fix=fix)
+
+
+def _notes(study: Study, measures: Sequence[str], pilot: Pilot | None, found: Sequence[ScenarioPower]) -> Iterator[str]:
+    yield from pilot.notes if pilot is not None else ()
+    if study.plan is None:
+        yield "The config has no analysis plan: each measure's effects are a family at 5 %, corrected after Holm."
+    if len(measures) > 1:
+        yield "Measures are drawn independently of each other; where theirs go together, so do their verdicts."
+    yield "Values are drawn from normal distributions; skewed ones, and runs that fail, take more repetitions."
+    blocks = study.blocks if study.plan is None or study.plan.blocks is None else study.plan.blocks
+    if blocks is not None and blocks in study.factors and any(each.needed is None for each in found):
+        count = counted(len(study.factors[blocks]), "block")
+        told = "how these differ is the chance that effects are compared with"
+        yield f"{blocks} makes {count}: {told}, so that more of them help where more repetitions do not."
+
+
+# What the figures say.
+
+
+def share_in_words(found: Found) -> str:
+    """Return a power with its Monte Carlo error, as in `80.9 % (80.0 to 81.7)`."""
+    low, high = found.interval
+    return f"{100 * found.share:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
+
+
+def answer_in_words(analysis: PowerAnalysis, scenario: ScenarioPower) -> str:
+    """Return how many repetitions suffice, or that none in the range does."""
+    search = analysis.search
+    what = "what is sought" if len(scenario.sought) == 1 else "each of what is sought"
+    if scenario.needed is None:
+        point = scenario.point(search.last)
+        most = f"{counted(search.last, 'repetition')} ({counted(point.runs, 'run')})"
+        return f"{most} find {what} in {share_in_words(point.least)} of experiments: fewer than {search.power:.0%}."
+    needed = scenario.needed
+    point = scenario.point(needed.repetitions)
+    told = (
+        f"{counted(needed.repetitions, 'repetition')} ({counted(point.runs, 'run')}) find {what} in "
+        f"{share_in_words(point.least)} of experiments"
+    )
+    if needed.repetitions == search.first:
+        return f"{told}; fewer were not looked at."
+    return f"{told}{_leeway(scenario, point)}."
+
+
+def _leeway(scenario: ScenarioPower, point: PowerPoint) -> str:
+    needed = scenario.needed
+    if needed is None or (needed.low == needed.high == point.repetitions):
+        return ""
+    high = "more" if needed.high is None else f"{needed.high}"
+    return f"; the simulation leaves {needed.low} to {high}"

@@ -1,0 +1,240 @@
+"""How often the report's own procedure finds what is there: experiments are simulated and analysed, thousands at once.
+
+The tests, their families and corrections are those of `analyse`: the same functions are called with the values of many
+experiments. What no test hangs on (descriptions, figures, sentences) is left out, which takes a thousandth of the time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from robot_runner.analysis.statistics.batch_strata import comparable
+from robot_runner.analysis.statistics.cell_means import CellMeans
+from robot_runner.analysis.statistics.descriptive import quiet
+from robot_runner.analysis.statistics.design import VALUE, design_of
+from robot_runner.analysis.statistics.families import claim_of, contrast_key, effect_key, families_of
+from robot_runner.analysis.statistics.post_hoc import adjusted, contrast_of, p_value_of_contrast
+from robot_runner.analysis.statistics.tested import NotComputed
+from robot_runner.analysis.statistics.tests import Choices, model_of
+from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.errors import AnalysisError
+from robot_runner.core.words import enumerated
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from robot_runner.analysis.planning.assumed_values import AssumedMeasure, Scenario
+    from robot_runner.analysis.planning.study import Cell, Study
+    from robot_runner.analysis.statistics.design import MeasureData
+    from robot_runner.analysis.statistics.families import Key
+    from robot_runner.analysis.statistics.linear_model import FittedModel
+    from robot_runner.core.design.hypothesis import Hypothesis
+
+    Floats = NDArray[np.float64]
+
+__all__ = ["AT_ONCE", "Claim", "Simulation"]
+
+#: Experiments that are drawn and analysed together; counts do not depend on how many are asked for at a time.
+AT_ONCE = 500
+
+#: Draws of a bootstrap: as so many experiments are made, the error of a single p-value averages out.
+_DRAWS = 499
+
+
+class Claim(NamedTuple):
+    """What an experiment may find.
+
+    Attributes:
+        key: as families of tests have it.
+        label: in words.
+        measure: what it is about.
+        is_hypothesis: whether it is one that the plan states.
+    """
+
+    key: Key
+    label: str
+    measure: str
+    is_hypothesis: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Prepared:
+    """A measure, ready to be simulated.
+
+    Attributes:
+        data: what of it is compared, with the values of one experiment.
+        rows: which of the runs are.
+        blocks: the block of each run.
+        model: of these values.
+    """
+
+    assumed: AssumedMeasure
+    data: MeasureData
+    rows: NDArray[np.intp]
+    blocks: tuple[str, ...]
+    model: CellMeans | FittedModel
+
+
+class Simulation:
+    """Experiments of one number of repetitions under one set of assumptions.
+
+    Attributes:
+        is_slow: whether models are fitted one experiment at a time.
+
+    Raises:
+        AnalysisError: no test can be made of so few runs.
+    """
+
+    def __init__(
+        self,
+        study: Study,
+        scenario: Scenario,
+        repetitions: int,
+        *,
+        seed: Sequence[int],
+        first_batch: int | None = None,
+    ) -> None:
+        self._study = study
+        self._plan = study.plan
+        self._seed = (*seed, repetitions)
+        self._cells: tuple[Cell, ...] = tuple(study.cells[place] for place in study.cells_of(repetitions))
+        plan = study.plan
+        self._choices = (
+            Choices() if plan is None else Choices(plan.alpha, plan.correction, plan.estimand, plan.statistic)
+        )
+        self._measures = self._prepared(scenario, repetitions, first_batch)
+        self.is_slow = any(not isinstance(each.model, CellMeans) for each in self._measures)
+
+    def _prepared(self, scenario: Scenario, repetitions: int, first_batch: int | None) -> list[_Prepared]:
+        random = np.random.default_rng(self._seed)
+        values = {each.name: random.normal(size=len(self._cells)) for each in scenario.measures}
+        results = self._study.results(repetitions, values, first_batch)
+        design = design_of(results, blocks=self._plan.blocks if self._plan is not None else None)
+        prepared = []
+        for assumed in scenario.measures:
+            data = design.data(assumed.name)
+            if data is None:
+                raise TypeError(f"{assumed.name} was drawn, and is no number")
+            blocks = tuple(map(str, data.blocks)) if data.is_blocked else ("",) * len(self._cells)
+            compared = comparable(data).data
+            model = model_of(compared, self._choices.estimand, self._choices.statistic)
+            if isinstance(model, NotComputed):
+                problem = f"with {repetitions} repetitions nothing can be tested of {assumed.name}: {model.why}"
+                raise AnalysisError(
+                    problem.rstrip("."), where="power", fix="Give more repetitions: --repetitions FROM..TO."
+                )
+            places = {run_id: place for place, run_id in enumerate(data.frame[RUN_ID])}
+            rows = np.array([places[run_id] for run_id in compared.frame[RUN_ID]])
+            prepared.append(_Prepared(assumed, compared, rows, blocks, model))
+        return prepared
+
+    @cached_property
+    def claims(self) -> tuple[Claim, ...]:
+        """What is tested: the hypotheses of the plan, then all effects on each measure."""
+        stated = self._plan.hypotheses if self._plan is not None else ()
+        names = [each.assumed.name for each in self._measures]
+        found = [
+            Claim(claim_of(each), each.statement, each.measure, is_hypothesis=True)
+            for each in stated
+            if each.measure in names
+        ]
+        for each in self._measures:
+            for test in each.model.effects():
+                label = f"{enumerated_factors(test.factors)} on {each.assumed.name}"
+                found.append(
+                    Claim(effect_key(each.assumed.name, test.factors), label, each.assumed.name, is_hypothesis=False)
+                )
+        return tuple(found)
+
+    def found(self, part: int, experiments: int = AT_ONCE) -> dict[Key, NDArray[np.bool_]]:
+        """Return what each experiment of a part finds significant after correction.
+
+        Args:
+            part: which experiments: others of each part, the same whenever it is asked for.
+            experiments: how many, the first ones of the part.
+        """
+        p_values = self.p_values(part, experiments)
+        tested = {each.assumed.name: self._keys(each, p_values) for each in self._measures}
+        found: dict[Key, NDArray[np.bool_]] = {}
+        for _, keys in families_of(tested, self._plan):
+            if keys:
+                found |= self._significant(keys, np.stack([p_values[key] for key in keys], axis=-1))
+        return found
+
+    def _significant(self, keys: Sequence[Key], p_values: Floats) -> dict[Key, NDArray[np.bool_]]:
+        is_found = np.zeros(p_values.shape, dtype=bool)
+        for place, row in enumerate(p_values):
+            known = np.isfinite(row)
+            is_found[place, known] = np.array(adjusted(row[known], self._choices.correction)) < self._choices.alpha
+        return dict(zip(keys, is_found.T, strict=True))
+
+    def _keys(self, prepared: _Prepared, p_values: Mapping[Key, Floats]) -> list[Key]:
+        """Return what is tested of a measure, in the order of the report."""
+        name = prepared.assumed.name
+        effects = [effect_key(name, test.factors) for test in prepared.model.effects()]
+        return [*effects, *(key for each in self._contrasts(name) if (key := contrast_key(each.statement)) in p_values)]
+
+    def _contrasts(self, measure: str) -> list[Hypothesis]:
+        stated = self._plan.hypotheses if self._plan is not None else ()
+        return [
+            each
+            for each in stated
+            if each.measure == measure and (each.contrast is not None or each.within is not None)
+        ]
+
+    def p_values(self, part: int, experiments: int = AT_ONCE) -> dict[Key, Floats]:
+        """Return the p-value of each test in each experiment, before correction; NaN where there is none."""
+        found: dict[Key, Floats] = {}
+        with quiet():
+            for prepared, values in zip(self._measures, self.values(part, experiments).values(), strict=True):
+                found |= self._p_values_of(prepared, values[:, prepared.rows])
+        return found
+
+    def values(self, part: int, experiments: int = AT_ONCE) -> dict[str, Floats]:
+        """Return the values of each measure, (experiments, runs); runs come as written."""
+        return {
+            each.assumed.name: each.assumed.draw(
+                np.random.default_rng((*self._seed, part, place)), AT_ONCE, self._cells, each.blocks
+            )[:experiments]
+            for place, each in enumerate(self._measures)
+        }
+
+    def _p_values_of(self, prepared: _Prepared, values: Floats) -> dict[Key, Floats]:
+        model = prepared.model
+        if isinstance(model, CellMeans):
+            choices = (self._choices.estimand, self._choices.statistic)
+            return self._tested(prepared.assumed.name, CellMeans.of_values(model.layout, values, *choices, _DRAWS))
+        each = [self._of_one(prepared, row) for row in values]
+        missing = np.asarray(np.nan)
+        keys = dict.fromkeys(key for one in each for key in one)
+        return {key: np.array([float(one.get(key, missing)) for one in each]) for key in keys}
+
+    def _of_one(self, prepared: _Prepared, values: Floats) -> dict[Key, Floats]:
+        """Return the p-values of one experiment, for what has to be fitted by itself."""
+        data = replace(prepared.data, frame=prepared.data.frame.assign(**{VALUE: values}))
+        model = model_of(data, self._choices.estimand, self._choices.statistic)
+        return {} if isinstance(model, NotComputed) else self._tested(prepared.assumed.name, model)
+
+    def _tested(self, name: str, model: CellMeans | FittedModel) -> dict[Key, Floats]:
+        found = {effect_key(name, test.factors): np.asarray(test.p_value) for test in model.effects()}
+        for hypothesis in self._contrasts(name):
+            contrast = contrast_of(model, hypothesis)
+            if not isinstance(contrast, NotComputed):
+                found[contrast_key(hypothesis.statement)] = p_value_of_contrast(contrast, hypothesis)
+        return found
+
+
+def enumerated_factors(factors: Sequence[str]) -> str:
+    """Return an effect in words.
+
+    Example:
+        >>> enumerated_factors(["Task"]), enumerated_factors(["Task", "Speed"])
+        ('effect of Task', 'interaction of Task and Speed')
+    """
+    return f"{'effect' if len(factors) == 1 else 'interaction'} of {enumerated(list(factors))}"

@@ -1,0 +1,172 @@
+"""What an experiment registered before its first run, and everywhere that it deviates from that."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.analysis.wording import listed
+from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.executed_runs import executed_order, moved_in_words, moved_runs
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.registration import Registration, differences, read_registration
+from robot_runner.core.words import counted
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from robot_runner.analysis.results import Results
+    from robot_runner.analysis.statistics.outcome import ExperimentStatistics
+
+__all__ = ["Registered", "registered"]
+
+
+@dataclass(frozen=True, slots=True)
+class Registered:
+    """A registration, and what became of it.
+
+    Attributes:
+        registered_at: when it was made (UTC).
+        sha256: its checksum, as it was recorded at the start of the experiment.
+        power: what was registered of the study's power, in sentences; empty where nothing was.
+        deviations: each in a clause, without a full stop.
+        problem: why the file in the folder cannot be trusted; empty where it can.
+    """
+
+    registered_at: str
+    sha256: str
+    power: tuple[str, ...]
+    deviations: tuple[str, ...]
+    problem: str = ""
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return it as plain data, for the report's JSON."""
+        return {**asdict(self), "sentence": self.sentence}
+
+    @property
+    def sentence(self) -> str:
+        """What the report says of it."""
+        told = f"Registered on {self.registered_at[:10]} at {self.registered_at[11:19]} UTC, SHA-256 {self.sha256}."
+        if self.problem:
+            return f"{told} {self.problem}"
+        return f"{told} Deviations: {'; '.join(self.deviations) or 'none'}."
+
+
+def registered(results: Results, statistics: ExperimentStatistics) -> Registered | None:
+    """Return the registration of an experiment with all deviations from it; None where none was made beforehand."""
+    stated = results.manifest.get("registration")
+    if not isinstance(stated, dict):
+        return None
+    at, digest = str(stated.get("registered_at")), str(stated.get("sha256"))
+    try:
+        found = read_registration(ExperimentFolder.found_at(results.folder).registration)
+    except StorageError as error:
+        problem = f"Whether it was followed cannot be told: {error.problem}."
+        return Registered(at, digest, (), (), problem)
+    if not found.is_intact or found.sha256 != digest:
+        problem = "The file in the folder is not the one that the experiment began with: its checksum differs."
+        return Registered(at, digest, (), (), problem)
+    power = tuple(map(str, (found.content["power"] or {}).get("answers", ())))
+    return Registered(at, digest, power, tuple(_deviations(found, results, statistics)))
+
+
+def _deviations(found: Registration, results: Results, statistics: ExperimentStatistics) -> Iterator[str]:
+    manifest, content = results.manifest, found.content
+    now: dict[str, Any] = {
+        "design": {**_first_design(manifest), "excluded": content["design"].get("excluded", [])},
+        "seed": manifest.get("seed"),
+        "analysis": manifest.get("analysis"),
+        "measures": [{"name": name, "unit": results.unit(name)} for name in results.measures],
+    }
+    yield from differences(content, json.loads(json.dumps(now, default=str)))
+    yield from _of_combinations(content["design"], results)
+    yield from _of_config(content["config"], results)
+    yield from _of_execution(found, results)
+    yield from _of_runs(results)
+    yield from _of_analysis(statistics, results)
+
+
+def _first_design(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the design that the experiment began with: batches that were added are told by themselves."""
+    design = {name: each for name, each in (manifest.get("design") or {}).items() if name not in {"source", "batches"}}
+    batches = (manifest.get("design") or {}).get("batches") or []
+    if batches and batches[0].get("repetitions"):
+        design["repetitions"] = batches[0]["repetitions"]
+    return design
+
+
+def _of_combinations(design: Mapping[str, Any], results: Results) -> Iterator[str]:
+    """Yield which combinations the run table has beyond the registered ones, or lacks."""
+    names = list(design.get("factors") or {})
+    if not names or any(name not in results.all_runs for name in names):
+        return  # told as factors
+    left_out = {tuple(each) for each in design.get("excluded", ())}
+    planned = {cell for cell in product(*design["factors"].values()) if cell not in left_out}
+    present = {tuple(map(str, row)) for row in results.all_runs[names].itertuples(index=False)}
+    treatments = [set(texts) for texts in design["factors"].values()]
+    # Combinations with treatments that were not registered are told as treatments.
+    added = [cell for cell in sorted(present - planned) if all(map(set.__contains__, treatments, cell))]
+    for words, cells in (("not registered", added), ("registered and not in the run table", sorted(planned - present))):
+        if cells:
+            yield f"{counted(len(cells), 'combination')} {words}: {listed(' / '.join(cell) for cell in cells)}"
+
+
+def _of_config(config: Mapping[str, Any], results: Results) -> Iterator[str]:
+    kept = ExperimentFolder.found_at(results.folder).config
+    for name, digest in {str(config.get("file")): config.get("sha256"), **(config.get("modules") or {})}.items():
+        path = kept / name
+        if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+            yield f"the file {name} was changed after the registration"
+    settings = config.get("settings") or {}
+    for execution in results.manifest.get("executions") or ():
+        set_now = {name: text for name, text in (execution.get("deviations") or {}).items() if name != _PATH}
+        if set_now != settings:
+            shown = listed(f"{name} = {text}" for name, text in set_now.items()) or "nothing"
+            yield f"set from outside on {str(execution.get('started_at'))[:10]}: {shown}"
+            return
+
+
+#: Where results are kept is nobody's plan.
+_PATH = "results_output_path"
+
+
+def _of_execution(found: Registration, results: Results) -> Iterator[str]:
+    manifest = results.manifest
+    executions = manifest.get("executions") or [{}]
+    if str(executions[0].get("started_at", "9")) < found.registered_at:
+        yield "it was registered after the first run"
+    if manifest.get("registration_changes"):
+        yield "another registration took the place of this one after runs had been executed, and does not count"
+    if manifest.get("analysis_changes"):
+        yield "the analysis plan was changed after runs had been executed"
+    for batch in (manifest.get("design") or {}).get("batches", [])[1:]:
+        runs, at = counted(batch["runs"], "run"), str(batch.get("at"))[:10]
+        yield f"extended beyond what was registered: batch {batch['batch']}, {runs}, added on {at}"
+    if manifest.get("table_deviations"):
+        yield f"the run table was edited by hand ({counted(len(manifest['table_deviations']), 'change')})"
+    order = executed_order(ExperimentFolder.found_at(results.folder).journal)
+    if moved := moved_in_words(moved_runs(list(results.all_runs[RUN_ID]), order), order):
+        yield moved
+
+
+def _of_runs(results: Results) -> Iterator[str]:
+    excluded = list(results.excluded[RUN_ID])
+    if excluded:
+        yield f"{counted(len(excluded), 'run')} excluded: {listed(excluded)}"
+    left = len(results.runs) - len(results.done)
+    if left:
+        yield f"{counted(left, 'run')} not done"
+
+
+def _of_analysis(statistics: ExperimentStatistics, results: Results) -> Iterator[str]:
+    if results.plan is None:
+        return
+    if not statistics.is_planned:
+        yield "the level of significance or the correction of this report is not the plan's"
+    unplanned = [each.name for each in statistics.measures if not each.is_planned and each.test is not None]
+    if statistics.is_planned and unplanned:
+        yield f"measures tested that were not planned: {listed(unplanned)}"

@@ -1,0 +1,115 @@
+"""The registration that belongs to a config: where it is, what it holds, and how the config differs from it."""
+
+from __future__ import annotations
+
+import hashlib
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.batches import GrownRunTableModel
+from robot_runner.core.design.design_facts import described_design
+from robot_runner.core.design.factor import full_factorial
+from robot_runner.core.errors import Finding, StorageError
+from robot_runner.core.storage.registration import Registration, differences, read_registration
+from robot_runner.core.words import listed
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from robot_runner.core.config.loader import LoadedConfig
+    from robot_runner.core.design.analysis_plan import AnalysisPlan
+    from robot_runner.core.design.run_table_model import RunTableModel
+    from robot_runner.core.events.measure import MeasureColumns
+
+__all__ = ["check_registration", "registered", "registration_content", "registration_path", "take_registered_seed"]
+
+#: What is put behind the stem of the config file.
+SUFFIX = ".registration.json"
+#: Where results are kept is nobody's plan, and names a person's folders.
+_UNREGISTERED = frozenset({"results_output_path"})
+
+
+def registration_path(loaded: LoadedConfig) -> Path:
+    """Return where the registration of a config is, or would be: as `registration` says, or beside the config file."""
+    given = getattr(loaded.config, "registration", None)
+    path = loaded.source.path
+    return path.with_suffix(SUFFIX) if not isinstance(given, str | Path) else path.parent / Path(given).expanduser()
+
+
+def registered(loaded: LoadedConfig) -> Registration | None:
+    """Return the registration of a config; None where there is none, or none that can be used."""
+    try:
+        found = read_registration(registration_path(loaded))
+    except StorageError:  # told by `check_registration`
+        return None
+    return found if found.is_intact else None
+
+
+def take_registered_seed(loaded: LoadedConfig, model: RunTableModel) -> None:
+    """Have a design whose config gives no seed use the registered one, so that its order is the registered order."""
+    if model.shuffle and not model.seed_is_given and (found := registered(loaded)) is not None:
+        model.take_seed(found.seed, is_registered=True)
+
+
+def registration_content(
+    loaded: LoadedConfig, model: RunTableModel, plan: AnalysisPlan | None, columns: MeasureColumns
+) -> dict[str, Any]:
+    """Return what is registered of a study, but for the date and its power.
+
+    Of an experiment that was extended it is what the config planned.
+    """
+    own = model.as_configured if isinstance(model, GrownRunTableModel) else model
+    kept = set(map(_texts, own.combinations_of(own.factors)))
+    left_out = [list(texts) for each in full_factorial(own.factors) if (texts := _texts(each)) not in kept]
+    path = loaded.source.path
+    settings = {name: text for name, text in loaded.overrides.items() if name not in _UNREGISTERED}
+    return {
+        "experiment": str(getattr(loaded.config, "experiment_name", "")),
+        "robot_runner": version("robot-runner"),
+        "config": {
+            "file": path.name,
+            "class": loaded.source.class_name,
+            "sha256": _digest(path),
+            "modules": {each.relative_to(path.parent).as_posix(): _digest(each) for each in loaded.local_modules},
+            "settings": settings,
+        },
+        "design": {**described_design(own), "excluded": left_out, "runs": len(own.plan())},
+        "seed": own.seed,
+        "seed_is_given": own.seed_is_given,
+        "measures": [{"name": each.name, "unit": each.measure.unit} for each in columns.in_table if not each.tells_of],
+        "analysis": None if plan is None else plan.as_mapping(),
+    }
+
+
+def _texts(combination: Mapping[str, Any]) -> tuple[str, ...]:
+    return tuple(map(str, combination.values()))
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def check_registration(
+    loaded: LoadedConfig, model: RunTableModel | None, plan: AnalysisPlan | None, columns: MeasureColumns
+) -> list[Finding]:
+    """Return what stands against the registration of a config: damaged, missing though it is named, or not followed."""
+    path = registration_path(loaded)
+    is_named = getattr(loaded.config, "registration", None) is not None
+    if not path.exists() and not is_named:
+        return []
+    try:
+        found = read_registration(path)
+    except StorageError as error:
+        return list(error.findings)
+    if not found.is_intact:
+        problem = "the registration was changed after it was made: its checksum is not that of its content"
+        fix = "Restore the file from where it was deposited, or register again before the first run."
+        return [Finding.error(str(path), problem, fix)]
+    if model is None or model.is_too_large:
+        return []
+    differing: Sequence[str] = list(differences(found.content, registration_content(loaded, model, plan, columns)))
+    if not differing:
+        return []
+    problem = f"the config differs from what was registered on {found.registered_at[:10]}: {listed(differing)}"
+    return [Finding.warning(str(path), problem, "Follow the registration; the report lists each deviation from it.")]

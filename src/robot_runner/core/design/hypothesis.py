@@ -1,0 +1,126 @@
+"""A statement that an experiment is to test: an effect, a contrast of means, or their equivalence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import DesignError, Finding
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["Hypothesis", "is_number", "names_findings", "names_of"]
+
+#: Weights of a contrast that sum up to less are a sum of zero but for rounding.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class Hypothesis:
+    """A statement that the experiment is to test.
+
+    It claims that factors have an effect on a measure; with a contrast, that a weighted sum of the means of a factor's
+    treatments is not zero; with a bound, that a difference of two means is smaller than it (equivalence).
+
+    Attributes:
+        statement: the hypothesis in words.
+        measure: the measure that it is about.
+        factors: the factor whose effect it claims; several for an interaction.
+        contrast: the weight of each treatment, of one factor; the weights sum up to zero. Others have none.
+        within: the bound of equivalence, in the measure's unit; without a contrast the factor has two treatments.
+
+    Raises:
+        DesignError: one of them is empty or of a wrong type.
+
+    Example:
+        >>> Hypothesis("The task affects the energy of a mission.", measure="Energy", factors="Task").factors
+        ('Task',)
+        >>> Hypothesis("Video costs no more than 5 J.", measure="Energy", factors="Task",
+        ...            contrast={"Video": 1, "Idle": -1}, within=5).within
+        5.0
+    """
+
+    statement: str
+    measure: str
+    factors: tuple[str, ...]
+    contrast: Mapping[str, float] | None
+    within: float | None
+
+    def __init__(
+        self,
+        statement: str,
+        *,
+        measure: str,
+        factors: str | Sequence[str],
+        contrast: Mapping[str, float] | None = None,
+        within: float | None = None,
+    ) -> None:
+        object.__setattr__(self, "statement", statement)
+        object.__setattr__(self, "measure", measure)
+        object.__setattr__(self, "factors", names_of(factors))
+        where = f"hypothesis {statement!r}"
+        findings = [*_text_findings(self), *names_findings(where, "factors", self.factors)]
+        findings += _contrast_findings(where, self.factors, contrast, within)
+        if not self.factors:
+            findings.append(Finding.error(where, "the hypothesis names no factor", "Give factors=..."))
+        if findings:
+            raise DesignError.of_findings(findings)
+        weights = None if contrast is None else {str(name): float(weight) for name, weight in contrast.items()}
+        object.__setattr__(self, "contrast", weights)
+        object.__setattr__(self, "within", None if within is None else float(within))
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return the hypothesis as plain data; what it does not have is left out."""
+        plain: dict[str, Any] = {
+            "statement": self.statement,
+            "measure": self.measure,
+            "factors": list(self.factors),
+            "contrast": None if self.contrast is None else dict(self.contrast),
+            "within": self.within,
+        }
+        return {name: value for name, value in plain.items() if value is not None}
+
+
+def names_of(given: object) -> tuple[Any, ...]:
+    """Return one name or several as a tuple; what is no name is left for `names_findings`."""
+    if isinstance(given, str):
+        return (given,)
+    return tuple(given) if isinstance(given, Sequence) else (given,)
+
+
+def names_findings(where: str, what: str, names: tuple[Any, ...]) -> Iterator[Finding]:
+    """Say which of some names are no text."""
+    for name in names:
+        if not isinstance(name, str):
+            problem = f"{what} has {name!r}, of type {type(name).__name__}"
+            yield Finding.error(where, problem, "Give names, such as 'Energy'.")
+
+
+def is_number(value: object) -> bool:
+    """Say whether a value is a finite number, and no boolean."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _text_findings(hypothesis: Hypothesis) -> Iterator[Finding]:
+    for name in ("statement", "measure"):
+        value = getattr(hypothesis, name)
+        if not isinstance(value, str) or not value.strip():
+            yield Finding.error(f"hypothesis {hypothesis.statement!r}", f"{name} is {value!r}", "Give a text.")
+
+
+def _contrast_findings(where: str, factors: tuple[Any, ...], contrast: object, within: object) -> Iterator[Finding]:
+    if within is not None and not (is_number(within) and within > 0):  # type: ignore[operator]
+        yield Finding.error(where, f"within is {within!r}", "Give a bound above 0, in the measure's unit.")
+    if (contrast is not None or within is not None) and len(factors) > 1:
+        yield Finding.error(where, "a contrast or a bound is of one factor, and several are named", "Name one factor.")
+    if contrast is None:
+        return
+    if not isinstance(contrast, Mapping) or not all(map(is_number, contrast.values())):
+        fix = "Give the weight of each treatment, such as {'Video': 1, 'Idle': -1}."
+        yield Finding.error(where, f"contrast is {contrast!r}", fix)
+    elif len(contrast) < 2 or not any(contrast.values()) or abs(sum(contrast.values())) > _ROUNDING:  # noqa: PLR2004
+        fix = "Give two and more weights that sum up to 0."
+        yield Finding.error(where, f"the weights of the contrast are {dict(contrast)!r}", fix)

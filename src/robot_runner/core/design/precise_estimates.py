@@ -1,0 +1,207 @@
+"""How precisely a measure is known after the repetitions that there are, and whether another one is needed."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from dataclasses import dataclass
+from itertools import combinations as pairs_of
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.precision import PreciseOf
+from robot_runner.core.design.repeated_intervals import half_width_of, level_at_each_look
+from robot_runner.core.words import counted
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from robot_runner.core.design.precision import Precision
+
+__all__ = ["Judgement", "Known", "Observed", "judge"]
+
+#: One run of a combination, as its treatments, by the name of the factor, and as text.
+Treatments = tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """What one run yielded; runs that are excluded or only warm up are none.
+
+    Attributes:
+        treatments: of the run, by factor, as text.
+        repetition: of its combination, from 1.
+        value: of the measure; None where the run failed or yielded none.
+    """
+
+    run_id: str
+    treatments: Mapping[str, str]
+    repetition: int
+    value: Any
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Known:
+    """How precisely one mean, or one difference of means, is known.
+
+    Attributes:
+        of: whose mean it is, such as `Video / 0.2`, or `Video - Network` for a difference.
+        n: how many values it comes from; differences come from repetitions.
+        mean: in the measure's unit; None where there is no value.
+        half_width: half the width of its interval, in the unit; None where fewer than two values leave it unknown.
+        wanted: the half width that is wanted, in the unit; None where that cannot be said.
+        problem: why nothing can be said of it, however often it is repeated; empty where it can be.
+        oddity: what looks odd about it, and ends nothing.
+    """
+
+    of: str
+    n: int
+    mean: float | None = None
+    half_width: float | None = None
+    wanted: float | None = None
+    problem: str = ""
+    oddity: str = ""
+
+    @property
+    def is_precise(self) -> bool:
+        """Whether it is known as precisely as is wanted."""
+        return self.half_width is not None and self.wanted is not None and self.half_width <= self.wanted
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What is known of everything that one rule is about.
+
+    Attributes:
+        rule: what was asked for.
+        level: the confidence of each interval at this look.
+        repetitions: how often each combination was planned until now.
+        known: each mean, or difference.
+    """
+
+    rule: Precision
+    level: float
+    repetitions: int
+    known: tuple[Known, ...]
+
+    @property
+    def is_precise(self) -> bool:
+        """Whether all is known as precisely as is wanted."""
+        return bool(self.known) and all(each.is_precise for each in self.known)
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Why the rule cannot be followed; empty where it can be."""
+        if not self.known:
+            return ("there is nothing to compare: no factor has two treatments that are combined with the same",)
+        return tuple(f"{each.of}: {each.problem}" for each in self.known if each.problem)
+
+    @property
+    def needs_more(self) -> bool:
+        """Whether another repetition is to be executed for this rule."""
+        return not (self.is_precise or self.problems or self.repetitions >= self.rule.at_most)
+
+    @property
+    def widest(self) -> Known | None:
+        """What is known least precisely, by what is wanted of it; None where nothing can be said."""
+        told = [each for each in self.known if each.half_width is not None and each.wanted]
+        return max(told, key=lambda each: each.half_width / each.wanted, default=None)  # type: ignore[operator]
+
+    def in_words(self) -> str:
+        """Return how precisely it is known by now."""
+        measure, worst = self.rule.measure, self.widest
+        if worst is None:
+            return f"{measure}: {'; '.join(self.problems) or 'too few values'}"
+        reached = worst.half_width / worst.wanted * self.rule.half_width  # type: ignore[operator]
+        shown = f"± {reached:.3g} {'%' if self.rule.is_relative else self.rule.unit}".strip()
+        known = sum(each.is_precise for each in self.known)
+        what = "mean" if self.rule.of is PreciseOf.MEANS else "difference"
+        wanted = f"± {self.rule.wanted_in_words} is wanted"
+        return f"{measure}: {shown} for {worst.of}, {wanted} ({known} of {counted(len(self.known), what)} precise)"
+
+
+def judge(rule: Precision, least: int, repetitions: int, runs: Iterable[Observed]) -> Judgement:
+    """Return how precisely everything is known that a rule is about.
+
+    Args:
+        rule: what is asked for.
+        least: how often each combination was planned before the first look.
+        repetitions: how often by now.
+        runs: all runs that count, those without a value included.
+    """
+    level = level_at_each_look(least, max(rule.at_most, repetitions, least))
+    observed = list(runs)
+    wrong = next((run for run in observed if run.value is not None and not _is_number(run.value)), None)
+    if wrong is not None:
+        problem = f"{wrong.run_id} has {wrong.value!r}, which is no number"
+        return Judgement(rule, level, repetitions, (Known(of=rule.measure, n=0, problem=problem),))
+    make = _means if rule.of is PreciseOf.MEANS else _differences
+    return Judgement(rule, level, repetitions, tuple(make(rule, level, observed)))
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _means(rule: Precision, level: float, observed: Sequence[Observed]) -> Iterator[Known]:
+    values: dict[Treatments, list[float]] = {}
+    for run in observed:
+        own = values.setdefault(tuple(run.treatments.items()), [])
+        if run.value is not None:
+            own.append(float(run.value))
+    for treatments, found in values.items():
+        of = " / ".join(text for _, text in treatments) or "all runs"
+        yield _known(rule, level, of, found, found)
+
+
+def _differences(rule: Precision, level: float, observed: Sequence[Observed]) -> Iterator[Known]:
+    """Yield the difference between any two treatments of a factor.
+
+    Each repetition yields one difference, of the means over all combinations that differ in this factor alone. So what
+    changes from one repetition to the next falls out, and spreads need not be equal (Scheffe, On solutions of the
+    Behrens-Fisher problem, Annals of Mathematical Statistics 14, 1943).
+    """
+    factors = list(observed[0].treatments) if observed else []
+    values = {(tuple(run.treatments.items()), run.repetition): run.value for run in observed}
+    for factor in factors:
+        others: defaultdict[str, dict[Treatments, Treatments]] = defaultdict(dict)
+        for run in observed:
+            rest = tuple(item for item in run.treatments.items() if item[0] != factor)
+            others[run.treatments[factor]][rest] = tuple(run.treatments.items())
+        for one, other in pairs_of(others, 2):
+            same = [rest for rest in others[one] if rest in others[other]]
+            if same:
+                sides = ([others[one][rest] for rest in same], [others[other][rest] for rest in same])
+                differences, all_values = _within_repetitions(values, *sides)
+                yield _known(rule, level, f"{one} - {other}", differences, all_values)
+
+
+def _within_repetitions(
+    values: Mapping[tuple[Treatments, int], Any], ones: Sequence[Treatments], others: Sequence[Treatments]
+) -> tuple[list[float], list[float]]:
+    """Return the difference in each repetition that has all values, and these values."""
+    differences, all_values = [], []
+    for repetition in sorted({repetition for _, repetition in values}):
+        left = [values.get((each, repetition)) for each in ones]
+        right = [values.get((each, repetition)) for each in others]
+        found = [float(value) for value in (*left, *right) if value is not None]
+        if len(found) == len(left) + len(right):
+            differences.append((math.fsum(found[: len(left)]) - math.fsum(found[len(left) :])) / len(left))
+            all_values += found
+    return differences, all_values
+
+
+def _known(rule: Precision, level: float, of: str, values: Sequence[float], whole: Sequence[float]) -> Known:
+    """Return what is known of the mean of some values; a share is one of the mean of `whole`."""
+    if not values:
+        return Known(of=of, n=0, problem=f"no run has a value of {rule.measure}")
+    mean = math.fsum(values) / len(values)
+    size = abs(math.fsum(whole) / len(whole))
+    if rule.is_relative and size == 0:
+        problem = f"the mean is 0, of which {rule.wanted_in_words} is no width"
+        return Known(of=of, n=len(values), mean=mean, problem=problem)
+    wanted = size * rule.half_width / 100 if rule.is_relative else rule.half_width
+    if len(values) < 2:  # noqa: PLR2004 - one value has no spread
+        return Known(of=of, n=len(values), mean=mean, wanted=wanted)
+    half_width = half_width_of(values, level)
+    oddity = f"all {len(values)} values are {values[0]:g}, so that nothing tells their spread" if not half_width else ""
+    return Known(of=of, n=len(values), mean=mean, half_width=half_width, wanted=wanted, oddity=oddity)

@@ -1,0 +1,175 @@
+"""The standby of a run: a process that makes the systems safe where the run died before it had done so itself.
+
+A run that is killed, crashes in C or is out of memory closes nothing: a robot without a watchdog would carry out its
+last command for ever. The standby is forked by the run's keeper, has imported what reaches the robot, and waits for
+the run's death. It needs nobody for that: it acts as well where keeper and orchestrator have been killed, too.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import time
+from contextlib import ExitStack, closing, suppress
+from functools import partial
+from typing import TYPE_CHECKING, NoReturn
+
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.resources import Resources
+from robot_runner.core.execution.processes import forked, settle_streams
+from robot_runner.core.execution.run_events import run_contexts
+from robot_runner.core.execution.systems_state import Care, SystemsState
+from robot_runner.core.links.connect import is_simulated, preload_robot
+from robot_runner.core.plugin import System
+from robot_runner.core.storage.layout import print_to_log
+from robot_runner.core.words import enumerated
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from typing import Any
+
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.execution.task import RunTask
+
+__all__ = ["Standby", "standby_of"]
+
+#: How long the standby may take from the run's death on, s: to find a robot's nodes takes tenths, and 5 s where one is
+#: switched off.
+_LONGEST = 15.0
+#: Where the system does not tell of a process's end, we look this often, s.
+_LOOK = 0.02
+
+
+class Standby:
+    """Makes the systems of a run safe where the run has died and has not.
+
+    Args:
+        prepare: imports what reaches them; what it raises is passed over.
+        make_safe: makes them safe, in a process that was not connected to them before.
+        names: of the systems, for findings.
+
+    Attributes:
+        state: what its processes tell each other.
+    """
+
+    def __init__(self, prepare: Callable[[], object], make_safe: Callable[[], object], names: Sequence[str]) -> None:
+        self._prepare = prepare
+        self._make_safe = make_safe
+        self._names = names
+        self._pid = 0
+        self.state = SystemsState()
+
+    def begin(self, run: int, let_go: Sequence[int] = ()) -> None:
+        """Fork the process that waits for the death of the run, and let go of these descriptors in it."""
+        self._pid = forked()
+        if self._pid == 0:
+            for descriptor in let_go:
+                os.close(descriptor)
+            self._stand_by(run)
+
+    def wait(self) -> None:
+        """Wait until the process of `begin` has ended, once the run is dead; kill it where it hangs."""
+        if not _ends(self._pid, _LONGEST):
+            with suppress(ProcessLookupError):
+                os.kill(self._pid, signal.SIGKILL)
+        with suppress(ChildProcessError):  # reaped by who reaps all
+            os.waitpid(self._pid, 0)
+
+    def look_after(self, run: int) -> None:
+        """Wait for the standby of a run that is dead, and do its work where it was killed: for the orchestrator."""
+        deadline = time.monotonic() + _LONGEST
+        while self.state.care is Care.STANDBY and time.monotonic() < deadline:
+            time.sleep(_LOOK)
+        if self.state.care is Care.RUN:  # nobody stood by any more, or it has not woken up yet: twice does no harm
+            self.begin(run)
+            self.wait()
+
+    def finding(self) -> dict[str, Any] | None:
+        """Return the fields of a finding on what became of the systems; None where the run made them safe itself."""
+        care, names = self.state.care, enumerated(self._names)
+        if care in {Care.NOBODY_YET, Care.SAFE}:
+            return None
+        if care is Care.MADE_SAFE:
+            problem = f"the run died before it had made {names} safe; the process that stood by for this did it"
+            return {"owner": "standby", "problem": problem, "fix": "Look where the robot stands before you go on."}
+        reason = self.state.reason or "the process that stood by for this died, too"
+        return {
+            "owner": "standby",
+            "problem": f"THE ROBOT MAY BE MOVING: {names} could not be made safe: {reason}",
+            "fix": "Stop it by hand. A watchdog on the robot stops it when the laptop falls silent.",
+        }
+
+    def _stand_by(self, run: int) -> NoReturn:
+        try:
+            with suppress(Exception):  # the run fails for the same reason, and says so
+                self._prepare()
+            _ends(run)
+            if self.state.care is Care.RUN:
+                self._act()
+        finally:
+            os._exit(0)
+
+    def _act(self) -> None:
+        self.state.set(Care.STANDBY)
+        try:
+            self._make_safe()
+        except BaseException as error:  # noqa: BLE001 - whatever it is, a person has to know that nobody stopped the robot
+            self.state.set(Care.OUT_OF_REACH, f"{type(error).__name__}: {error}")
+        else:
+            self.state.set(Care.MADE_SAFE)
+
+
+def standby_of(experiment: Experiment, task: RunTask) -> Standby | None:
+    """Return the standby of a run; None where nothing outlives it that would have to be made safe.
+
+    The embedded simulation lives in the run's own process and dies with it.
+    """
+    robot = experiment.parameters.robot
+    systems = [each for each in experiment.systems if type(each).make_safe is not System.make_safe]
+    if not systems or is_simulated(robot):
+        return None
+    names = [system.name for system in systems]
+    return Standby(partial(preload_robot, robot), partial(_make_safe, experiment, systems, task), names)
+
+
+def _make_safe(experiment: Experiment, systems: Sequence[System], task: RunTask) -> None:
+    """Make the systems safe, each of them whatever fails with another; what they print goes to the run's log."""
+    print_to_log(experiment.folder)
+    settle_streams()
+    with closing(Resources()) as resources, ExitStack() as each_of_them:
+        contexts = run_contexts(
+            experiment, task, clock=SystemClock(), resources=resources, report=lambda _kind, _fields: None
+        )
+        for system in systems:  # the last one first, as the run does it
+            each_of_them.callback(system.make_safe, contexts(system.name))
+
+
+def _ends(pid: int, seconds: float | None = None) -> bool:
+    """Wait until a process has ended, as a zombie too; return whether it has within so many seconds."""
+    if hasattr(os, "pidfd_open"):
+        try:
+            descriptor = os.pidfd_open(pid)
+        except ProcessLookupError:
+            return True
+        poll = select.poll()
+        poll.register(descriptor, select.POLLIN)
+        has_ended = bool(poll.poll(None if seconds is None else seconds * 1000))
+        os.close(descriptor)
+        return has_ended
+    deadline = None if seconds is None else time.monotonic() + seconds
+    while _is_alive(pid):  # macOS
+        if deadline is not None and time.monotonic() >= deadline:
+            return False
+        time.sleep(_LOOK)
+    return True
+
+
+def _is_alive(pid: int) -> bool:
+    with suppress(ChildProcessError):
+        return os.waitpid(pid, os.WNOHANG) == (0, 0)
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True

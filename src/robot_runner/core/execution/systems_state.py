@@ -1,0 +1,56 @@
+"""Who has the care of a run's systems: known to the run, its keeper, its standby and the orchestrator alike."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from enum import IntEnum
+
+__all__ = ["Care", "SystemsState"]
+
+#: The longest reason that is kept of why a system could not be made safe, bytes.
+_REASON = 2000
+
+
+class Care(IntEnum):
+    """Who has the care of a run's systems."""
+
+    NOBODY_YET = 0
+    RUN = 1
+    SAFE = 2
+    STANDBY = 3
+    MADE_SAFE = 4
+    OUT_OF_REACH = 5
+
+
+class SystemsState:
+    """What the processes of a run tell each other of its systems: a file without a name, which all of them inherit.
+
+    Attributes:
+        descriptor: of that file; a process that replaces itself hands it on.
+    """
+
+    def __init__(self, descriptor: int | None = None) -> None:
+        if descriptor is None:
+            with tempfile.TemporaryFile() as file:
+                descriptor = os.dup(file.fileno())
+        self.descriptor = descriptor
+
+    @property
+    def care(self) -> Care:
+        """Who has the care of the systems now."""
+        return Care((os.pread(self.descriptor, 1, 0) or b"\0")[0])
+
+    @property
+    def reason(self) -> str:
+        """Why they could not be made safe."""
+        return os.pread(self.descriptor, _REASON, 1).decode("utf-8", "replace")
+
+    def set(self, care: Care, reason: str = "") -> None:
+        """Say who has it from now on."""
+        os.pwrite(self.descriptor, reason.encode()[:_REASON], 1)
+        os.pwrite(self.descriptor, bytes([care]), 0)
+
+    def close(self) -> None:
+        """Let go of the file."""
+        os.close(self.descriptor)

@@ -1,0 +1,239 @@
+"""The registration of a study: what was fixed before its first run, in one file with a checksum of its content."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.analysis_plan import AnalysisPlan
+from robot_runner.core.errors import DesignError, StorageError
+from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
+from robot_runner.core.words import enumerated
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+__all__ = ["FORMAT", "Registration", "checksum_of", "differences", "read_registration", "write_registration"]
+
+#: Version of the file's format; readers refuse a newer one.
+FORMAT = 1
+
+_SUM = "sha256"
+#: A registration has some kilobytes; what is larger is something else.
+_LARGEST = 16 << 20
+#: Each with the type that it has to have.
+_SHAPE: dict[str, type | tuple[type, ...]] = {
+    "format": int,
+    "registered_at": str,
+    "experiment": str,
+    "config": dict,
+    "design": dict,
+    "seed": int,
+    "measures": list,
+    "analysis": (dict, type(None)),
+    "power": (dict, type(None)),
+    _SUM: str,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Registration:
+    """A registration that was read.
+
+    Attributes:
+        path: the file.
+        content: everything in it, the checksum included.
+        is_intact: whether the checksum is that of the content.
+    """
+
+    path: Path
+    content: Mapping[str, Any]
+    is_intact: bool
+
+    @property
+    def sha256(self) -> str:
+        """The checksum that it states."""
+        return str(self.content[_SUM])
+
+    @property
+    def registered_at(self) -> str:
+        """When it was made (UTC)."""
+        return str(self.content["registered_at"])
+
+    @property
+    def seed(self) -> int:
+        """What the order of the runs comes from."""
+        return int(self.content["seed"])
+
+    def facts(self) -> dict[str, Any]:
+        """Return what the manifest says of it."""
+        return {"file": self.path.name, "registered_at": self.registered_at, _SUM: self.sha256}
+
+
+def checksum_of(content: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a registration: of all but the checksum, as JSON with sorted keys and without blanks.
+
+    Example:
+        >>> checksum_of({"a": 1, "sha256": "whatever"}) == checksum_of({"a": 1})
+        True
+    """
+    kept = {name: value for name, value in content.items() if name != _SUM}
+    text = json.dumps(kept, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
+
+
+def write_registration(path: Path, content: Mapping[str, Any]) -> Registration:
+    """Write a registration with its checksum.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    plain = json.loads(json.dumps({"format": FORMAT, **content}))
+    sealed = {**plain, _SUM: checksum_of(plain)}
+    text = json.dumps(sealed, indent=2, ensure_ascii=False) + "\n"
+    write_beside_and_rename(path, lambda file: file.write(text))
+    return Registration(path, sealed, is_intact=True)
+
+
+def read_registration(path: Path) -> Registration:
+    """Read a registration; one whose content was changed is read as well, and says so.
+
+    Raises:
+        StorageError: there is no such file, it cannot be read, or it is no registration that this version knows.
+    """
+    where = str(path)
+    try:
+        if not path.exists():
+            fix = "Register the study: robot-runner preregister CONFIG"
+            raise StorageError("there is no registration", where=where, fix=fix)
+        if not path.is_file() or path.stat().st_size > _LARGEST:
+            raise StorageError("this is no registration", where=where, fix=_FIX)
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise storage_error(path, "read", error) from error
+    except (ValueError, RecursionError) as error:
+        raise StorageError(f"the registration cannot be read: {error}", where=where, fix=_FIX) from error
+    if isinstance(content, dict) and isinstance(content.get("format"), int) and content["format"] > FORMAT:
+        problem = f"the registration has format {content['format']}, newer than {FORMAT}, which this version knows"
+        raise StorageError(problem, where=where, fix="Update robot-runner.")
+    wrong = (
+        [name for name, kind in _SHAPE.items() if not isinstance(content.get(name), kind) or name not in content]
+        if isinstance(content, dict)
+        else list(_SHAPE)
+    )
+    if wrong:
+        problem = (
+            f"this is no registration: {enumerated(wrong)} {'is' if len(wrong) == 1 else 'are'} not as it has them"
+        )
+        raise StorageError(problem, where=where, fix=_FIX)
+    return Registration(path, content, checksum_of(content) == content[_SUM])
+
+
+_FIX = "Restore the file from where it was deposited, or register again before the first run."
+
+
+# What is other than it was registered.
+
+
+def differences(registered: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:
+    """Yield in words how a study differs from its registration: design, order, analysis, measures.
+
+    Args:
+        registered: the content of the registration.
+        now: `design`, `seed`, `analysis` and `measures` in the same shape; what it lacks is not compared.
+    """
+    if "design" in now:
+        yield from _design_differences(registered["design"], now["design"])
+    if "seed" in now and registered["design"].get("shuffle") and now["seed"] != registered["seed"]:
+        yield f"the seed of the order is {now['seed']}, and {registered['seed']} was registered"
+    if "analysis" in now:
+        yield from _plan_differences(registered["analysis"], now["analysis"])
+    if "measures" in now:
+        yield from _measure_differences(registered["measures"], now["measures"])
+
+
+def _design_differences(registered: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:
+    before, after = registered.get("factors") or {}, now.get("factors") or {}
+    for name in [*before, *(name for name in after if name not in before)]:
+        if name not in after:
+            yield f"the factor {name} was registered, and is gone"
+        elif name not in before:
+            yield f"the factor {name} was not registered"
+        elif list(before[name]) != list(after[name]):
+            yield f"the treatments of {name} are {_several(after[name])}, and {_several(before[name])} were registered"
+    for name, words in _DESIGN_WORDS.items():
+        if (name in now or name in registered) and now.get(name) != registered.get(name):
+            yield f"{words}: {_shown(now.get(name))}, and {_shown(registered.get(name))} was registered"
+
+
+#: What else a design has, in words.
+_DESIGN_WORDS = {
+    "repetitions": "repetitions",
+    "shuffle": "whether the order is randomised",
+    "blocks": "blocks of the order",
+    "warm_up": "warm-up runs",
+    "excluded": "combinations left out of the design",
+}
+
+
+def _plan_differences(registered: Mapping[str, Any] | None, now: Mapping[str, Any] | None) -> Iterator[str]:
+    before, after = _full(registered), _full(now)
+    if before is None or after is None:
+        if (before is None) is not (after is None):
+            yield f"the analysis plan is {'gone' if after is None else 'there'}, and {_one(registered)} was registered"
+        return
+    for name in [*before, *(name for name in after if name not in before)]:
+        if name != "hypotheses" and after.get(name) != before.get(name):
+            then = _shown(before.get(name))
+            yield f"{name} of the analysis plan: {_shown(after.get(name))}, and {then} was registered"
+    earlier, later = ({each["statement"]: each for each in plan.get("hypotheses", ())} for plan in (before, after))
+    for statement in [*earlier, *(each for each in later if each not in earlier)]:
+        if statement not in later:
+            yield f"the hypothesis {statement!r} was registered, and is gone"
+        elif statement not in earlier:
+            yield f"the hypothesis {statement!r} was not registered"
+        elif earlier[statement] != later[statement]:
+            yield f"the hypothesis {statement!r} claims something else than was registered"
+
+
+def _full(plan: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
+    """Return a plan with all of its choices: one that an earlier version wrote lacks those that it did not know."""
+    if plan is None:
+        return None
+    try:
+        return json.loads(json.dumps(AnalysisPlan.of_mapping(plan).as_mapping()))  # type: ignore[no-any-return]
+    except DesignError:  # of another version: it is compared as it stands
+        return plan
+
+
+def _one(plan: object) -> str:
+    return "none" if plan is None else "one"
+
+
+def _measure_differences(registered: list[Any], now: list[Any]) -> Iterator[str]:
+    before, after = ({each["name"]: each.get("unit", "") for each in several} for several in (registered, now))
+    for name in before:
+        if name not in after:
+            yield f"the measure {name} was registered, and the run table has no column for it"
+        elif before[name] != after[name] and before[name] and after[name]:
+            yield f"{name} is in {after[name]}, and {before[name]} was registered"
+    added = [name for name in after if name not in before]
+    if added:
+        yield f"the run table has measures that were not registered: {enumerated(added)}"
+
+
+def _several(texts: object) -> str:
+    return ", ".join(map(str, texts)) if isinstance(texts, list | tuple) else str(texts)
+
+
+def _shown(value: object) -> str:
+    if value is None or value in ([], (), ""):
+        return "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, list | tuple):
+        return "; ".join(_several(each) for each in value)
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,134 @@
+"""A pilot tells means, spreads and how blocks vary, as they were drawn."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from tests.analysis.made_experiment import make_experiment
+
+from robot_runner.analysis import load_results
+from robot_runner.analysis.planning.assumed_values import AssumedMeasure
+from robot_runner.analysis.planning.pilot_values import pilot_values
+from robot_runner.analysis.planning.power_analysis import Assumptions, power_analysis
+from robot_runner.analysis.planning.power_search import Search
+from robot_runner.analysis.planning.study import Study
+from robot_runner.core.design.analysis_plan import AnalysisPlan
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.core.errors import AnalysisError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from robot_runner.analysis.results import Results
+
+TASK = Factor("Task", ["Video", "Network"])
+ROBOT = Factor("Robot", [f"robot {number}" for number in range(40)])
+
+
+def study_of(*factors: Factor, blocks: str | None = None) -> Study:
+    model = RunTableModel(list(factors), repetitions=4, blocks=blocks)
+    return Study.of_model("study", model, AnalysisPlan("Energy"), {"Energy": "J"})
+
+
+def pilot_of(root: Path, study: Study, assumed: AssumedMeasure, repetitions: int) -> Results:
+    """Return a pilot whose values are drawn as is assumed; its blocks are those of the study."""
+    place = list(study.factors).index("Robot") if study.blocks == "Robot" else None
+    cells = [study.cells[number] for number in study.cells_of(repetitions)]
+    blocks = [cell[place] if place is not None else f"{number // len(study.cells)}" for number, cell in enumerate(cells)]
+    # Blocks respond to tasks, and a robot is no task.
+    if place is not None:
+        cells = [tuple(text for at, text in enumerate(cell) if at != place) for cell in cells]
+    (values,) = assumed.draw(np.random.default_rng(5), 1, cells, blocks)
+
+    def value(treatments: dict[str, Any], repetition: int) -> dict[str, Any]:
+        cell = tuple(map(str, treatments.values()))
+        return {"Energy": float(values[(repetition - 1) * len(study.cells) + study.cells.index(cell)])}
+
+    factors = [Factor(name, list(texts)) for name, texts in study.factors.items()]
+    made = make_experiment(root, factors, value, repetitions=repetitions, blocks=study.blocks)
+    return load_results(made.root)
+
+
+def assumed(spread: float = 10.0, *, block_sd: float = 0.0, response_sd: float = 0.0) -> AssumedMeasure:
+    means = {("Video",): 100.0, ("Network",): 120.0}
+    return AssumedMeasure("Energy", means, {("Video",): spread, ("Network",): 2 * spread}, block_sd, response_sd)
+
+
+def test_means_and_spreads_of_combinations_are_those_that_were_drawn(tmp_path: Path) -> None:
+    study = study_of(TASK)
+    found = pilot_values(study, pilot_of(tmp_path / "pilot", study, assumed(), 200), ["Energy"]).measures["Energy"]
+    assert found.means[("Network",)] - found.means[("Video",)] == pytest.approx(20, abs=4)
+    assert [found.spreads[cell] for cell in study.cells] == pytest.approx([10, 20], rel=0.12)
+    assert (found.block_sd, found.response_sd) == (0, 0)
+
+
+def test_spreads_of_few_runs_are_pooled(tmp_path: Path) -> None:
+    study = study_of(TASK)
+    found = pilot_values(study, pilot_of(tmp_path / "pilot", study, assumed(), 3), ["Energy"]).measures["Energy"]
+    assert len(set(found.spreads.values())) == 1
+
+
+def test_blocks_are_told_from_chance(tmp_path: Path) -> None:
+    study = study_of(TASK, blocks="Repetition")
+    drawn = pilot_of(tmp_path / "pilot", study, assumed(block_sd=30.0), 120)
+    found = pilot_values(study, drawn, ["Energy"]).measures["Energy"]
+    assert found.block_sd == pytest.approx(30, rel=0.2)
+    assert np.hypot(*(found.spreads[cell] for cell in study.cells)) == pytest.approx(np.hypot(10, 20), rel=0.15)
+
+
+def test_responses_of_robots_are_told_from_chance(tmp_path: Path) -> None:
+    study = study_of(ROBOT, TASK, blocks="Robot")
+    drawn = pilot_of(tmp_path / "pilot", study, assumed(block_sd=30.0, response_sd=15.0), 6)
+    found = pilot_values(study, drawn, ["Energy"]).measures["Energy"]
+    assert found.block_sd == pytest.approx(30, rel=0.35)
+    assert found.response_sd == pytest.approx(15, rel=0.35)
+
+
+def test_a_pilot_answers_at_its_own_effect_and_at_the_smallest_of_interest(tmp_path: Path) -> None:
+    study = study_of(TASK)
+    pilot = pilot_of(tmp_path / "pilot", study, assumed(), 10)
+    assumptions = Assumptions(pilot=pilot, differences=["Task=10"])
+    found = power_analysis(study, assumptions, Search(last=80, simulations=500))
+    of_pilot, of_interest = found.scenarios
+    assert "pilot" in of_pilot.scenario.title
+    assert "interest" in of_interest.scenario.title
+    assert of_pilot.needed is not None
+    assert of_interest.needed is not None
+    assert of_pilot.needed.repetitions < of_interest.needed.repetitions
+    assert any("uncertain" in note for note in found.notes)
+    # The spreads are the pilot's, the difference is the stated one.
+    (interest,) = of_interest.scenario.measures
+    (own,) = of_pilot.scenario.measures
+    assert interest.spreads == own.spreads
+    assert interest.means[("Network",)] - interest.means[("Video",)] == pytest.approx(10)
+
+
+@pytest.mark.parametrize(
+    ("study", "measure", "told"),
+    [
+        (study_of(Factor("Task", ["Video", "Idle"])), "Energy", "no runs with Task = Idle"),
+        (study_of(TASK), "Enerjy", "no measure 'Enerjy'"),
+    ],
+)
+def test_a_pilot_that_lacks_something_is_refused(tmp_path: Path, study: Study, measure: str, told: str) -> None:
+    pilot = pilot_of(tmp_path / "pilot", study_of(TASK), assumed(), 3)
+    with pytest.raises(AnalysisError, match=told) as raised:
+        pilot_values(study, pilot, [measure])
+    assert raised.value.fix
+
+
+def test_a_pilot_without_repetitions_has_no_spread(tmp_path: Path) -> None:
+    study = study_of(TASK)
+    with pytest.raises(AnalysisError, match="single run"):
+        pilot_values(study, pilot_of(tmp_path / "pilot", study, assumed(), 1), ["Energy"])
+
+
+def test_factors_that_the_pilot_did_not_vary_have_no_effect(tmp_path: Path) -> None:
+    pilot = pilot_of(tmp_path / "pilot", study_of(TASK), assumed(), 20)
+    found = pilot_values(study_of(TASK, Factor("Speed", [0.1, 0.2])), pilot, ["Energy"])
+    means = found.measures["Energy"].means
+    assert means["Video", "0.1"] == means["Video", "0.2"] < means["Network", "0.1"]
+    assert any("Speed" in note for note in found.notes)

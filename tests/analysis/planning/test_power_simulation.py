@@ -1,0 +1,190 @@
+"""Simulated experiments are analysed as the report analyses real ones, and power is what exact formulas say."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from statsmodels.stats.power import FTestAnovaPower, TTestIndPower, TTestPower
+from tests.analysis.made_experiment import make_experiment
+
+from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.planning.assumed_values import assumed_scenario, differences_of, numbers_of, with_blocks
+from robot_runner.analysis.planning.power_search import Search, search_repetitions
+from robot_runner.analysis.planning.power_simulation import Simulation
+from robot_runner.analysis.planning.study import Study
+from robot_runner.analysis.statistics.families import claim_of, effect_key
+from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Estimand, Family, Statistic
+from robot_runner.core.design.hypothesis import Hypothesis
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.run_table_model import RunTableModel
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from robot_runner.analysis.planning.assumed_values import Scenario
+
+TASK = Factor("Task", ["Video", "Network"])
+SPEED = Factor("Speed", [0.1, 0.2, 0.3])
+ROBOT = Factor("Robot", ["waffle", "burger", "pi", "four"])
+MAY_DIFFER = Hypothesis("Tasks differ.", measure="Energy", factors="Task")
+IS_WITHIN = Hypothesis("Tasks hardly differ in time.", measure="Time", factors="Task", within=3.0)
+FASTEST = Hypothesis(
+    "The fastest is dearer.", measure="Energy", factors="Speed", contrast={"0.1": -1, "0.2": 0, "0.3": 1}
+)
+
+
+def study_of(
+    factors: list[Factor], plan: AnalysisPlan | None = None, blocks: str | None = None, **design: Any
+) -> Study:
+    model = RunTableModel(factors, repetitions=3, blocks=blocks, **design)
+    return Study.of_model("study", model, plan, {"Energy": "J", "Time": "s"})
+
+
+def scenario_of(study: Study, *differences: str, sd: str = "1", measures: tuple[str, ...] = ("Energy",)) -> Scenario:
+    spreads = numbers_of(study, "--sd", [sd], measures)
+    return assumed_scenario(study, measures, differences_of(study, differences, measures), spreads, {}, "assumed")
+
+
+#: Designs and plans of every kind that the tests tell apart.
+STUDIES: dict[str, tuple[Study, int, int | None]] = {
+    "two treatments, no plan": (study_of([TASK]), 6, None),
+    "factorial": (study_of([TASK, SPEED], AnalysisPlan("Energy")), 12, None),
+    "two primary measures and hypotheses": (
+        study_of([TASK, SPEED], AnalysisPlan(["Energy", "Time"], hypotheses=[MAY_DIFFER, IS_WITHIN, FASTEST])),
+        12,
+        None,
+    ),
+    "the family of the hypotheses": (
+        study_of(
+            [TASK, SPEED],
+            AnalysisPlan(
+                hypotheses=[MAY_DIFFER, IS_WITHIN, FASTEST],
+                family=Family.HYPOTHESES,
+                correction=Correction.BENJAMINI_HOCHBERG,
+            ),
+        ),
+        12,
+        None,
+    ),
+    "ranks": (study_of([TASK, SPEED], AnalysisPlan("Energy", estimand=Estimand.RANK)), 12, None),
+    "trimmed means": (study_of([SPEED], AnalysisPlan("Energy", estimand=Estimand.TRIMMED_MEAN)), 12, None),
+    "ANOVA-type": (study_of([SPEED], AnalysisPlan("Energy", statistic=Statistic.ANOVA_TYPE)), 12, None),
+    "blocks of repetitions": (study_of([TASK, SPEED], AnalysisPlan("Energy"), blocks="Repetition"), 8, None),
+    "robots as blocks": (study_of([ROBOT, TASK], AnalysisPlan("Energy", blocks="Robot")), 3, None),
+    "two batches": (study_of([TASK], AnalysisPlan("Energy")), 8, 5),
+    "an exclusion": (
+        study_of([TASK, SPEED], AnalysisPlan("Energy"), exclude_combinations=[{"Task": "Network", "Speed": 0.3}]),
+        4,
+        None,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_simulated_experiments_get_the_verdicts_of_the_report(tmp_path: Path, name: str) -> None:
+    study, repetitions, first_batch = STUDIES[name]
+    measures = study.plan.measures if study.plan is not None else ("Energy",)
+    scenario = scenario_of(study, "Task=1.2" if "Task" in study.factors else "Speed=1.2", measures=measures)
+    scenario = with_blocks(scenario, dict.fromkeys(measures, 2.0), dict.fromkeys(measures, 0.5))
+    simulation = Simulation(study, scenario, repetitions, seed=(3,), first_batch=first_batch)
+    drawn, found, p_values = simulation.values(0, 2), simulation.found(0, 2), simulation.p_values(0, 2)
+    for experiment in range(2):
+        told = analyse(_as_a_folder(tmp_path / str(experiment), study, repetitions, first_batch, drawn, experiment))
+        effects = {
+            effect_key(each.name, effect.factors): effect
+            for each in told.measures
+            if each.name in measures and each.test is not None
+            for effect in each.test.effects
+        }
+        assert effects.keys() == {claim.key for claim in simulation.claims if not claim.is_hypothesis}
+        for key, effect in effects.items():
+            assert p_values[key][experiment] == pytest.approx(effect.p_value, rel=1e-6)
+            assert found[key][experiment] == effect.is_significant
+        for outcome in told.hypotheses:
+            key = claim_of(outcome.hypothesis)
+            assert p_values[key][experiment] == pytest.approx(outcome.p_value, rel=1e-6)
+            assert found[key][experiment] == outcome.is_supported
+
+
+def _as_a_folder(
+    root: Path, study: Study, repetitions: int, first_batch: int | None, drawn: dict[str, Any], experiment: int
+) -> Any:
+    """Return the results of a folder that holds one simulated experiment."""
+    if first_batch is not None:  # a batch takes a journal of extensions: the table in memory has its column
+        return study.results(repetitions, {name: values[experiment] for name, values in drawn.items()}, first_batch)
+
+    def values(treatments: dict[str, Any], repetition: int) -> dict[str, Any] | None:
+        cell = tuple(map(str, treatments.values()))
+        if cell not in study.cells:
+            return None
+        place = (repetition - 1) * len(study.cells) + study.cells.index(cell)
+        return {name: float(several[experiment, place]) for name, several in drawn.items()}
+
+    texts = {"Speed": [0.1, 0.2, 0.3]}
+    factors = [Factor(name, texts.get(name, list(of))) for name, of in study.factors.items()]
+    plan = study.plan.as_mapping() if study.plan is not None else None
+    made = make_experiment(
+        root, factors, values, repetitions=repetitions, measures=list(drawn), blocks=study.blocks, analysis=plan
+    )
+    return load_results(made.root)
+
+
+def test_power_for_two_treatments_is_that_of_the_noncentral_t() -> None:
+    # R: power.t.test(delta = 1, sd = 1, power = 0.8) says n = 16.71477.
+    study = study_of([TASK], AnalysisPlan("Energy"))
+    answer = search_repetitions(study, scenario_of(study, "Task=1"), Search(last=40))
+    assert answer.needed is not None
+    assert answer.needed.low <= 17 <= (answer.needed.high or 0)
+    for point in answer.points:
+        if point.repetitions >= 5:  # Welch's t loses a point of fewer
+            exact = TTestIndPower().power(1.0, point.repetitions, 0.05)
+            assert abs(point.least.share - exact) < 4 * max(point.least.error, 0.002)
+
+
+def test_power_for_equivalent_spreads_of_three_treatments_is_that_of_the_noncentral_f() -> None:
+    # R: power.anova.test(groups = 3, between.var = 0.25, within.var = 1, n = 30) says 0.8 and more. The means are -0.5,
+    # 0 and 0.5 of a standard deviation; Welch's weights cost a point at 30 runs.
+    study = study_of([SPEED], AnalysisPlan("Energy", statistic=Statistic.ANOVA_TYPE))
+    simulation = Simulation(study, scenario_of(study, "Speed=1"), 30, seed=(1,))
+    found = np.concatenate([simulation.found(part)[effect_key("Energy", ["Speed"])] for part in range(8)])
+    exact = FTestAnovaPower().power(np.sqrt(0.5 / 3), 90, 0.05, k_groups=3)
+    assert abs(found.mean() - exact) < 4 * np.sqrt(exact * (1 - exact) / len(found)) + 0.01
+
+
+def test_power_within_blocks_is_that_of_the_paired_t() -> None:
+    study = study_of([TASK], AnalysisPlan("Energy"), blocks="Repetition")
+    scenario = with_blocks(scenario_of(study, "Task=1"), {"Energy": 5.0}, {"Energy": 0.0})
+    simulation = Simulation(study, scenario, 15, seed=(1,))
+    found = np.concatenate([simulation.found(part)[effect_key("Energy", ["Task"])] for part in range(8)])
+    exact = TTestPower().power(1 / np.sqrt(2), 15, 0.05)
+    assert abs(found.mean() - exact) < 4 * np.sqrt(exact * (1 - exact) / len(found))
+
+
+def test_nothing_that_is_not_there_is_found_more_often_than_alpha() -> None:
+    study = study_of([TASK, SPEED], AnalysisPlan("Energy"))
+    simulation = Simulation(study, scenario_of(study, "Task=2"), 12, seed=(1,))
+    found = [simulation.found(part) for part in range(6)]
+    share = np.mean([each[effect_key("Energy", ["Speed"])] for each in found])
+    assert 0.005 < share < 0.05  # after Holm's correction for three tests, one of which is always significant
+
+
+def test_robots_that_respond_differently_are_not_made_up_for_by_repetitions() -> None:
+    study = study_of([ROBOT, TASK], AnalysisPlan("Energy"), blocks="Robot")
+    scenario = with_blocks(scenario_of(study, "Task=1"), {}, {"Energy": 1.0})
+    answer = search_repetitions(study, scenario, Search(last=40, simulations=2000))
+    assert answer.needed is None
+    assert answer.point(40).least.share < 0.3
+
+
+def test_the_same_seed_gives_the_same_figures_whatever_is_asked_for() -> None:
+    study = study_of([TASK])
+    scenario = scenario_of(study, "Task=1")
+    wide = search_repetitions(study, scenario, Search(first=5, last=30, simulations=1000))
+    narrow = search_repetitions(study, scenario, Search(first=10, last=30, simulations=1000))
+    shared = {each.repetitions for each in wide.points} & {each.repetitions for each in narrow.points}
+    assert len(shared) >= 3
+    assert all(wide.point(each) == narrow.point(each) for each in shared)
+    other = search_repetitions(study, scenario, Search(first=5, last=30, simulations=1000, seed=2))
+    assert other.points != wide.points

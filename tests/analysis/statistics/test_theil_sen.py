@@ -1,0 +1,42 @@
+"""The slope of Theil and Sen is that of scipy, and does not hold all pairs of values."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from robot_runner.analysis.statistics.theil_sen import theil_sen
+
+MANY = 2_401
+
+
+def values_of(kind, count):
+    random = np.random.default_rng(7)
+    return {
+        "drifting": random.normal(870.0, 3.0, count) + 0.002 * np.arange(count),
+        "whole numbers": random.integers(0, 4, count).astype(float),
+        "mostly alike": np.where(random.random(count) < 0.9, 0.0, random.normal(size=count)),
+        "heavy tails": random.standard_cauchy(count),
+        "a step": np.repeat([0.0, 1.0], [count // 2, count - count // 2]),
+    }[kind]
+
+
+@pytest.mark.parametrize("kind", ["drifting", "whole numbers", "mostly alike", "heavy tails", "a step"])
+@pytest.mark.parametrize("level", [0.95, 0.99])
+def test_it_is_the_slope_of_scipy_to_the_last_digit(kind, level):
+    values = values_of(kind, MANY)
+    places = np.cumsum(np.random.default_rng(3).integers(1, 4, MANY)).astype(float)
+    expected = stats.theilslopes(values, places, alpha=level)
+    assert theil_sen(places, values, level) == (expected.slope, expected.low_slope, expected.high_slope)
+
+
+def test_of_five_thousand_values_it_holds_a_few_megabytes_where_scipy_holds_hundreds():
+    values, places = values_of("drifting", 5_000), np.arange(1.0, 5_001.0)
+    tracemalloc.start()
+    theil_sen(places, values, 0.95)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 60e6

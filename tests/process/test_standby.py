@@ -1,0 +1,129 @@
+"""Whoever dies while a system is operated, somebody who is left makes it safe, or says that nobody could."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.conftest import HEAD
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+Start = Callable[..., Any]
+
+#: A lamp is on for as long as its file is there; each who makes it safe adds a line to another.
+LAMP = """
+import os, time
+from robot_runner.plugins import System
+HERE = Path(__file__).parent
+
+class Lamp(System):
+    def start_run(self, context):
+        (HERE / "on").touch()
+    def launch_mission(self, context):
+        (HERE / "launched").touch()
+        {mission}
+    def stop_run(self, context):
+        (HERE / "on").unlink()
+    def make_safe(self, context):
+        with (HERE / "made_safe").open("a") as file:
+            file.write(f"{{os.getpid()}} {{context.run_id}} {{context.combination['Task']}}\\n")
+        {make_safe}
+        (HERE / "on").unlink(missing_ok=True)
+"""
+BODY = """
+    plugins = [Lamp()]
+    grace_in_s = 5
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["Video"])])
+"""
+LONG = "time.sleep(60)"
+
+
+@pytest.fixture
+def lamp(start: Start, write_config: Callable[..., Path]) -> Callable[..., Any]:
+    def light(*, mission: str = LONG, make_safe: str = "pass", more: str = "") -> Any:
+        lamp = LAMP.format(mission=mission, make_safe=make_safe)
+        head = HEAD.replace("import *\n", f"import *\n{lamp}", 1)
+        experiment = start(config=write_config(BODY + more, head=head, table=""))
+        experiment.wait_for("launched")
+        return experiment
+
+    return light
+
+
+def calls(experiment: Any) -> list[list[str]]:
+    path = experiment.config.parent / "made_safe"
+    return [line.split() for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def is_on(experiment: Any) -> bool:
+    return (experiment.config.parent / "on").exists()
+
+
+def kill(*pids: int) -> None:
+    for pid in pids:
+        os.kill(pid, signal.SIGKILL)
+
+
+@pytest.mark.parametrize("process", ["FORK", "SPAWN"])
+def test_a_run_that_is_killed_has_its_systems_made_safe_by_the_process_that_stands_by(
+    lamp: Callable[..., Any], process: str
+) -> None:
+    experiment = lamp(more=f"    run_process = RunProcess.{process}\n")
+    standby = experiment.standby()
+    kill(experiment.run_process())
+    assert experiment.end() == 1
+    assert not is_on(experiment)
+    assert calls(experiment) == [[str(standby), "r_1", "Video"]]
+    assert "the run died before it had made Lamp safe; the process that stood by for this did it" in experiment.output
+
+
+@pytest.mark.parametrize("with_keeper", [True, False], ids=["and the keeper", "and not the keeper"])
+def test_where_the_standby_is_killed_with_the_run_the_orchestrator_has_the_systems_made_safe(
+    lamp: Callable[..., Any], with_keeper: bool
+) -> None:
+    experiment = lamp()
+    standby, run, keeper = experiment.standby(), experiment.run_process(), experiment.keeper()
+    kill(*([keeper] if with_keeper else []), standby, run)
+    assert experiment.end() == 1
+    assert not is_on(experiment)
+    assert len(calls(experiment)) == 1
+
+
+def test_where_the_run_and_all_who_watch_over_it_are_killed_the_process_that_stands_by_makes_its_systems_safe(
+    lamp: Callable[..., Any],
+) -> None:
+    experiment = lamp()
+    standby = experiment.standby()
+    kill(experiment.run_process(), experiment.keeper(), experiment.process.pid)
+    assert experiment.nobody_is_left()
+    assert not is_on(experiment)
+    assert calls(experiment) == [[str(standby), "r_1", "Video"]]
+
+
+def test_a_system_that_nobody_could_make_safe_is_told_in_capitals(lamp: Callable[..., Any]) -> None:
+    experiment = lamp(make_safe="raise OSError('the cable is out')")
+    kill(experiment.run_process())
+    assert experiment.end() == 1
+    output = " ".join(experiment.output.split())
+    assert "THE ROBOT MAY BE MOVING: Lamp could not be made safe: OSError: the cable is out" in output
+    assert "Stop it by hand" in output
+
+
+@pytest.mark.parametrize(
+    ("mission", "code", "count"), [("pass", 0, 0), ("raise RuntimeError('a bump')", 1, 1)], ids=["done", "failed"]
+)
+def test_a_run_that_ends_by_itself_makes_its_systems_safe_itself_and_nothing_is_said(
+    lamp: Callable[..., Any], mission: str, code: int, count: int
+) -> None:
+    experiment = lamp(mission=mission)
+    assert experiment.end() == code
+    assert len(calls(experiment)) == count
+    assert "stood by" not in experiment.output
+    assert "MOVING" not in experiment.output
+    assert experiment.nobody_is_left()
