@@ -292,7 +292,9 @@ class _Guessing:
         """Return the factor that is better taken for a block; others that may be one are noted."""
         found: str | None = None
         for name in self._named(Role.FACTOR):
-            others = [each for each in self._named(Role.FACTOR) if each != name and len(self._evidence.values(each)) > 1]
+            others = [
+                each for each in self._named(Role.FACTOR) if each != name and len(self._evidence.values(each)) > 1
+            ]
             likely, maybe = _BLOCK.fullmatch(_folded(name)), _MAYBE_BLOCK.fullmatch(_folded(name))
             values = self._evidence.values(name)
             is_free = (likely or maybe) and name not in (self._said.factors or ())
