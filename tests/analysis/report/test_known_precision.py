@@ -13,7 +13,9 @@ from tests.analysis.report.agreement import disagreements
 
 from robot_runner.analysis import load_results
 from robot_runner.analysis.report.writing import ReportFormat, write_report
+from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.outliers import Outliers
 from robot_runner.core.design.precision import Precision, rules_as_mapping
 from robot_runner.core.design.repeated_intervals import half_width_of, level_at_each_look
 
@@ -85,3 +87,16 @@ def test_the_report_says_what_was_asked_for_and_what_becomes_of_the_tests(tmp_pa
     rule = Precision("Energy", half_width="5 %", at_most=30, of="differences")
     careful = report(made(tmp_path / "careful", rule, least=10), ReportFormat.MARKDOWN)
     assert "find differences that are none in 3.5 to 6.5 %" in careful
+
+
+def test_values_that_the_plan_leaves_out_are_left_out_of_the_precision(tmp_path: Path) -> None:
+    folder = made(tmp_path / "made", Precision("Energy", half_width="5 %", at_most=30))
+    manifest = json.loads(folder.manifest.read_text(encoding="utf-8"))
+    manifest["analysis"] = AnalysisPlan("Energy", outliers=Outliers(bounds={"Energy": (None, 127)})).as_mapping()
+    folder.manifest.write_text(json.dumps(manifest), encoding="utf-8")
+    found = json.loads(report(folder))
+    gone = len(found["statistics"]["measures"][0]["left_out"])
+    assert gone > 0
+    assert sum(each["n"] for each in found["precision"][0]["means"]) == 32 - gone
+    assert f"without {gone} values that the analysis leaves out" in found["precision"][0]["sentence"]
+    assert disagreements(found) == []
