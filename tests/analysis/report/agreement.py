@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any
 
+from scipy import stats
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -38,7 +40,38 @@ def disagreements(report: dict[str, Any]) -> list[str]:
         found += [f"{outcome['hypothesis']['statement']}: {each}" for each in _of_hypothesis(outcome, statistics)]
     for standing in statistics.get("standings", ()):
         found += [f"{standing['measure']}: {each}" for each in _of_standing(standing, statistics)]
-    return found
+    return [*found, *_of_registration(report)]
+
+
+def _of_registration(report: dict[str, Any]) -> Iterator[str]:
+    """Yield where what is said of a registration contradicts what else the report has."""
+    found = report.get("registration")
+    threats = {each["title"] for each in report.get("threats", ())}
+    if found is None:
+        if threats & {"Deviations from the registration", "The registration cannot be trusted"}:
+            yield "there is a threat of a registration, and no registration"
+        return
+    told, problem = found["deviations"], found["problem"]
+    if ("Deviations: none." in found["sentence"]) is not (not told and not problem):
+        yield f"{len(told)} deviations, and the sentence says: {found['sentence']}"
+    if any(each not in found["sentence"] for each in told) or found["sha256"] not in found["sentence"]:
+        yield f"the sentence does not cite the registration, or lacks a deviation: {found['sentence']}"
+    expected = {"Deviations from the registration": bool(told), "The registration cannot be trusted": bool(problem)}
+    for title, is_due in expected.items():
+        if (title in threats) is not is_due:
+            yield f"the threat {title!r} is {'missing' if is_due else 'there without a reason'}"
+    if problem:
+        return
+    tested = [each["name"] for each in report["statistics"]["measures"] if each["test"] and not each["is_planned"]]
+    facts = {
+        "excluded": bool(report["excluded"]),
+        "extended beyond": len(report["design"]["batches"]) > 1,
+        "not planned": report["statistics"]["is_planned"] and bool(tested),
+        "not done": any(run["status"].casefold() != "done" for run in report["runs"]),
+    }
+    for words, is_so in facts.items():
+        if any(words in each for each in told) is not is_so:
+            yield f"{words!r} is {'so' if is_so else 'not so'}, and the deviations are: {told}"
 
 
 def _of_measure(measure: dict[str, Any], alpha: float) -> Iterator[str]:
@@ -84,6 +117,7 @@ def _of_effect(effect: dict[str, Any], pairs: list[dict[str, Any]], alpha: float
     if significant and first is not None and f"is {first['magnitude']}" not in effect["conclusion"]:
         yield f"{what} is {first['magnitude']}, and its sentence says: {effect['conclusion']}"
     yield from _of_check(what, effect, alpha)
+    yield from _of_parts(what, effect)
     yield from _against_pairs(what, effect, pairs)
 
 
@@ -95,6 +129,23 @@ def _of_check(what: str, effect: dict[str, Any], alpha: float) -> Iterator[str]:
     told = "The same test of " in effect["conclusion"]
     if check["agrees"] is not agrees or told is agrees:
         yield f"{what}: the check has p = {check['p_value']}, and the sentence says: {effect['conclusion']}"
+
+
+def _of_parts(what: str, effect: dict[str, Any]) -> Iterator[str]:
+    """A p-value is that of its statistic, or between those of the tests that it combines; the sentence has both."""
+    is_drawn, freedom = "bootstrap" in effect["test"], effect["degrees_of_freedom"]
+    for part in effect["parts"]:
+        if abs(stats.f.sf(part["statistic"], *part["degrees_of_freedom"]) - part["p_value"]) > _SAME:
+            yield f"{what}: {part['name']} has another p-value than its statistic"
+        if f"{part['name']} F(" not in effect["conclusion"]:
+            yield f"{what}: the sentence lacks {part['name']}: {effect['conclusion']}"
+    alone = stats.t if len(freedom) == 1 else stats.f
+    tails = alone.sf(abs(effect["statistic"]), *freedom) * (2 if len(freedom) == 1 else 1)
+    bounds = [part["p_value"] for part in effect["parts"]] or [tails]
+    if not is_drawn and not min(bounds) - _SAME <= effect["p_value"] <= max(bounds) + _SAME:
+        yield f"{what} has p = {effect['p_value']}, and its statistic tells {bounds}"
+    if len(effect["parts"]) != effect["test"].count(" and ") + 1 and effect["parts"]:
+        yield f"{what} is tested by {effect['test']}, and has {len(effect['parts'])} parts"
 
 
 def _against_pairs(what: str, effect: dict[str, Any], pairs: list[dict[str, Any]]) -> Iterator[str]:

@@ -9,7 +9,9 @@ from robot_runner.analysis.report.charts import points_chart
 from robot_runner.analysis.report.material import correction_in_words
 from robot_runner.analysis.report.plan_part import choices_in_words
 from robot_runner.analysis.report.tables import build_table, field, interval, number, text
+from robot_runner.analysis.statistics.known_precision import repeated_interval
 from robot_runner.analysis.wording import ALPHA, MINUS, listed, sentence, with_unit
+from robot_runner.core.design.repeated_intervals import METHOD
 from robot_runner.core.storage.executed_runs import moved_in_words
 from robot_runner.core.words import counted, shown_commit, shown_duration
 
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from robot_runner.analysis.report.material import Material
+    from robot_runner.analysis.statistics.known_precision import KnownPrecision
     from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics
 
 __all__ = ["description_section", "design_section", "order_in_words", "shown_stamp"]
@@ -51,6 +54,8 @@ def _facts(material: Material) -> Iterator[tuple[str, str]]:
     yield "Design", material.statistics.design.sentence
     yield "Order", order_in_words(material)
     yield from _batches(material)
+    for known in material.precisions.values():
+        yield f"Repeated for {known.measure}", f"{known.asked}; {counted(known.repetitions, 'repetition')} in the end"
     if material.results.warm_ups:
         yield "Warm-up", f"{listed(material.results.warm_ups)}: executed and kept, not analysed"
     yield "Robot", str(material.manifest("robot", default="not recorded"))
@@ -198,8 +203,26 @@ def _part(material: Material, measure: MeasureStatistics) -> Part:
     meaning = material.results.columns[measure.name].description
     blocks: list[Block] = [Paragraph(meaning, Tone.NOTE)] if meaning else []
     blocks += _description_tables(material, measure, label)
+    if measure.name in material.precisions:
+        blocks += _precision_blocks(material.precisions[measure.name], label)
     blocks += [Paragraph(note, Tone.NOTE) for note in _notes(measure)]
     return Part(f"describe-{measure.name}", label, tuple(blocks), material.badges(measure))
+
+
+def _precision_blocks(known: KnownPrecision, label: str) -> Iterator[Block]:
+    """Yield how precisely a measure is known that combinations were repeated for."""
+    yield Paragraph(known.sentence, Tone.PLAIN if known.is_reached else Tone.WARNING, lead="Precision.")
+    if not known.differences:
+        return
+    fields = (
+        text("Treatments", "of"),
+        number("Repetitions", "n"),
+        number("Difference of means", "mean"),
+        interval("CI of the difference", repeated_interval),
+    )
+    note = f"CI: 95 % confidence interval, {METHOD}; it holds wherever the experiment stopped."
+    caption = f"{label}: differences between treatments, compared within repetitions."
+    yield build_table(f"precision {known.measure}", caption, known.differences, fields, note)
 
 
 def _description_tables(material: Material, measure: MeasureStatistics, label: str) -> Iterator[Table]:

@@ -63,7 +63,7 @@ def threats_section(material: Material, threats: Sequence[Remark]) -> Section:
 def threats_of(material: Material) -> tuple[Remark, ...]:
     """Return all threats, those of one kind together."""
     kinds = {
-        "Conclusion validity": (_groups, _power, _plan, _registered, _planned_choices, _doubtful),
+        "Conclusion validity": (_groups, _precision, _power, _plan, _registered, _planned_choices, _doubtful),
         "Internal validity": (
             _drifts,
             _order,
@@ -137,6 +137,12 @@ def _doubtful(material: Material) -> Threats:
         runs = counted(len(material.done), "run")
         text = f"{len(rows):,} of {runs}: {listed(rows['run_id'])}; Outcome of each run has the reasons. {told}".strip()
         yield f"{name} has doubtful values", text, Tone.WARNING if all(each.stands for each in mine) else Tone.BAD
+
+
+def _precision(material: Material) -> Threats:
+    for known in material.precisions.values():
+        if not known.is_reached:
+            yield f"{known.measure} is not as precise as planned", known.sentence, Tone.WARNING
 
 
 def _power(material: Material) -> Threats:

@@ -15,9 +15,8 @@ from robot_runner.analysis.statistics.correlations import drift_of
 from robot_runner.analysis.statistics.descriptive import describe
 from robot_runner.analysis.statistics.design import VALUE
 from robot_runner.analysis.statistics.disclosed import LeftOut, Reason
-from robot_runner.analysis.statistics.left_out import (
-    false_positives,
-)
+from robot_runner.analysis.statistics.known_precision import level_of_looks
+from robot_runner.analysis.statistics.left_out import false_positives
 from robot_runner.analysis.statistics.outcome import MeasureStatistics
 from robot_runner.analysis.statistics.post_hoc import carry_out_contrast, compare_pairs, missing_intervals
 from robot_runner.analysis.statistics.power import power_of
@@ -112,15 +111,16 @@ def measure_statistics(
     contrasts: list[ContrastTest | None] = [
         gathered.take(carry_out_contrast(model, each, choices)) for each in claimed if model is not None
     ]
+    looks = level_of_looks(design.results, name)
     return MeasureStatistics(
         name,
         column.unit,
         column.origin,
         is_planned,
         is_primary,
-        overall=describe(data.described_groups([])[0]),
-        by_treatment=tuple(each for factor in data.factors for each in _described(gathered, data, (factor,))),
-        by_combination=_described(gathered, data, data.factors) if len(data.factors) > 1 else (),
+        overall=describe(data.described_groups([])[0], level_of_looks=looks),
+        by_treatment=tuple(each for factor in data.factors for each in _described(gathered, data, (factor,), looks)),
+        by_combination=_described(gathered, data, data.factors, looks) if len(data.factors) > 1 else (),
         assumptions=_assumptions(gathered, data, choices.alpha),
         quantiles=quantile_pairs(data.residuals(), tuple(data.frame[RUN_ID])),
         test=test,
@@ -156,13 +156,15 @@ def _is_contrast(hypothesis: Hypothesis, measure: str) -> bool:
     return hypothesis.measure == measure and (hypothesis.contrast is not None or hypothesis.within is not None)
 
 
-def _described(gathered: _Gathered, data: MeasureData, factors: tuple[str, ...]) -> tuple[Description, ...]:
+def _described(
+    gathered: _Gathered, data: MeasureData, factors: tuple[str, ...], looks: float | None
+) -> tuple[Description, ...]:
     groups = data.described_groups(factors)
     if len(groups) > _MOST_DESCRIBED:
         why = f"there are {len(groups):,} groups, more than {_MOST_DESCRIBED}."
         gathered.missing.append(NotComputed(f"descriptions by {' x '.join(factors)}", why))
         return ()
-    return tuple(map(describe, groups))
+    return tuple(describe(group, level_of_looks=looks) for group in groups)
 
 
 def _power(gathered: _Gathered, data: MeasureData, alpha: float) -> Power | None:
