@@ -238,3 +238,26 @@ def test_a_robot_without_a_watchdog_stands_still_within_a_second_whoever_is_kill
         assert stood - killed - wait.seconds < 1.0
         experiment.end()
         assert experiment.nobody_is_left()
+
+
+def test_whoever_else_commands_the_robot_or_tells_its_odometry_fails_the_run_at_once(
+    graph: str, start: Start, tmp_path: Path
+) -> None:
+    # A run each: one is pushed back by a person with a joystick, the other hears a second robot.
+    rivals = {
+        "commands the robot on '/gus/cmd_vel': -0.1 m/s": ("cmd_vel", TWIST, {"linear": {"x": -0.1}}),
+        "publish '/gus/odom', so that it is not known where": ("odom", "nav_msgs/Odometry", SECOND_ROBOT),
+    }
+    with simulated_robot(graph, "--namespace", "/gus"), witness(graph, "/gus") as looking:
+        config = written(tmp_path, ["Video", "Network"], robot=graph, namespace="/gus", drive_s=60.0)
+        experiment, since = start(config=config), 0.0
+        for topic, message_type, message in rivals.values():
+            looking.sees(0.19, since=since)
+            with rival(graph, "/gus", topic, message_type, message):
+                since = looking.sees_standstill(since=time.time())
+        assert experiment.end() == 1
+    failures = [each["problem"] for each in read_journal(experiment.folder / "journal.jsonl", kinds=["failure"])]
+    first = [failures[0], next(each for each in failures[1:] if each[:10] != failures[0][:10])]
+    for problem, told in zip(rivals, first, strict=True):
+        assert problem in told or "odometry" in told
+    assert {row["status"] for row in experiment.table} == {"Failed"}

@@ -12,6 +12,12 @@ __all__ = ["disagreements"]
 
 #: P-values of one comparison that were computed on two ways differ by rounding.
 _SAME = 1e-9
+#: Where a report has what was computed with one choice made otherwise.
+_BESIDE = {
+    "without doubtful values": "without_doubtful",
+    "with all runs": "with_all_runs",
+    "without covariates": "without_covariates",
+}
 _MAGNITUDES = ("negligible", "small", "medium", "large")
 
 
@@ -25,10 +31,13 @@ def disagreements(report: dict[str, Any]) -> list[str]:
     statistics = report["statistics"]
     alpha = statistics["alpha"]
     found: list[str] = []
-    for measure in (*statistics["measures"], *statistics["without_doubtful"]):
+    beside = [each for kind in _BESIDE.values() for each in statistics.get(kind, ())]
+    for measure in (*statistics["measures"], *beside):
         found += [f"{measure['name']}: {each}" for each in _of_measure(measure, alpha)]
     for outcome in statistics["hypotheses"]:
         found += [f"{outcome['hypothesis']['statement']}: {each}" for each in _of_hypothesis(outcome, statistics)]
+    for standing in statistics.get("standings", ()):
+        found += [f"{standing['measure']}: {each}" for each in _of_standing(standing, statistics)]
     return [*found, *_of_registration(report)]
 
 
@@ -65,6 +74,7 @@ def _of_registration(report: dict[str, Any]) -> Iterator[str]:
 
 def _of_measure(measure: dict[str, Any], alpha: float) -> Iterator[str]:
     test = measure["test"]
+    yield from _of_plan(measure, alpha)
     if test is None:
         if measure["post_hoc"] or not (measure["not_computed"] or measure["overall"] is None):
             yield "there are pairs without a test, or no reason why there is no test"
@@ -212,3 +222,65 @@ def _of_hypothesis(outcome: dict[str, Any], statistics: dict[str, Any]) -> Itera
     for effect in measure["test"]["effects"]:
         if set(effect["factors"]) == set(hypothesis["factors"]) and effect["is_significant"] is not supported:
             yield f"its effect is {'' if effect['is_significant'] else 'not '}significant"
+
+
+def _of_plan(measure: dict[str, Any], alpha: float) -> Iterator[str]:
+    """What the plan leaves out and adjusts for goes with the tests."""
+    left_out = [each["run_id"] for each in measure["left_out"]]
+    if len(left_out) != len(set(left_out)):
+        yield "a run is left out twice"
+    if (measure["rule_false_positives"] is not None) and not any(
+        each["reason"] == "outlier" for each in measure["left_out"]
+    ):
+        yield "a rule for outliers is told of that left none out"
+    adjustment, test = measure["adjustment"], measure["test"]
+    is_adjusted = test is not None and test["method"] == "analysis of covariance"
+    if (adjustment is not None) is not is_adjusted:
+        yield "slopes are told without an analysis of covariance, or the other way round"
+    if adjustment is None or test is None:
+        return
+    for slope in adjustment["slopes"]:
+        interval = slope["interval"]
+        if interval is not None and (interval["low"] > 0 or interval["high"] < 0) is not (slope["p_value"] < alpha):
+            yield f"the slope over {slope['covariate']} has p = {slope['p_value']} and another verdict by its interval"
+        affected = slope["treatments_p_value"] is not None and slope["treatments_p_value"] < alpha
+        if affected and not any(" differs between " in each or "unevenly" in each for each in adjustment["warnings"]):
+            yield f"the covariate {slope['covariate']} differs between treatments, and no sentence says so"
+    yield from _adjusted_means(measure, adjustment)
+
+
+def _adjusted_means(measure: dict[str, Any], adjustment: dict[str, Any]) -> Iterator[str]:
+    means = {tuple(each["treatments"].items()): each["adjusted"] for each in adjustment["means"]}
+    for post_hoc in measure["post_hoc"]:
+        if len(post_hoc["factors"]) > 1:
+            continue
+        (factor,) = post_hoc["factors"]
+        for pair in post_hoc["comparisons"]:
+            difference = means[(factor, pair["first"]),] - means[(factor, pair["second"]),]
+            if abs(difference - pair["difference"]) > 1e-6 * max(1.0, abs(difference)):
+                yield f"adjusted means of {pair['first']} and {pair['second']} differ by {difference}, their pair not"
+    for effect in measure["test"]["effects"]:
+        if " mean of " in effect["conclusion"] and "adjusted mean" not in effect["conclusion"]:
+            yield f"adjusted means are compared, and the sentence says: {effect['conclusion']}"
+
+
+def _of_standing(standing: dict[str, Any], statistics: dict[str, Any]) -> Iterator[str]:
+    """What is said to stand is significant in both analyses, or in neither."""
+    words = {None: "is not known", True: "the conclusion stands", False: "the conclusion does not stand"}
+    if words[standing["stands"]] not in standing["conclusion"]:
+        yield f"stands is {standing['stands']}, and the sentence says: {standing['conclusion']}"
+    if standing["statement"]:
+        return
+    found = []
+    for kind in ("measures", _BESIDE[standing["beside"]]):
+        measure = next(each for each in statistics[kind] if each["name"] == standing["measure"])
+        effects = measure["test"]["effects"] if measure["test"] is not None else []
+        found += [each for each in effects if set(each["factors"]) == set(standing["factors"])]
+    if standing["stands"] is None:
+        return
+    now, then = found
+    if now["p_value"] != standing["p_value"] or then["p_value"] != standing["p_value_without"]:
+        yield f"{standing['factors']}: its p-values are not those of the tests"
+    turned = "other direction" in standing["conclusion"]
+    if standing["stands"] is not (now["is_significant"] == then["is_significant"] and not turned):
+        yield f"{standing['factors']}: {standing['conclusion']}"

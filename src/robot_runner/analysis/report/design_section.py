@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.analysis.report.blocks import Block, Cell, Facts, Paragraph, Part, Section, Table, Tone
 from robot_runner.analysis.report.charts import points_chart
 from robot_runner.analysis.report.material import correction_in_words
+from robot_runner.analysis.report.plan_part import choices_in_words
 from robot_runner.analysis.report.tables import build_table, field, interval, number, text
 from robot_runner.analysis.statistics.known_precision import repeated_interval
 from robot_runner.analysis.wording import ALPHA, MINUS, listed, sentence, with_unit
@@ -67,7 +68,8 @@ def _facts(material: Material) -> Iterator[tuple[str, str]]:
     plan = material.results.plan
     if plan is not None:
         correction = correction_in_words(plan.correction)
-        yield "Fixed beforehand", f"measures {listed(plan.measures)}, {ALPHA} = {plan.alpha:g}, {correction}"
+        choices = f"measures {listed(plan.measures)}, {ALPHA} = {plan.alpha:g}, {correction}"
+        yield "Fixed beforehand", "; ".join([choices, *choices_in_words(plan, material.results.unit)])
     if material.registered is not None:
         yield "Registration", material.registered.sentence
         if material.registered.power:
@@ -276,7 +278,7 @@ def _notes(measure: MeasureStatistics) -> Iterator[str]:
             f"{run_id} ({with_unit(outlier.value, measure.unit)}{', extreme' if outlier.is_extreme else ''})"
             for run_id, outlier in outliers.items()
         ]
-        by = "by Tukey's fences"
-        yield f"{counted(len(outliers), 'outlier')} {by}: {listed(named, shown=_MOST_NAMED)}. None was left out."
+        many = f"{counted(len(outliers), 'outlier')} by Tukey's fences"
+        yield f"{many}: {listed(named, shown=_MOST_NAMED)}. None of these was left out."
     for missed in measure.not_computed:
         yield f"Not computed: {missed.what}. {sentence(missed.why)}"
