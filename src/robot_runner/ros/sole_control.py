@@ -10,7 +10,7 @@ from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.words import enumerated
 from robot_runner.ros.graph_links import full_name
 from robot_runner.ros.sent_velocities import is_from_here
-from robot_runner.ros.watchdog import VELOCITY_COMMANDS, planar, velocity_of
+from robot_runner.ros.watchdog import TWIST, VELOCITY_COMMANDS, planar, velocity_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -71,7 +71,7 @@ class SoleControl:
             LinkError: the commands cannot be heard.
         """
         types = {each.message_type for each in self._link.subscribers(self._command_topic)} & VELOCITY_COMMANDS
-        for message_type in sorted(types):
+        for message_type in sorted(types) or [TWIST]:  # a graph that does not tell the type carries what we publish
             hear = self._hearer(message_type, tell)
             self._closing.callback(self._link.subscribe(self._command_topic, message_type, hear).close)
         watching = threading.Thread(target=self._watch, args=(tell,), name="sole control", daemon=True)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any
 
+from scipy import stats
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -115,6 +117,7 @@ def _of_effect(effect: dict[str, Any], pairs: list[dict[str, Any]], alpha: float
     if significant and first is not None and f"is {first['magnitude']}" not in effect["conclusion"]:
         yield f"{what} is {first['magnitude']}, and its sentence says: {effect['conclusion']}"
     yield from _of_check(what, effect, alpha)
+    yield from _of_parts(what, effect)
     yield from _against_pairs(what, effect, pairs)
 
 
@@ -126,6 +129,23 @@ def _of_check(what: str, effect: dict[str, Any], alpha: float) -> Iterator[str]:
     told = "The same test of " in effect["conclusion"]
     if check["agrees"] is not agrees or told is agrees:
         yield f"{what}: the check has p = {check['p_value']}, and the sentence says: {effect['conclusion']}"
+
+
+def _of_parts(what: str, effect: dict[str, Any]) -> Iterator[str]:
+    """A p-value is that of its statistic, or between those of the tests that it combines; the sentence has both."""
+    is_drawn, freedom = "bootstrap" in effect["test"], effect["degrees_of_freedom"]
+    for part in effect["parts"]:
+        if abs(stats.f.sf(part["statistic"], *part["degrees_of_freedom"]) - part["p_value"]) > _SAME:
+            yield f"{what}: {part['name']} has another p-value than its statistic"
+        if f"{part['name']} F(" not in effect["conclusion"]:
+            yield f"{what}: the sentence lacks {part['name']}: {effect['conclusion']}"
+    alone = stats.t if len(freedom) == 1 else stats.f
+    tails = alone.sf(abs(effect["statistic"]), *freedom) * (2 if len(freedom) == 1 else 1)
+    bounds = [part["p_value"] for part in effect["parts"]] or [tails]
+    if not is_drawn and not min(bounds) - _SAME <= effect["p_value"] <= max(bounds) + _SAME:
+        yield f"{what} has p = {effect['p_value']}, and its statistic tells {bounds}"
+    if len(effect["parts"]) != effect["test"].count(" and ") + 1 and effect["parts"]:
+        yield f"{what} is tested by {effect['test']}, and has {len(effect['parts'])} parts"
 
 
 def _against_pairs(what: str, effect: dict[str, Any], pairs: list[dict[str, Any]]) -> Iterator[str]:

@@ -54,7 +54,7 @@ def numbers(found):
 def test_a_plain_experiment(tmp_path):
     found = statistics(tmp_path, repetitions=6, units={"Energy": "J"})
     measure = found.measure("Energy")
-    assert measure.test.method is TestMethod.WELCH_ANOVA
+    assert measure.test.method is TestMethod.COMBINED
     assert measure.test.effects[0].is_significant
     assert [each.label for each in measure.by_treatment] == ["Video", "Network", "Idle"]
     assert [each.n for each in measure.by_treatment] == [6, 6, 6]

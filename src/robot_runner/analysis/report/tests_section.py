@@ -196,12 +196,14 @@ def _effect_table(name: str, caption: str, test: MeasureTest, alpha: float) -> T
 
 
 def _shown_statistic(effect: Effect) -> str:
-    """Return a statistic as papers print it, as in `F(2, 12) = 83.1`."""
+    """Return a statistic as papers print it, as in `F(2, 12) = 83.1`; of two tests that are combined, both."""
     if effect.statistic is None:
         return MISSING
-    freedom = ", ".join(f"{each:.4g}" for each in effect.degrees_of_freedom)
-    name = f"{effect.statistic_name}({freedom})" if freedom else effect.statistic_name
-    return f"{name} = {shown_number(effect.statistic)}"
+    return "; ".join(
+        f"{effect.statistic_name}({', '.join(f'{each:.4g}' for each in of.degrees_of_freedom)}) = "
+        f"{shown_number(of.statistic)}"
+        for of in effect.parts or (effect,)
+    )
 
 
 def _shown_size(size: EffectSize) -> str:

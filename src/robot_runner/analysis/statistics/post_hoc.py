@@ -51,11 +51,13 @@ _WHY_MISSING = {
     "Vargha-Delaney A12": "a group has a single run.",
     "rank-biserial correlation": "all differences have one sign, or they are fewer than five.",
 }
+_MARGINAL = " of unweighted marginal means"
 _PAIRED = {
     TestMethod.WELCH_T: "Welch's t-test",
     TestMethod.WELCH_ANOVA: "Welch's t-tests",
     TestMethod.ANOVA_TYPE: "Welch's t-tests",
-    TestMethod.WELCH_JAMES: "Welch's t-tests of unweighted marginal means",
+    TestMethod.WELCH_JAMES: f"Welch's t-tests{_MARGINAL}",
+    TestMethod.COMBINED: f"Welch's t-tests{_MARGINAL}",
     TestMethod.PAIRED_T: "paired t-test",
     TestMethod.BLOCKS: "t-tests of differences within blocks, between them where factors do not differ within",
     TestMethod.LINEAR_MODEL: "t-tests of the model's marginal means",
@@ -84,9 +86,8 @@ def compare_pairs(
         compared = tuple(
             each if each.p_value is None else _with_adjusted(each, next(after), choices.alpha) for each in every
         )
-        found.append(
-            PostHoc(factors, _PAIRED[model.method], choices.correction, _QUANTITIES[choices.estimand], compared)
-        )
+        method = _PAIRED[model.method] if len(data.factors) > 1 else _PAIRED[model.method].removesuffix(_MARGINAL)
+        found.append(PostHoc(factors, method, choices.correction, _QUANTITIES[choices.estimand], compared))
     return tuple(found), tuple(missing)
 
 

@@ -16,7 +16,7 @@ from robot_runner.analysis.statistics.cell_means import BOOTSTRAP, CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.effect_sizes import omega_squared
 from robot_runner.analysis.statistics.linear_model import FittedModel, fit_model
-from robot_runner.analysis.statistics.tested import Check, Effect, MeasureTest, NotComputed, TestMethod
+from robot_runner.analysis.statistics.tested import Check, Effect, MeasureTest, NotComputed, TestMethod, TestPart
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.analysis_plan import Correction, Estimand, Statistic
 from robot_runner.core.design.columns import RUN_ID
@@ -43,7 +43,7 @@ class Choices:
     alpha: float = 0.05
     correction: Correction = Correction.HOLM
     estimand: Estimand = Estimand.MEAN
-    statistic: Statistic = Statistic.WELCH_JAMES
+    statistic: Statistic = Statistic.COMBINED
 
 
 class Model(Protocol):
@@ -70,7 +70,7 @@ def check_estimand(estimand: Estimand) -> Estimand:
 
 
 def model_of(
-    data: MeasureData, estimand: Estimand, statistic: Statistic = Statistic.WELCH_JAMES
+    data: MeasureData, estimand: Estimand, statistic: Statistic = Statistic.COMBINED
 ) -> CellMeans | FittedModel | NotComputed:
     """Return the estimates of a measure as it is, whatever its covariates, or why there are none.
 
@@ -140,7 +140,7 @@ def _effect(
     size = None
     if is_known and choices.estimand is not Estimand.RANK:
         f_value, both = (statistic**2, (1.0, *freedom)) if len(freedom) == 1 else (statistic, freedom)
-        if found.test.startswith(BOOTSTRAP):  # the interval is to belong to the p-value
+        if found.parts or BOOTSTRAP in found.test:  # the interval is to belong to the p-value
             f_value = float(stats.f.isf(p_value, *both))
         is_partial = len(_factors(model)) > 1
         size = omega_squared(
@@ -158,7 +158,12 @@ def _effect(
         effect_sizes=() if size is None else (size,),
         check=None if beside is None else _check(beside, p_value_of, choices),
         conclusion="",
+        parts=tuple(_part(*each) for each in found.parts if is_known),
     )
+
+
+def _part(name: str, statistic: float, freedom: Sequence[float], p_value: float) -> TestPart:
+    return TestPart(name, float(statistic), tuple(map(float, freedom)), float(p_value))
 
 
 def _factors(model: CellMeans | FittedModel | AdjustedMeans) -> Sequence[str]:
