@@ -71,6 +71,7 @@ STUDIES: dict[str, tuple[Study, int, int | None]] = {
     ),
     "ranks": (study_of([TASK, SPEED], AnalysisPlan("Energy", estimand=Estimand.RANK)), 12, None),
     "trimmed means": (study_of([SPEED], AnalysisPlan("Energy", estimand=Estimand.TRIMMED_MEAN)), 12, None),
+    "Welch-James": (study_of([SPEED], AnalysisPlan("Energy", statistic=Statistic.WELCH_JAMES)), 12, None),
     "ANOVA-type": (study_of([SPEED], AnalysisPlan("Energy", statistic=Statistic.ANOVA_TYPE)), 12, None),
     "blocks of repetitions": (study_of([TASK, SPEED], AnalysisPlan("Energy"), blocks="Repetition"), 8, None),
     "robots as blocks": (study_of([ROBOT, TASK], AnalysisPlan("Energy", blocks="Robot")), 3, None),
