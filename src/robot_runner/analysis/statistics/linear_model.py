@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-__all__ = ["FittedModel", "fit_model"]
+__all__ = ["FittedModel", "coded_row", "estimable_terms", "fit_model"]
 
 #: A mean for each of more combinations takes long to fit, and nobody can read them.
 _MOST_CELLS = 500
@@ -111,7 +111,7 @@ class FittedModel:
         return np.asarray(np.mean(rows, axis=0))
 
     def _row(self, treatments: Mapping[str, str]) -> Floats:
-        return _row(self.factors, self.terms, treatments)
+        return coded_row(self.factors, self.terms, treatments)
 
     def _place(self, factors: Sequence[str]) -> slice:
         """Return the columns of an effect in the design; the first is the mean of all combinations."""
@@ -188,11 +188,11 @@ def fit_model(data: MeasureData, response: Floats | None = None) -> FittedModel 
     blocks = frame[_BLOCK].to_numpy(dtype=str) if data.is_blocked else None
     batches = pd.get_dummies(frame[BATCH], drop_first=True).to_numpy(dtype=np.float64) if data.is_extended else None
     shifts = 0 if batches is None else batches.shape[1]
-    terms, note = _terms(factors, frame, shifts + (0 if blocks is None else len(set(blocks)) - 1))
+    terms, note = estimable_terms(factors, frame, shifts + (0 if blocks is None else len(set(blocks)) - 1))
     if not terms:
         return NotComputed("the test", "there are too few runs for the number of treatments.")
     treatments = frame[list(factors)].to_dict("records")
-    exog = np.stack([_row(factors, terms, {str(name): each[name] for name in each}) for each in treatments])
+    exog = np.stack([coded_row(factors, terms, {str(name): each[name] for name in each}) for each in treatments])
     exog = exog if batches is None else np.column_stack([exog, batches])
     values = frame[VALUE].to_numpy(dtype=np.float64)
     if np.linalg.matrix_rank(exog) < exog.shape[1]:
@@ -224,7 +224,7 @@ def _means_in_blocks(data: MeasureData, response: Floats) -> pd.DataFrame:
     return frame.groupby([*units, *data.factors], sort=False, as_index=False)[VALUE].mean()
 
 
-def _terms(
+def estimable_terms(
     factors: Mapping[str, Sequence[str]], frame: pd.DataFrame, blocks: int
 ) -> tuple[tuple[tuple[str, ...], ...], str]:
     """Return the effects that the values suffice to estimate, and why others are left out."""
@@ -244,7 +244,9 @@ def _terms(
     return tuple((name,) for name in names), note
 
 
-def _row(factors: Mapping[str, Sequence[str]], terms: Sequence[Sequence[str]], treatments: Mapping[str, str]) -> Floats:
+def coded_row(
+    factors: Mapping[str, Sequence[str]], terms: Sequence[Sequence[str]], treatments: Mapping[str, str]
+) -> Floats:
     """Return the row of the design of one combination, with effects coded to sum up to zero."""
     coded = {name: _sum_code(len(levels), levels.index(treatments[name])) for name, levels in factors.items()}
     parts = [kron([coded[name] for name in effect], np.ones(1)) for effect in terms]
