@@ -169,6 +169,7 @@ def dialect_of(path: Path) -> CsvDialect:
 
     Raises:
         StorageError: the file cannot be read.
+        AnalysisError: it is not text.
     """
     try:
         with path.open("rb") as file:
@@ -176,6 +177,9 @@ def dialect_of(path: Path) -> CsvDialect:
     except OSError as error:
         raise storage_error(path, "read", error) from error
     encoding = _encoding(head)
+    if encoding != "utf-16" and b"\0" in head:
+        fix = "Name the CSV file that holds the runs: --table FILE."
+        raise AnalysisError("the file is not text: it holds zero bytes", where=str(path), fix=fix)
     lines = head.decode(encoding, "replace").splitlines()
     blank = next((place for place, line in enumerate(lines) if line.strip(" ,;\t|")), len(lines))
     heading, *body = lines[blank : blank + _LINES_LOOKED_AT] or [""]
@@ -202,6 +206,9 @@ def _table(
         if headings.count(name) > 1:
             problem = f"heading {name!r} is there twice"
             raise AnalysisError(problem, where=f"{path}:{line}", fix="Name each column, each differently.")
+    if body and all(number_of(name) is not None for name in headings):
+        problem = f"the first row has only numbers, such as {headings[0]!r}: the table has no heading"
+        raise AnalysisError(problem, where=f"{path}:{line}", fix="Write the names of the columns above it.")
     width = len(headings)
     for number, row in body:
         if any(row[width:]):

@@ -18,7 +18,7 @@ from robot_runner.analysis.importing.recomputation import check_recipes, guess_r
 from robot_runner.analysis.importing.role_guesses import Role
 from robot_runner.analysis.importing.sample_times import TimeKind
 from robot_runner.analysis.importing.units import Unit, unit_of
-from robot_runner.core.design.columns import REPETITION, name_findings
+from robot_runner.core.design.columns import REPETITION, is_fit_for_heading, name_findings
 from robot_runner.core.errors import AnalysisError, Finding, StorageError, did_you_mean
 from robot_runner.core.storage.cells import number_of
 from robot_runner.core.words import counted, one_line
@@ -34,6 +34,8 @@ __all__ = ["Understanding", "understand"]
 
 _TABLE = "run_table.csv"
 _SHOWN_TABLES = 10
+#: More rows are no experiment: at a second a run, these take two days and more, and nobody could look at the report.
+_MOST_RUNS = 200_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,6 +162,9 @@ def understand(root: Path, said: ImportDescription) -> Understanding:
     where = str(table.path)
     if not table.rows:
         raise AnalysisError("there are no runs in the table", where=where, fix="Name the table that holds the runs.")
+    if len(table.rows) > _MOST_RUNS:
+        problem = f"the table has {len(table.rows):,} rows: are they samples rather than runs?"
+        raise AnalysisError(problem, where=where, fix="Name the table with a row for each run: --table FILE.")
     roles = roles_of(table, said)
     if not roles.measures and not said.recipes and not roles.factors:
         fix = "Name them: --factor and --measure."
@@ -224,10 +229,12 @@ def _headings(roles: ColumnRoles, names: Iterable[str], notes: list[str]) -> dic
     headings: dict[str, str] = {}
     repeated = 2 if roles.repetition or roles.repetition_in_run_id else 1
     for name in names:
-        here = name
-        while any(name_findings(here, kind="column", repetitions=repeated)) or here == REPETITION:
-            here = f"{here.strip()}_"
+        here = "".join(character for character in name if is_fit_for_heading(character)).strip() or "column"
+        taken = {REPETITION, *headings.values()}
+        while here in taken or any(name_findings(here, kind="column", repetitions=repeated)):
+            here = f"{here}_"
         if here != name:
-            notes.append(f"column {name!r} is called {here!r} here: the name is taken")
+            why = "the name is taken" if here.strip("_") == name.strip("_") else "a heading cannot hold all of it"
+            notes.append(f"column {name!r} is called {here!r} here: {why}")
         headings[name] = here
     return headings
