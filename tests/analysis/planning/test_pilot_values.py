@@ -37,7 +37,9 @@ def pilot_of(root: Path, study: Study, assumed: AssumedMeasure, repetitions: int
     """Return a pilot whose values are drawn as is assumed; its blocks are those of the study."""
     place = list(study.factors).index("Robot") if study.blocks == "Robot" else None
     cells = [study.cells[number] for number in study.cells_of(repetitions)]
-    blocks = [cell[place] if place is not None else f"{number // len(study.cells)}" for number, cell in enumerate(cells)]
+    blocks = [
+        cell[place] if place is not None else f"{number // len(study.cells)}" for number, cell in enumerate(cells)
+    ]
     # Blocks respond to tasks, and a robot is no task.
     if place is not None:
         cells = [tuple(text for at, text in enumerate(cell) if at != place) for cell in cells]

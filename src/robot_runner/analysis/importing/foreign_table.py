@@ -30,6 +30,8 @@ _BOOLEANS = frozenset({"true", "false"})
 
 #: As much of a file as is needed to see how it is written.
 _HEAD = 1 << 16
+#: More rows are no experiment: at a second a run these take two days, and nobody could look at the report.
+_MOST_RUNS = 200_000
 _LONGEST_CHARACTER = 4  # bytes in UTF-8
 _LINES_LOOKED_AT = 50
 
@@ -142,7 +144,7 @@ def read_foreign_table(path: Path, decimal: str | None = None) -> ForeignTable:
 
     Raises:
         StorageError: the file cannot be read.
-        AnalysisError: it has no heading, or rows that do not fit the heading.
+        AnalysisError: it has no heading, rows that do not fit the heading, or too many of them.
     """
     dialect = dialect_of(path)
     filled: list[tuple[int, list[str]]] = []
@@ -153,6 +155,10 @@ def read_foreign_table(path: Path, decimal: str | None = None) -> ForeignTable:
             for row in lines:
                 if any(cells := [cell.strip() for cell in row]):
                     filled.append((before + 1, cells))
+                if len(filled) > _MOST_RUNS:
+                    problem = f"the table has more than {_MOST_RUNS:,} rows: are they samples rather than runs?"
+                    fix = "Name the table that has a row for each run: --table FILE."
+                    raise AnalysisError(problem, where=str(path), fix=fix)
                 before = lines.line_num
     except OSError as error:
         raise storage_error(path, "read", error) from error

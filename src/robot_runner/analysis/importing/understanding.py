@@ -34,8 +34,6 @@ __all__ = ["Understanding", "understand"]
 
 _TABLE = "run_table.csv"
 _SHOWN_TABLES = 10
-#: More rows are no experiment: at a second a run, these take two days and more, and nobody could look at the report.
-_MOST_RUNS = 200_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,9 +160,6 @@ def understand(root: Path, said: ImportDescription) -> Understanding:
     where = str(table.path)
     if not table.rows:
         raise AnalysisError("there are no runs in the table", where=where, fix="Name the table that holds the runs.")
-    if len(table.rows) > _MOST_RUNS:
-        problem = f"the table has {len(table.rows):,} rows: are they samples rather than runs?"
-        raise AnalysisError(problem, where=where, fix="Name the table with a row for each run: --table FILE.")
     roles = roles_of(table, said)
     if not roles.measures and not said.recipes and not roles.factors:
         fix = "Name them: --factor and --measure."
