@@ -17,6 +17,8 @@ from robot_runner.core.doors import open_door
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from robot_runner.analysis.comparison.combined import MetaAnalysis as MetaAnalysis
+    from robot_runner.analysis.comparison.combining import meta_analyse as meta_analyse
     from robot_runner.analysis.comparison.compared import Comparison as Comparison
     from robot_runner.analysis.comparison.comparing import compare as compare
     from robot_runner.analysis.report.writing import write_report as write_report

@@ -9,13 +9,12 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.exporting import ExportContent, export_results
+from robot_runner.analysis.journal_frames import History, read_history
 from robot_runner.analysis.run_frame import (
-    History,
     RunFrame,
     column_descriptions,
     excluded_frame,
     quality_frame,
-    read_history,
     read_run_frame,
 )
 from robot_runner.analysis.sample_files import (
