@@ -13,6 +13,7 @@ import numpy as np
 from scipy import stats
 
 from benchmarks.null_designs import DISTRIBUTIONS, NULL_DESIGNS, NullDesign
+from benchmarks.precise_stopping import precise_stopping
 from benchmarks.table import Row, print_table
 from robot_runner.analysis.statistics.cell_layout import layout_of
 from robot_runner.analysis.statistics.cell_means import CellMeans
@@ -59,6 +60,7 @@ def main(arguments: list[str] | None = None) -> None:
     print_table(
         "Power under normality with equal spreads, beside the test that knows of it", list(_power(random, count))
     )
+    print_table("Repeated until precise, 30 times at most: the worst of six widths", precise_stopping(random, count))
 
 
 def _estimated(design: NullDesign, values: Floats, statistic: Statistic = Statistic.WELCH_JAMES) -> CellMeans:

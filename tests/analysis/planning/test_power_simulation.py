@@ -16,8 +16,8 @@ from robot_runner.analysis.planning.power_simulation import Simulation
 from robot_runner.analysis.planning.study import Study
 from robot_runner.analysis.statistics.families import claim_of, effect_key
 from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Estimand, Family, Statistic
-from robot_runner.core.design.hypothesis import Hypothesis
 from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.hypothesis import Hypothesis
 from robot_runner.core.design.run_table_model import RunTableModel
 
 if TYPE_CHECKING:

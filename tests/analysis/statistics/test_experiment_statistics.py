@@ -54,7 +54,7 @@ def numbers(found):
 def test_a_plain_experiment(tmp_path):
     found = statistics(tmp_path, repetitions=6, units={"Energy": "J"})
     measure = found.measure("Energy")
-    assert measure.test.method is TestMethod.WELCH_ANOVA
+    assert measure.test.method is TestMethod.COMBINED
     assert measure.test.effects[0].is_significant
     assert [each.label for each in measure.by_treatment] == ["Video", "Network", "Idle"]
     assert [each.n for each in measure.by_treatment] == [6, 6, 6]
@@ -262,6 +262,21 @@ def test_correlation_within_treatments_is_told_from_that_of_the_treatments(tmp_p
     (found,) = statistics(tmp_path, values=both, measures=["Energy", "CPU"], repetitions=10).correlations
     assert found.pearson > 0.95
     assert abs(found.within) < 0.5
+
+
+def test_what_is_said_of_power_does_not_hang_on_the_effect_that_was_observed(tmp_path):
+    # The power of the observed effect is the p-value once more (Hoenig and Heisey 2001).
+    def values(size):
+        return lambda treatments, repetition: {
+            "Energy": 100 + size * (treatments["Task"] == "Video") + NOISE[repetition + 20 * len(treatments["Task"])]
+        }
+
+    none, large = (
+        statistics(tmp_path / str(size), values=values(size), repetitions=8).measure("Energy") for size in (0, 50)
+    )
+    assert none.test.effects[0].p_value != large.test.effects[0].p_value
+    assert none.power == large.power
+    assert none.power.detectable_effect is not None
 
 
 def test_more_power_needs_more_runs():

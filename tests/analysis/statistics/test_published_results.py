@@ -27,6 +27,16 @@ def computed(measure, **choices):
     return test, compare_pairs(measure, model, test, chosen)[0][0].comparisons
 
 
+#: In R, of squared errors v of means m on f degrees of freedom, with contrasts L: P = L' (L L')^-1 L, q = diag(P),
+#: s = q^2 v^2 f / (f + 2), own = sum(q v), total = own^2 - 2 sum(s / f), crossed = sum(P^2 outer(v, v)) -
+#: sum(q^2 v^2) + sum(s); F = m' P m / own on total / crossed and total / sum(s / f); together mean(p^(-1/3))^-3.
+def parts(effect):
+    """The ANOVA-type test of an effect beside its Welch-James test, and the p-value of both."""
+    weighed, plain = effect.parts
+    assert (weighed.statistic, weighed.degrees_of_freedom) == (effect.statistic, effect.degrees_of_freedom)
+    return (plain.statistic, *plain.degrees_of_freedom, plain.p_value), effect.p_value
+
+
 def ends(size):
     return (size.interval.low, size.interval.high)
 
@@ -106,13 +116,18 @@ def test_assumptions_of_plant_growth():
 
 
 def test_welch_anova_of_plant_growth():
-    # oneway.test(weight ~ group, data = PlantGrowth): F = 5.181, denom df = 17.128, p-value = 0.01739
+    # oneway.test(weight ~ group, data = PlantGrowth): F = 5.180972408, denom df = 17.12841862, p-value = 0.0173928215
     test, _ = computed(data.one_factor(data.PLANT_GROWTH))
     (effect,) = test.effects
-    assert test.method is TestMethod.WELCH_ANOVA
-    assert effect.statistic == pytest.approx(5.181, abs=5e-4)
-    assert effect.degrees_of_freedom == pytest.approx((2.0, 17.128), abs=5e-4)
-    assert effect.p_value == pytest.approx(0.01739, abs=5e-6)
+    assert test.method is TestMethod.COMBINED
+    assert effect.statistic == pytest.approx(5.180972408, abs=5e-9)
+    assert effect.degrees_of_freedom == pytest.approx((2.0, 17.12841862), abs=5e-8)
+    assert effect.parts[0].p_value == pytest.approx(0.0173928215, abs=5e-10)
+    plain, together = parts(effect)
+    assert plain == pytest.approx((4.8460878623801, 1.9287951838316, 25.1435635707892, 0.0174846509888), rel=1e-9)
+    assert together == pytest.approx(0.0174386556462, rel=1e-9)
+    (alone,) = computed(data.one_factor(data.PLANT_GROWTH), statistic=Statistic.WELCH_JAMES)[0].effects
+    assert (alone.test, alone.p_value, alone.parts) == ("Welch's ANOVA", effect.parts[0].p_value, ())
 
 
 def test_welch_anova_of_insect_sprays_and_of_their_ranks():
@@ -120,9 +135,11 @@ def test_welch_anova_of_insect_sprays_and_of_their_ranks():
     (effect,) = computed(data.one_factor(data.INSECT_SPRAYS))[0].effects
     assert effect.statistic == pytest.approx(36.065, abs=5e-4)
     assert effect.degrees_of_freedom[1] == pytest.approx(30.043, abs=5e-4)
-    assert effect.p_value == pytest.approx(7.999e-12, rel=1e-3)
+    assert effect.parts[0].p_value == pytest.approx(7.999e-12, rel=1e-3)
+    assert parts(effect)[1] == pytest.approx(2.76458896013e-12, rel=1e-6)
     assert effect.check.statistic == pytest.approx(40.495, abs=5e-4)
     assert effect.check.degrees_of_freedom[1] == pytest.approx(30.758, abs=5e-4)
+    assert effect.check.p_value == pytest.approx(6.76137465193e-19, rel=1e-6)
     assert effect.check.agrees
 
 
@@ -134,8 +151,16 @@ def test_welch_james_of_warp_breaks():
     wool, tension, interaction = computed(data.two_factors(data.WARP_BREAKS))[0].effects
     assert tension.statistic == pytest.approx(6.9654021834, abs=5e-10)
     assert tension.degrees_of_freedom == pytest.approx((2.0, 24.8460975354), abs=5e-9)
-    assert tension.p_value == pytest.approx(0.0039667908, abs=5e-10)
-    assert (interaction.statistic, interaction.p_value) == pytest.approx((3.704687706, 0.039075694), abs=5e-9)
+    assert tension.parts[0].p_value == pytest.approx(0.0039667908, abs=5e-10)
+    assert interaction.statistic == pytest.approx(3.704687706, abs=5e-9)
+    assert interaction.parts[0].p_value == pytest.approx(0.039075694, abs=5e-9)
+    freedom = (1.81460513662838, 34.3270554031318)
+    plain, together = parts(tension)
+    assert plain == pytest.approx((8.49804664835801, *freedom, 0.00136487547801), rel=1e-9)
+    assert together == pytest.approx(0.00221960778633, rel=1e-9)
+    plain, together = parts(interaction)
+    assert plain == pytest.approx((4.189068966851, *freedom, 0.0267589791828), rel=1e-9)
+    assert together == pytest.approx(0.0321436829225, rel=1e-9)
     assert wool.statistic_name == "t"
     assert wool.degrees_of_freedom[0] == pytest.approx(29.0616443, abs=5e-7)
 
@@ -171,15 +196,17 @@ def test_blocks_of_ergo_stool():
 
 
 def test_few_blocks_of_ergo_stool():
-    # The first seven of its subjects: fewer than two for each treatment, and so Greenhouse-Geisser, by car as above
-    few = {name: values[:7] for name, values in data.ERGO_STOOL.items()}
-    effect = computed(data.one_factor(few, in_blocks=True))[0].effects[0]
-    assert effect.test == "Greenhouse-Geisser"
-    wide = np.array(list(few.values())).T
-    centred = wide - wide.mean(axis=1, keepdims=True)
-    roots = np.linalg.eigvalsh(np.cov(centred.T))
-    epsilon = roots.sum() ** 2 / (3 * np.sum(roots**2))
-    assert effect.degrees_of_freedom == pytest.approx((3 * epsilon, 18 * epsilon))
+    # The first subjects alone, by car as above: of seven HF eps 0.9713924393, p = 5.203349284e-05; six have fewer than
+    # two degrees of freedom for each contrast, and so Greenhouse-Geisser: GG eps 0.6522757873, p = 0.002056037951
+    for blocks, test, epsilon, p_value in (
+        (7, "Huynh-Feldt", 0.9713924393, 5.203349284e-05),
+        (6, "Greenhouse-Geisser", 0.6522757873, 0.002056037951),
+    ):
+        few = {name: values[:blocks] for name, values in data.ERGO_STOOL.items()}
+        effect = computed(data.one_factor(few, in_blocks=True))[0].effects[0]
+        assert effect.test == test
+        assert effect.degrees_of_freedom == pytest.approx((3 * epsilon, 3 * (blocks - 1) * epsilon), rel=1e-8)
+        assert effect.p_value == pytest.approx(p_value, rel=1e-8)
 
 
 def test_mixed_model_of_incomplete_blocks():
@@ -212,6 +239,21 @@ def test_mixed_model_of_a_block_that_lacks_a_treatment():
     assert effect.freedom == (3.0, 24.0)
 
 
+def test_errors_of_a_mixed_model_whose_blocks_lack_different_treatments():
+    # nlme: lme(effort ~ Type, random = ~ 1 | Subject) without Type 1 of Subject 1, 2 of 2, 3 of 3 and 4 of 4:
+    # F = 25.1455787, the error of T2 - T3 and of T1 - T4 is 0.517140711. statsmodels' own covariance has others.
+    rows = [(name, place, value) for name, of in data.ERGO_STOOL.items() for place, value in enumerate(of, 1)]
+    held = [row for row in rows if row[:2] not in {(f"T{each}", each) for each in (1, 2, 3, 4)}]
+    measure = data.split_plot([(f"subject {place}", "all", name, float(value)) for name, place, value in held])
+    model = fit_model(replace(measure, factors=("B",)))
+    (effect,) = model.effects()
+    assert effect.statistic == pytest.approx(25.1455787, abs=5e-6)
+    assert effect.freedom == (3.0, 20.0)
+    for one, other in (("T2", "T3"), ("T1", "T4")):
+        found = model.difference([({"B": one}, 1.0), ({"B": other}, -1.0)])
+        assert float(found.error) == pytest.approx(0.517140711, abs=5e-8)
+
+
 def test_split_plot_of_higgins():
     # summary(aov(y ~ Moisture * Fertilizer + Error(Tray))): where blocks are balanced, the F of what is
     # compared within blocks is the classical one: Fertilizer and its interaction with Moisture
@@ -224,7 +266,7 @@ def test_split_plot_of_higgins():
     treatment = float(12 * (rest.mean() ** 2).sum()) / 3
     assert fertilizer.statistic == pytest.approx(treatment / error)
     assert fertilizer.test == interaction.test == "Greenhouse-Geisser"
-    assert moisture.test == "Welch-James, parametric bootstrap of blocks"
+    assert moisture.test == "Welch-James and ANOVA-type, parametric bootstrap of blocks"
     assert moisture.p_value < 0.05
 
 

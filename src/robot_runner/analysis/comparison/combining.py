@@ -214,26 +214,29 @@ def _answer(question: _Question, of: _Estimated, alpha: float) -> EffectIn | Non
     )
 
 
-def hedges_g(difference: float, error: float, freedom: float, spread: float) -> tuple[float, float]:
+def hedges_g(difference: float, error: float, freedom: float, spread: float) -> tuple[float, float] | tuple[None, None]:
     """Return Hedges' g of a difference, and its standard error.
 
-    The difference is divided by the standard deviation that the report divides it by, and freed of its bias (Hedges,
-    Distribution theory for Glass's estimator of effect size, 1981). The variance adds that of the standard deviation
-    to that of the difference (Bonett, Confidence intervals for standardized linear contrasts of means, 2008).
+    The difference is divided by the standard deviation that the report divides it by, and freed of its bias; the
+    variance is free of bias, too (Hedges, Distribution theory for Glass's estimator of effect size and related
+    estimators, Journal of Educational Statistics 6, 1981).
 
     Args:
         difference: of means.
         error: its standard error.
         freedom: the degrees of freedom of that.
         spread: the standard deviation.
+
+    Returns:
+        Nothing with a single degree of freedom, of which g has no mean.
     """
-    correction = (
-        math.exp(float(special.gammaln(freedom / 2) - special.gammaln((freedom - 1) / 2))) * math.sqrt(2 / freedom)
-        if freedom > 1
-        else 0.0
-    )
-    size = difference / spread
-    return correction * size, correction * math.sqrt((error / spread) ** 2 + size**2 / (2 * freedom))
+    if freedom <= 1:
+        return None, None
+    logarithm = float(special.gammaln(freedom / 2) - special.gammaln((freedom - 1) / 2))
+    correction = math.exp(logarithm) * math.sqrt(2 / freedom)
+    g = correction * difference / spread
+    share = 1 - (freedom - 2) / (freedom * correction**2)
+    return g, math.sqrt((error / spread) ** 2 + share * g**2)
 
 
 def _averaged(effect: CombinedEffect, alpha: float) -> CombinedEffect:
@@ -241,12 +244,11 @@ def _averaged(effect: CombinedEffect, alpha: float) -> CombinedEffect:
     difference = combine(
         [each.estimate for each in told], [each.error for each in told], [each.freedom for each in told], alpha=alpha
     )
-    sizes = [each for each in told if each.g_error > 0]
+    sizes = [(each.g, each.g_error) for each in told if each.g is not None and each.g_error is not None]
     standardised = None
-    if len(sizes) >= _FEWEST:
-        standardised = combine(
-            [each.g for each in sizes], [each.g_error for each in sizes], [math.inf] * len(sizes), alpha=alpha
-        )
+    if len(sizes) == len(told):
+        g, g_error = zip(*sizes, strict=True)
+        standardised = combine(g, g_error, [math.inf] * len(sizes), alpha=alpha)
     return replace(effect, difference=difference, standardised=standardised)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_runner.analysis.importing.units import unit_of
+from robot_runner.analysis.comparison.matching import can_be_converted, in_unit
 from robot_runner.analysis.statistics.design import VALUE, design_of
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import Finding, did_you_mean, nearest
@@ -63,13 +63,12 @@ class Experiment:
 
     def data(self, column: str, unit: str) -> MeasureData | None:
         """Return the values of a measure in this unit; None where they are no numbers."""
-        found = self.design.data(column)
-        ours, wanted = unit_of(self.results.unit(column)), unit_of(unit)
-        if found is None or ours is None or wanted is None or ours == wanted:
+        found, own = self.design.data(column), self.results.unit(column)
+        if found is None or own == unit:
             return found
 
         def converted(frame: pd.DataFrame) -> pd.DataFrame:
-            return frame.assign(**{VALUE: (ours.to_si(frame[VALUE]) - wanted.offset) / wanted.factor})
+            return frame.assign(**{VALUE: in_unit(frame[VALUE], own, unit)})
 
         return replace(found, frame=converted(found.frame), every=converted(found.every))
 
@@ -282,17 +281,15 @@ def _call(names: Sequence[str], results: Results) -> str:
 
 def unit_findings(choice: MeasureChoice, experiments: Sequence[Experiment]) -> Iterator[Finding]:
     """Yield what is to be said of an experiment that gives a measure in another unit, or in none."""
-    wanted = unit_of(choice.unit)
     for each in experiments:
         column = choice.columns.get(each.name)
         unit = choice.unit if column is None else each.results.unit(column)
         if unit == choice.unit:
             continue
-        ours = unit_of(unit)
         if not unit:
             problem = f"the unit of {column} is not known: its values are taken to be in {choice.unit}"
             yield Finding.warning(each.name, problem, "Name the unit, as in data_columns or when it is imported.")
-        elif ours is None or wanted is None or ours.si != wanted.si:
+        elif not can_be_converted(unit, choice.unit):
             problem = f"{column} is in {unit}, which cannot be converted to {choice.unit}"
             yield Finding.error(each.name, problem, "Leave the experiment out, or name other measures with --measure.")
         else:

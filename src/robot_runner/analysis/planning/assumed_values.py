@@ -14,7 +14,7 @@ import pandas as pd
 
 from robot_runner.analysis.statistics.families import effect_key
 from robot_runner.core.errors import AnalysisError, did_you_mean
-from robot_runner.core.words import counted, enumerated
+from robot_runner.core.words import counted, enumerated, listed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -230,7 +230,8 @@ def means_file(study: Study, path: Path, spreads: Mapping[str, float]) -> dict[s
     try:
         table = pd.read_csv(path, dtype=str, keep_default_na=False)
     except (OSError, ValueError) as error:
-        raise AnalysisError(f"the file cannot be read: {error}", where=where, fix="Name a CSV file.") from error
+        why = error.strerror if isinstance(error, OSError) else str(error)
+        raise AnalysisError(f"the file cannot be read: {why}", where=where, fix="Name a CSV file.") from error
     known = [*study.factors, *study.units, *(f"{name}{_SPREAD}" for name in study.units)]
     for name in table.columns:
         if name not in known:
@@ -271,7 +272,7 @@ def _rows_of_cells(study: Study, table: pd.DataFrame, where: str) -> Iterator[tu
         problem = (
             f"{counted(len(missing), 'combination')} of the design {'has' if len(missing) == 1 else 'have'} no row"
         )
-        raise AnalysisError(problem, where=where, fix=f"Add {enumerated(missing[:5])}.")
+        raise AnalysisError(problem, where=where, fix=f"Add rows for {listed(dict.fromkeys(missing))}.")
 
 
 def with_blocks(scenario: Scenario, blocks: Mapping[str, float], responses: Mapping[str, float]) -> Scenario:

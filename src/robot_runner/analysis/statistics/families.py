@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.analysis.statistics.outcome import HypothesisOutcome
 from robot_runner.analysis.statistics.post_hoc import adjusted
+from robot_runner.analysis.statistics.tested import TestMethod
 from robot_runner.analysis.wording import p_in_words, with_unit
 from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Estimand, Family
 from robot_runner.core.words import counted, enumerated
@@ -19,7 +20,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.analysis.statistics.outcome import MeasureStatistics
-    from robot_runner.analysis.statistics.tested import Comparison, ContrastTest, Effect, MeasureTest, PostHoc
+    from robot_runner.analysis.statistics.tested import (
+        Comparison,
+        ContrastTest,
+        Effect,
+        MeasureTest,
+        PostHoc,
+        TestPart,
+    )
     from robot_runner.core.design.hypothesis import Hypothesis
 
 __all__ = ["Key", "claim_of", "concluded", "contrast_key", "effect_key", "families_of", "judge"]
@@ -202,13 +210,19 @@ def _claim(measure: MeasureStatistics, test: MeasureTest, effect: Effect, pairs:
 
 
 def _figures(effect: Effect) -> str:
-    freedom = ", ".join(
-        f"{each:g}" if float(each).is_integer() else f"{each:.2f}" for each in effect.degrees_of_freedom
-    )
-    figures = f"{effect.statistic_name}({freedom}) = {effect.statistic:.3g}, {p_in_words(effect.p_value or 0.0)}"
+    if effect.parts:
+        parts = ", ".join(f"{each.name} {_statistic('F', each)}" for each in effect.parts)
+        figures = f"{parts}, together {p_in_words(effect.p_value or 0.0)}"
+    else:
+        figures = f"{_statistic(effect.statistic_name, effect)}, {p_in_words(effect.p_value or 0.0)}"
     if effect.adjusted_p_value is not None and effect.adjusted_p_value != effect.p_value:
         figures += f", {p_in_words(effect.adjusted_p_value)} after correction"
     return figures
+
+
+def _statistic(name: str, of: Effect | TestPart) -> str:
+    freedom = ", ".join(f"{each:g}" if float(each).is_integer() else f"{each:.2f}" for each in of.degrees_of_freedom)
+    return f"{name}({freedom}) = {of.statistic:.3g}"
 
 
 def _difference(measure: MeasureStatistics, test: MeasureTest, pairs: Sequence[Comparison]) -> str:
@@ -220,9 +234,10 @@ def _difference(measure: MeasureStatistics, test: MeasureTest, pairs: Sequence[C
     if test.estimand == Estimand.RANK.value:
         return f": values of {pair.first} rank {_more(pair)} than those of {pair.second}"
     amount = with_unit(abs(pair.difference), measure.unit)
+    estimate = f"adjusted {test.estimand}" if test.method is TestMethod.COVARIANCE else test.estimand
     if len(pairs) > 1:
-        return f": the largest difference of {test.estimand}s is {amount}, of {pair.first} and {pair.second}"
-    return f": the {test.estimand} of {pair.first} is {_more(pair)} than that of {pair.second} by {amount}"
+        return f": the largest difference of {estimate}s is {amount}, of {pair.first} and {pair.second}"
+    return f": the {estimate} of {pair.first} is {_more(pair)} than that of {pair.second} by {amount}"
 
 
 def _more(pair: Comparison) -> str:

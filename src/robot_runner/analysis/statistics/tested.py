@@ -26,6 +26,7 @@ __all__ = [
     "PostHoc",
     "QuantilePairs",
     "TestMethod",
+    "TestPart",
 ]
 
 
@@ -76,10 +77,12 @@ class TestMethod(Enum):
     WELCH_ANOVA = "Welch's ANOVA"
     ANOVA_TYPE = "ANOVA-type test"
     WELCH_JAMES = "Welch-James tests of marginal means"
+    COMBINED = "Welch-James and ANOVA-type tests combined"
     PAIRED_T = "paired t-test"
     BLOCKS = "tests of contrasts within blocks"
     LINEAR_MODEL = "linear model with one variance"
     MIXED_MODEL = "linear mixed model"
+    COVARIANCE = "analysis of covariance"
 
 
 class EffectTest(NamedTuple):
@@ -93,6 +96,7 @@ class EffectTest(NamedTuple):
         statistic_name: `t` or `F`.
         freedom: degrees of freedom, one or two.
         variance: the mean of the squared effects on all combinations.
+        parts: the tests whose p-values are combined: name, statistic, degrees of freedom and p-value of each.
     """
 
     factors: tuple[str, ...]
@@ -102,6 +106,7 @@ class EffectTest(NamedTuple):
     freedom: tuple[Any, ...]
     p_value: Any
     variance: Any
+    parts: tuple[tuple[str, Any, tuple[Any, Any], Any], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +183,25 @@ class Check:
 
 
 @dataclass(frozen=True, slots=True)
+class TestPart:
+    """One of the tests whose p-values are combined to that of an effect.
+
+    Attributes:
+        name: `Welch-James` or `ANOVA-type`.
+        statistic: an F.
+        degrees_of_freedom: two.
+        p_value: of this test alone, of which nothing is concluded.
+    """
+
+    __test__ = False  # no tests for pytest
+
+    name: str
+    statistic: float
+    degrees_of_freedom: tuple[float, ...]
+    p_value: float
+
+
+@dataclass(frozen=True, slots=True)
 class Effect:
     """One line of a table of tests: the effect of a factor, or of several together (their interaction).
 
@@ -185,6 +209,7 @@ class Effect:
         factors: one name, or several for an interaction.
         test: which test it is, as in `Welch's t`.
         statistic_name: `t` or `F`.
+        statistic: of the first part, where there are parts.
         degrees_of_freedom: one or two.
         p_value: before adjustment; None where it could not be computed.
         adjusted_p_value: after adjustment for the family of tests that it belongs to.
@@ -192,6 +217,7 @@ class Effect:
         effect_sizes: how much it is.
         check: the test of ranks beside it.
         conclusion: one plain sentence, or two.
+        parts: the tests whose p-values are combined; none where there is a single test.
     """
 
     factors: tuple[str, ...]
@@ -205,6 +231,7 @@ class Effect:
     effect_sizes: tuple[EffectSize, ...]
     check: Check | None
     conclusion: str
+    parts: tuple[TestPart, ...] = ()
 
     @property
     def label(self) -> str:
