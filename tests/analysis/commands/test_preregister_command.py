@@ -213,10 +213,9 @@ def test_repetitions_that_the_registered_rule_adds_are_no_deviation_and_another_
     study.write_text(study.read_text(encoding="utf-8").replace("at_most=6", "at_most=7"), encoding="utf-8")
     assert robot_runner("run", study, "--plain", "--accept-changes").code == 0
     told = report_of(robot_runner, tmp_path / "report")["registration"]["deviations"]
+    until = "until the mean of Energy in each combination is known to ± 4; at least 3, at most"
     expected = (
-        "combinations are repeated until the mean of Energy in each combination is known to ± 4; at least 3, at most 7 "
-        "repetitions, and until the mean of Energy in each combination is known to ± 4; at least 3, at most 6 "
-        "repetitions was registered",
+        f"combinations are repeated {until} 7 repetitions, and {until} 6 repetitions was registered",
         "the file study.py was changed after the registration",
         "how precisely measures are to be known was changed after runs had been executed",
         "measures tested that were not planned: CPU",

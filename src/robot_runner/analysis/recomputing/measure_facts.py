@@ -18,10 +18,12 @@ from robot_runner.analysis.recomputing.study_facts import (
 from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
+from robot_runner.analysis.statistics.known_precision import level_of_looks
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.statistics.tests import check_estimand, model_of
 from robot_runner.core.design.analysis_plan import Estimand
 from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.design.repeated_intervals import CONFIDENCE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -87,6 +89,7 @@ def facts_of_measure(
         label=label,
         factors=data.factors,
         left_out=tuple(sorted(design.without & set(design.frame[RUN_ID]))),
+        level=level_of_looks(design.results, measure.name) or CONFIDENCE,
         described=tuple(
             (names, Reported.of([(each.label, _described(each)) for each in of])) for names, of in groups.items()
         ),

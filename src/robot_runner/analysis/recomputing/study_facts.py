@@ -199,6 +199,7 @@ class MeasureFacts:
         key: names it: the measure, and whether doubtful runs are left out.
         factors: those that its runs differ in.
         left_out: the runs whose value is doubtful, where they are left out.
+        level: of the interval of each mean; that of one look, where runs were added until the measure was precise.
     """
 
     key: str
@@ -206,6 +207,7 @@ class MeasureFacts:
     label: str
     factors: tuple[str, ...]
     left_out: tuple[str, ...]
+    level: float
     described: tuple[tuple[tuple[str, ...], Reported], ...]
     is_extended: bool
     distributed: tuple[Distributed, ...]
