@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from robot_runner.analysis.report.blocks import Document
+    from robot_runner.core.design.analysis_plan import AnalysisPlan
 
 __all__ = ["ReportFormat", "WrittenReport", "made_by", "write_page", "write_report"]
 
@@ -62,6 +63,7 @@ def write_report(
     figures: Sequence[FigureFormat] = tuple(FigureFormat),
     measures: Sequence[str] | None = None,
     alpha: float | None = None,
+    plan: AnalysisPlan | None = None,
 ) -> WrittenReport:
     """Write the report of an experiment.
 
@@ -72,6 +74,7 @@ def write_report(
         figures: which files are made of each figure; Markdown needs SVG.
         measures: which measures are analysed; None for all.
         alpha: the level of significance; None for the one that was fixed beforehand, or 0.05.
+        plan: is followed in the place of what was fixed before the experiment; everything is exploratory then.
 
     Raises:
         StorageError: there is no experiment, or the folder cannot be written.
@@ -83,7 +86,7 @@ def write_report(
         helps = draws and FigureFormat.PDF in figures and (os.cpu_count() or 1) > 1
         worker = closing.enter_context(PdfWorker()) if helps else None
         results = experiment if isinstance(experiment, Results) else load_results(experiment)
-        material = Material(results, analyse(results, measures=measures, alpha=alpha))
+        material = Material(results, analyse(results, measures=measures, alpha=alpha, plan=plan))
         folder = ExperimentFolder(results.folder).report if output is None else output
         made = made_by("Report", datetime.now(UTC))
         if draws:
