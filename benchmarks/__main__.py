@@ -12,7 +12,16 @@ import sys
 from pathlib import Path
 
 _FOLDER = Path(__file__).parent
-_HARNESS = {"__init__", "__main__", "interval_coverage", "null_designs", "odometry_types", "power_comparison", "table"}
+_HARNESS = {
+    "__init__",
+    "__main__",
+    "interval_coverage",
+    "null_designs",
+    "odometry_types",
+    "power_comparison",
+    "precise_stopping",
+    "table",
+}
 _DEADLINE = 1800.0  # seconds a benchmark
 
 

@@ -18,7 +18,7 @@ import psutil
 from benchmarks.table import Row, print_table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
 _PROGRAM = str(Path(sys.executable).with_name("robot-runner"))
 _RUNS = 10_000

@@ -20,7 +20,8 @@ import numpy as np
 from benchmarks.interval_coverage import COVERED
 from benchmarks.null_designs import NULL_DESIGNS, NullDesign
 from benchmarks.power_comparison import COMPARED
-from benchmarks.table import Judged, print_table
+from benchmarks.precise_stopping import precise_stopping
+from benchmarks.table import Judged, Row, print_table
 from robot_runner.analysis.statistics.cell_layout import layout_of
 from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
@@ -69,17 +70,25 @@ def main(arguments: list[str] | None = None) -> int:
             (title, [pool.submit(_judged, (part, place), judge, count) for place, judge in enumerate(judges)])
             for part, (title, judges) in enumerate(parts)
         ]
+        stopped = pool.submit(_stopped, (len(parts),), count)
         for title, futures in going:
             found = [future.result() for future in futures]
             missed = sum(not each.holds for each in found)
             failed += missed
             print_table(f"{title}: {len(found) - missed} of {len(found)} as expected", [each.row for each in found])
+        rows = stopped.result()
+        failed += sum(row.ratio == "misses" for row in rows)
+        print_table("Repeated until precise, 30 times at most: the worst of six widths", rows)
     print(f"{failed or 'No'} figure{'' if failed == 1 else 's'} not as expected, {time.monotonic() - began:.0f} s.")
     return 1 if failed else 0
 
 
 def _judged(place: tuple[int, int], judge: Judge, count: int) -> Judged:
     return judge(np.random.default_rng((_SEED, *place)), count)
+
+
+def _stopped(place: tuple[int, ...], count: int) -> list[Row]:
+    return list(precise_stopping(np.random.default_rng((_SEED, *place)), count))
 
 
 def _false_positives(design: NullDesign, random: np.random.Generator, count: int) -> Judged:

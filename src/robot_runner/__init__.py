@@ -55,6 +55,8 @@ if TYPE_CHECKING:
     from robot_runner.core.design.analysis_plan import Statistic as Statistic
     from robot_runner.core.design.factor import Factor as Factor
     from robot_runner.core.design.hypothesis import Hypothesis as Hypothesis
+    from robot_runner.core.design.outliers import Doubtful as Doubtful
+    from robot_runner.core.design.outliers import Outliers as Outliers
     from robot_runner.core.design.precision import PreciseOf as PreciseOf
     from robot_runner.core.design.precision import Precision as Precision
     from robot_runner.core.design.run_table_model import RunTableModel as RunTableModel

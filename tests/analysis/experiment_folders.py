@@ -29,6 +29,7 @@ class Folder:
         rows: one a run: treatments in the order of the factors, then measures in their order.
         measures: unit by measure.
         statuses: of runs that are not done, by place from 0.
+        day: on which it was executed; experiments that were executed at the same moments are copies.
     """
 
     root: Path
@@ -41,6 +42,7 @@ class Folder:
     statuses: Mapping[int, str] = field(default_factory=dict)
     manifest: Mapping[str, Any] = field(default_factory=dict)
     failure: str = "the robot fell over"
+    day: str = "2026-01-31"
 
     @property
     def files(self) -> ExperimentFolder:
@@ -100,7 +102,7 @@ class Folder:
         write_schema(self.files.schema, fields)
 
     def _write_journal(self) -> None:
-        stamps = (f"2026-01-31T12:{minute:02}:{second:02}.000Z" for minute in range(60) for second in range(60))
+        stamps = (f"{self.day}T12:{minute:02}:{second:02}.000Z" for minute in range(60) for second in range(60))
         with Journal(self.files.journal) as journal:
             for place in range(len(self.rows)):
                 run, status = self.run_id(place), self.status(place)

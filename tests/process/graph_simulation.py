@@ -85,6 +85,27 @@ class Witness:
 
 
 @contextmanager
+def rival(link: str, namespace: str, topic: str, message_type: str, message: Any) -> Iterator[None]:
+    """Publish a message twenty times a second until the context ends, as another node would."""
+    name = RobotName.parse(link)
+    connected = GRAPH_LINKS[name.link].open(name, SystemClock(), namespace)
+    is_over = threading.Event()
+
+    def publish() -> None:
+        while not is_over.wait(0.05):
+            connected.publish(topic, message_type, message)
+
+    publishing = threading.Thread(target=publish, daemon=True)
+    publishing.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        publishing.join()
+        connected.close()
+
+
+@contextmanager
 def witness(link: str, namespace: str) -> Iterator[Witness]:
     looking = Witness()
     name = RobotName.parse(link)

@@ -14,13 +14,15 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.conftest import HEAD, TABLE
-from tests.process.graph_simulation import simulated_robot, witness
+from tests.process.conftest import wait_until
+from tests.process.graph_simulation import rival, simulated_robot, witness
 from tests.processor_wait import OWN_WAITS, ProcessorWait, family
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.ros1_master import RUDE, needs_ros1
 
 from robot_runner.core.sampling.quality import MINIMUM_COVERAGE
 from robot_runner.core.storage.journal import read_journal
+from robot_runner.ros.watchdog import TWIST
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -238,3 +240,35 @@ def test_a_robot_without_a_watchdog_stands_still_within_a_second_whoever_is_kill
         assert stood - killed - wait.seconds < 1.0
         experiment.end()
         assert experiment.nobody_is_left()
+
+
+SECOND_ROBOT = {"pose": {"pose": {"position": {"x": 0.01}, "orientation": {"w": 1.0}}}}
+
+
+def test_whoever_else_commands_the_robot_or_tells_its_odometry_fails_the_run_at_once(
+    graph: str, start: Start, tmp_path: Path
+) -> None:
+    # A run each: somebody with a joystick pulls the robot back; a second robot tells where it is.
+    rivals = [("cmd_vel", TWIST, {"linear": {"x": -0.1}}), ("odom", "nav_msgs/Odometry", SECOND_ROBOT)]
+    with simulated_robot(graph, "--namespace", "/gus"), witness(graph, "/gus") as looking:
+        config = written(tmp_path, ["Video", "Network"], robot=graph, namespace="/gus", drive_s=60.0)
+        experiment, since = start(config=config), 0.0
+        for number, (topic, message_type, message) in enumerate(rivals, start=1):
+            looking.sees(0.19, since=since)
+            with rival(graph, "/gus", topic, message_type, message):
+                wait_until(lambda: len(failures_of(experiment)) >= number, "the run has failed")  # noqa: B023
+            since = time.time()
+        assert experiment.end() == 1
+    assert {row["status"] for row in experiment.table} == {"Failed"}
+    pulled, doubled = failures_of(experiment).values()
+    assert "commands the robot on '/gus/cmd_vel': -0.1 m/s" in pulled
+    # Whichever is seen first: that there are two of them, that it jumps, or that stamps step back.
+    assert "publish '/gus/odom'" in doubled or "the odometry jumped" in doubled or "the time stamps" in doubled
+
+
+def failures_of(experiment: Any) -> dict[str, str]:
+    """Return the first failure of each run."""
+    found: dict[str, str] = {}
+    for each in read_journal(experiment.folder / "journal.jsonl", kinds=["failure"]):
+        found.setdefault(each["run"], each["problem"])
+    return found

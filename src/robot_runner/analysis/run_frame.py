@@ -1,4 +1,4 @@
-"""The run table and the journal of an experiment as typed data frames."""
+"""The run table of an experiment as a typed data frame."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import pandas as pd
 
 from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STATUS
 from robot_runner.core.errors import StorageError
-from robot_runner.core.events.manager import ORCHESTRATED_EVENTS, RobotRunnerEvents
 from robot_runner.core.events.measure import Quality, quality_of_value
 from robot_runner.core.storage.cells import RunStatus, typed_value, typed_values
 from robot_runner.core.storage.excluded_runs import ExcludedRuns
@@ -20,22 +19,17 @@ from robot_runner.core.storage.table_columns import MARKS, ColumnRole, TableLayo
 from robot_runner.core.storage.table_schema import ColumnDescription, read_schema, type_of_values
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from robot_runner.core.errors import Finding
     from robot_runner.core.storage.layout import ExperimentFolder
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
 __all__ = [
-    "EVENTS",
-    "START",
-    "History",
     "RunFrame",
     "column_descriptions",
     "excluded_frame",
     "quality_frame",
-    "read_history",
     "read_run_frame",
     "treatment_texts",
 ]
@@ -231,154 +225,3 @@ def _values(values: Sequence[Any], kind: str) -> Any:
     if found in _DTYPES:
         return pd.array(values, dtype=_DTYPES[found])
     return np.array(values, dtype=np.float64 if found == "number" or is_missing else object)
-
-
-#: The events of a run, in their order (paper, Fig. 2).
-EVENTS = tuple(event.value for event in RobotRunnerEvents if event.belongs_to_run)
-
-#: The event from which times of a run are counted.
-START = RobotRunnerEvents.START_MEASUREMENT.value
-
-#: The callbacks of these are executed in the orchestrating process, whose clock is another than the run's.
-_OF_ANOTHER_CLOCK = frozenset(event.value for event in ORCHESTRATED_EVENTS)
-
-
-@dataclass(frozen=True, slots=True)
-class History:
-    """The journal, sorted by what its records are about.
-
-    Attributes:
-        attempts: `run_id`, `attempt`, `status` (done, failed, unfinished), `started_at`, `seconds`, `failure`.
-        events: `run_id`, `event`, `at`, `clock_s`, `since_start_s`; of the last attempt at each run.
-        published: `run_id`, `measure`, `value`, `owner`, `origin`; of the last attempt at each run.
-        doubts: what makes a value doubtful or missing: reasons by measure, by run; of the last attempt at each.
-        odd: `run_id`, `attempt`, `owner`, `problem`, `fix`.
-        windows: when each run's measured window (its mission) began and ended, s on the run's clock.
-        starts: when that began; where it is not known, when the run's measurement did.
-        readers: who read the treatment of each factor in runs that were done; None where that was not recorded.
-    """
-
-    attempts: pd.DataFrame
-    events: pd.DataFrame
-    published: pd.DataFrame
-    odd: pd.DataFrame
-    windows: Mapping[str, tuple[float, float]]
-    starts: Mapping[str, float]
-    doubts: Mapping[str, Mapping[str, tuple[str, ...]]]
-    readers: Mapping[str, tuple[str, ...]] | None = None
-
-    def without(self, runs: Collection[str]) -> History:
-        """Return the history without what it has of these runs."""
-        if not runs:
-            return self
-        frames = {
-            name: frame[~frame["run_id"].isin(runs)].reset_index(drop=True)
-            for name in ("attempts", "events", "published", "odd")
-            for frame in [getattr(self, name)]
-        }
-        return replace(self, **frames)
-
-
-def read_history(journal: Path) -> History:
-    """Read the journal of an experiment; one that does not exist tells nothing.
-
-    Raises:
-        StorageError: it cannot be read.
-    """
-    kinds = ("attempt_started", "attempt_finished", "event", "finding", "window")
-    records: dict[str, list[dict[str, Any]]] = {kind: [] for kind in kinds}
-    for record in read_journal(journal, kinds=kinds):
-        records[record["kind"]].append(record)
-    attempts = _attempts(records["attempt_started"], records["attempt_finished"])
-    last = dict(zip(attempts["run_id"], attempts["attempt"], strict=True))
-    of_last = [each for each in records["event"] if "run" in each and each["attempt"] == last.get(each["run"])]
-    measured = {each["run"]: float(each["clock"]) for each in of_last if each["event"] == START and "clock" in each}
-    windows = {
-        each["run"]: (float(each["start"]), float(each["end"]))
-        for each in records["window"]
-        if each["attempt"] == last.get(each["run"])
-    }
-    starts = {**measured, **{run: start for run, (start, _) in windows.items()}}
-    # Of an attempt that has two ends, what was published after the run is in the later one.
-    ends = {each["run"]: each for each in records["attempt_finished"] if each["attempt"] == last.get(each["run"])}
-    ended = list(ends.values())
-    return History(
-        attempts,
-        _events(of_last, starts),
-        _published(ended),
-        _odd(records["finding"]),
-        windows,
-        starts,
-        {each["run"]: _doubts(each["measures"]) for each in ended},
-        _readers(records["attempt_finished"]),
-    )
-
-
-def _doubts(measures: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[str, ...]]:
-    return {name: tuple(measure.get("doubts", ())) for name, measure in measures.items()}
-
-
-def _attempts(started: Sequence[Mapping[str, Any]], finished: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    # Where the table was edited, attempts may be counted anew: the later record of a number counts.
-    ends = {(each["run"], each["attempt"]): each for each in finished}
-    begun = {(each["run"], each["attempt"]): each["at"] for each in started}
-    rows = [
-        {
-            "run_id": run,
-            "attempt": attempt,
-            "status": end["status"] if (end := ends.get((run, attempt))) else "unfinished",
-            # Of runs that were imported without any times, only the record has one.
-            "started_at": at if end is None or end["seconds"] is not None else None,
-            "seconds": end["seconds"] if end else None,
-            "failure": end["failure"] if end else None,
-        }
-        for (run, attempt), at in begun.items()
-    ]
-    columns = ["run_id", "attempt", "status", "started_at", "seconds", "failure"]
-    frame = pd.DataFrame(rows, columns=columns).astype({"run_id": "str", "attempt": "int64", "seconds": "float64"})
-    frame["started_at"] = pd.to_datetime(frame["started_at"], utc=True, format="ISO8601")
-    frame["status"] = pd.Categorical(frame["status"], ["done", "failed", "unfinished"])
-    return frame
-
-
-def _events(records: Sequence[Mapping[str, Any]], starts: Mapping[str, float]) -> pd.DataFrame:
-    rows = [(each["run"], each["event"], each["at"], _clock(each)) for each in records]
-    frame = pd.DataFrame(rows, columns=["run_id", "event", "at", "clock_s"])
-    frame = frame.astype({"run_id": "str", "clock_s": "float64"})
-    frame["event"] = pd.Categorical(frame["event"], EVENTS, ordered=True)
-    frame["at"] = pd.to_datetime(frame["at"], utc=True, format="ISO8601")
-    frame["since_start_s"] = frame["clock_s"] - frame["run_id"].map(starts).astype("float64")
-    return frame
-
-
-def _clock(record: Mapping[str, Any]) -> float | None:
-    return None if record["event"] in _OF_ANOTHER_CLOCK else record.get("clock")
-
-
-def _published(finished: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    rows = [
-        (each["run"], name, measure["value"], measure["owner"], measure["origin"])
-        for each in finished
-        for name, measure in each["measures"].items()
-    ]
-    frame = pd.DataFrame(rows, columns=["run_id", "measure", "value", "owner", "origin"])
-    return frame.astype({"run_id": "str", "value": "object"})
-
-
-def _readers(finished: Sequence[Mapping[str, Any]]) -> Mapping[str, tuple[str, ...]] | None:
-    told = [each.get("readers") for each in finished if each["status"] == "done"]
-    if not told or not all(isinstance(each, dict) for each in told):
-        return None
-    readers: dict[str, dict[str, None]] = {}
-    for each in told:
-        for factor, owners in (each or {}).items():
-            readers.setdefault(factor, {}).update(dict.fromkeys(owners))
-    return {factor: tuple(owners) for factor, owners in readers.items()}
-
-
-def _odd(findings: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    columns = ["run_id", "attempt", "owner", "problem", "fix"]
-    rows = [
-        (each.get("run"), each.get("attempt"), each.get("owner"), each["problem"], each.get("fix")) for each in findings
-    ]
-    return pd.DataFrame(rows, columns=columns)

@@ -19,7 +19,7 @@ from cyclonedds.topic import Topic
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, Qos
-from robot_runner.ros.dds_graph import Graph, ros_type
+from robot_runner.ros.dds_graph import Endpoint, Graph, ros_type
 from robot_runner.ros.dds_qos import reader_profile, writer_profile
 from robot_runner.ros.dds_reception import Reception, delete, topic_wire_type
 from robot_runner.ros.type_catalogue import TypeCatalogue
@@ -48,6 +48,7 @@ class Nodes:
         self._name = name
         self._lock = threading.Lock()
         self._told: dict[bytes, list[str]] = {}
+        self._owners: dict[bytes, dict[bytes, str]] = {}  # the node of each endpoint, by participant
         self._readers: list[Any] = []
         self._writers: list[Any] = []
         shape = session.types.shape(_TYPE)
@@ -64,6 +65,14 @@ class Nodes:
         present = {participant.bytes for participant in self._session.graph.participants}
         with self._lock:
             return sorted({name for owner, names in self._told.items() if owner in present for name in names})
+
+    def name_of(self, endpoint: Endpoint) -> str:
+        """Return the full name of the node that has an endpoint; empty where its participant does not tell."""
+        participant = endpoint.participant.bytes
+        with self._lock:
+            names = self._told.get(participant, [])
+            owner = self._owners.get(participant, {}).get(endpoint.key.bytes)
+        return owner or (names[0] if len(names) == 1 else "")
 
     def add_reader(self, reader: Any) -> None:
         """Tell the graph of a reader."""
@@ -106,8 +115,14 @@ class Nodes:
         except LinkError:  # of a distribution with another message: its topics are seen nevertheless
             return
         names = [f"{node['node_namespace'].rstrip('/')}/{node['node_name']}" for node in told["node_entities_info_seq"]]
+        owners = {
+            bytes(gid["data"][:_GUID_BYTES]): name
+            for node, name in zip(told["node_entities_info_seq"], names, strict=True)
+            for gid in (*node["reader_gid_seq"], *node["writer_gid_seq"])
+        }
         with self._lock:
-            self._told[told["gid"]["data"][:_GUID_BYTES]] = names
+            participant = bytes(told["gid"]["data"][:_GUID_BYTES])
+            self._told[participant], self._owners[participant] = names, owners
 
 
 #: Within so many seconds of joining, all endpoints on the graph have been discovered: DDS announces at once.
@@ -116,6 +131,9 @@ SETTLING = 1.0
 #: The distribution of a graph without type hashes, which came with Iron, and that of an empty graph.
 _BEFORE_TYPE_HASHES, _LATEST = "humble", "jazzy"
 _WITHOUT_TYPE_HASHES = frozenset({"foxy", "galactic", "humble"})
+
+#: Where Cyclone DDS finds its configuration, as XML or as a file, when the first participant of a domain is made.
+_CONFIGURATION = "CYCLONEDDS_URI"
 
 #: The participants of this process, past ones among them: what they tell of a graph is what this process believed.
 _ours: set[UUID] = set()
@@ -133,7 +151,7 @@ class Session:
         self._topics: dict[tuple[str, str], Topic[Any]] = {}
         self._is_closed = False
         self._joined = time.monotonic()
-        self._participant = _joined(settings.domain)
+        self._participant = _joined(settings)
         _ours.add(self._participant.guid)
         self.reception = Reception(self._participant)
         self.graph = Graph(self._participant, self.reception)
@@ -220,12 +238,15 @@ class Session:
         return _BEFORE_TYPE_HASHES if told and not any("typehash=" in data for data in told) else _LATEST
 
 
-def _joined(domain: int) -> DomainParticipant:
+def _joined(settings: DdsSettings) -> DomainParticipant:
+    configuration = settings.cyclone_configuration()
+    if configuration is not None:  # what the user says to Cyclone DDS itself goes before what is said to ROS
+        os.environ.setdefault(_CONFIGURATION, configuration)
     try:
-        return DomainParticipant(domain, qos=DdsQos(Policy.Userdata(b"enclave=/;")))
+        return DomainParticipant(settings.domain, qos=DdsQos(Policy.Userdata(b"enclave=/;")))
     except DDSException as error:
         raise LinkError(
-            f"DDS domain {domain} cannot be joined: {error}",
+            f"DDS domain {settings.domain} cannot be joined: {error}",
             where="robot",
             fix="Bring up a network interface, and see that CYCLONEDDS_URI, where it is set, names one that is there.",
         ) from error

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cyclonedds.core import DDSException
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.robot import Encoding, Qos
+from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos
 from robot_runner.ros.dds_graph import matched_subscriptions, ros_type, wire_topic
 from robot_runner.ros.dds_qos import adapted, incompatibility, reader_profile, writer_profile
 from robot_runner.ros.dds_reception import delete, topic_wire_type
@@ -107,6 +107,20 @@ class DdsTransport:
         """Return the full names of the nodes that the participants tell of."""
         self._session.settle(lambda: False)
         return self._session.nodes.names()
+
+    def publishers(self, topic: str) -> Iterable[GraphEndpoint]:
+        """Return who publishes a topic."""
+        self._session.settle(lambda: False)
+        return map(self._endpoint, self._session.graph.writers(wire_topic(topic)))
+
+    def subscribers(self, topic: str) -> Iterable[GraphEndpoint]:
+        """Return who subscribes a topic."""
+        self._session.settle(lambda: False)
+        return map(self._endpoint, self._session.graph.readers(wire_topic(topic)))
+
+    def _endpoint(self, found: Endpoint) -> GraphEndpoint:
+        is_own = found.participant == self._session.guid
+        return GraphEndpoint(self._session.nodes.name_of(found), ros_type(found.type_name), is_own)
 
     def wait(self, event: threading.Event, seconds: float) -> None:
         """Wait for an event; in a callback, what arrives meanwhile is received within it."""

@@ -13,13 +13,14 @@ from robot_runner.core.events.unhandled import raised_in_thread
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros.graph_links import full_name, namespace_prefix
 from robot_runner.ros.graph_transport import check_type
+from robot_runner.ros.sent_velocities import note_velocity
 from robot_runner.ros.shapes import completed, plain_type
-from robot_runner.ros.watchdog import VELOCITY_COMMANDS
+from robot_runner.ros.watchdog import VELOCITY_COMMANDS, planar, velocity_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from robot_runner.core.links.robot import Encoding, Message, RawMessage, Subscription
+    from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, RawMessage, Subscription
     from robot_runner.ros.graph_transport import Reception, TopicPublisher, TopicSubscription, Transport
     from robot_runner.ros.shapes import Shape
 
@@ -164,7 +165,10 @@ class GraphLink:
         advertised = self._advertised.get((name, qos)) or self._advertise(name, message_type, message, qos)
         if advertised.message_type != message_type:
             check_type(name, message_type, [advertised.message_type])
-        advertised.publisher.publish(completed(advertised.shape, message, where=name))
+        complete = completed(advertised.shape, message, where=name)
+        if advertised.message_type in VELOCITY_COMMANDS:
+            note_velocity(name, planar(velocity_of(advertised.message_type, complete)))
+        advertised.publisher.publish(complete)
 
     def subscribe(
         self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None
@@ -251,6 +255,14 @@ class GraphLink:
         """Return the full names of the nodes on the graph, sorted."""
         self._check_open("the graph")
         return sorted(self._transport.nodes())
+
+    def publishers(self, topic: str) -> Sequence[GraphEndpoint]:
+        """Return who publishes a topic, this link included; nobody where there is no such topic."""
+        return list(self._transport.publishers(self._name(topic)))
+
+    def subscribers(self, topic: str) -> Sequence[GraphEndpoint]:
+        """Return who subscribes a topic, this link included; nobody where there is no such topic."""
+        return list(self._transport.subscribers(self._name(topic)))
 
     def definition(self, message_type: str) -> str:
         """Return the text of a type's definition, followed by the types that it is made of.
@@ -372,6 +384,7 @@ class GraphLink:
 def _stop(topic: str, advertised: _Advertised) -> None:
     """Command zero on a topic on which a velocity was published, and see that it is taken."""
     try:
+        note_velocity(topic, (0.0, 0.0))
         advertised.publisher.publish(completed(advertised.shape, {}, where=topic))
         advertised.publisher.flush(_STOPPING_SECONDS)
     except LinkError as error:

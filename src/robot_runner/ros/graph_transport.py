@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from robot_runner.core.events.context import Clock
-    from robot_runner.core.links.robot import Encoding, Message, Qos, Subscription
+    from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos, Subscription
     from robot_runner.ros.shapes import Shape
 
 __all__ = [
@@ -169,6 +169,14 @@ class Transport(Protocol):
 
     def nodes(self) -> Iterable[str]:
         """Return the full names of the nodes."""
+        ...
+
+    def publishers(self, topic: str) -> Iterable[GraphEndpoint]:
+        """Return who publishes a topic."""
+        ...
+
+    def subscribers(self, topic: str) -> Iterable[GraphEndpoint]:
+        """Return who subscribes a topic."""
         ...
 
     def wait(self, event: threading.Event, seconds: float) -> None:

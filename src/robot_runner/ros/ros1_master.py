@@ -153,6 +153,13 @@ class Master:
         code, _, uri = self._answer("lookupNode", node)
         return Master(uri, timeout=self._timeout).pid() if code == _SUCCESS else None
 
+    def is_alive(self, node: str) -> bool:
+        """Whether a node answers: one that was killed stays registered at the master."""
+        try:
+            return self.pid_of(node) is not None
+        except LinkError:
+            return False
+
     def pid(self) -> int:
         """Return the number of the process that answers; a node answers this question as a master does.
 

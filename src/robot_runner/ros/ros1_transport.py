@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.robot import Encoding, Qos
+from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos
 from robot_runner.ros.graph_links import missing
 from robot_runner.ros.graph_transport import (
     ReceivedBytes,
@@ -22,6 +22,7 @@ from robot_runner.ros.graph_transport import (
 from robot_runner.ros.ros1_node import REGISTERING_SECONDS, join_graph, within
 from robot_runner.ros.ros1_services import call_service, service_type
 from robot_runner.ros.ros1_types import Ros1Types, as_mapping, as_message, message_class, service_class
+from robot_runner.ros.shapes import plain_type
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -116,6 +117,23 @@ class Ros1Transport:
     def nodes(self) -> Iterable[str]:
         """Return the names of the nodes that publish, subscribe or offer something."""
         return self._master.state().nodes
+
+    def publishers(self, topic: str) -> Iterable[GraphEndpoint]:
+        """Return who publishes a topic; the master knows one type of it."""
+        return self._endpoints(topic, self._master.state().publishers)
+
+    def subscribers(self, topic: str) -> Iterable[GraphEndpoint]:
+        """Return who subscribes a topic; the master knows one type of it."""
+        return self._endpoints(topic, self._master.state().subscribers)
+
+    def _endpoints(self, topic: str, by_topic: Mapping[str, tuple[str, ...]]) -> list[GraphEndpoint]:
+        known, own = plain_type(self._master.topic_types().get(topic, "")), self._rospy.get_name()
+        nodes = by_topic.get(topic, ())
+        return [
+            GraphEndpoint(node, known, node == own)
+            for node in nodes
+            if len(nodes) == 1 or node == own or self._master.is_alive(node)
+        ]
 
     def wait(self, event: threading.Event, seconds: float) -> None:
         """Wait for an event, for so long at most."""

@@ -16,10 +16,11 @@ from rclpy.parameter import Parameter
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.unhandled import raised_in_thread
+from robot_runner.core.links.robot import GraphEndpoint
 from robot_runner.ros.shapes import plain_type
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
 __all__ = ["Graph", "GraphNode", "join_graph"]
 
@@ -219,6 +220,12 @@ class Graph:
     def subscriptions(self, topic: str) -> list[Any]:
         """Return the same of the subscriptions of a topic."""
         return list(self._node.node.get_subscriptions_info_by_topic(topic))
+
+    def endpoints(self, infos: Iterable[Any]) -> list[GraphEndpoint]:
+        """Return these publishers or subscriptions as plain data."""
+        own = self._node.node.get_fully_qualified_name()
+        named = [(f"{info.node_namespace.rstrip('/')}/{info.node_name}", info.topic_type) for info in infos]
+        return [GraphEndpoint(name, plain_type(told), name == own) for name, told in named]
 
     def _offered(self) -> dict[str, str]:
         # Asked node by node: the list of all services has those that are merely called, too.

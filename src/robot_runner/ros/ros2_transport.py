@@ -34,7 +34,7 @@ except ModuleNotFoundError:  # Humble
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from robot_runner.core.links.robot import Message
+    from robot_runner.core.links.robot import GraphEndpoint, Message
     from robot_runner.ros.graph_transport import Reception
 
 __all__ = ["Ros2Transport"]
@@ -116,6 +116,14 @@ class Ros2Transport:
     def nodes(self) -> Iterable[str]:
         """Return the full names of the nodes."""
         return self._graph.nodes()
+
+    def publishers(self, topic: str) -> Iterable[GraphEndpoint]:
+        """Return who publishes a topic."""
+        return self._graph.endpoints(self._graph.publishers(topic))
+
+    def subscribers(self, topic: str) -> Iterable[GraphEndpoint]:
+        """Return who subscribes a topic."""
+        return self._graph.endpoints(self._graph.subscriptions(topic))
 
     def wait(self, event: threading.Event, seconds: float) -> None:
         """Wait for an event, for so long at most."""

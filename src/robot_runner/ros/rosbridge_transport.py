@@ -19,7 +19,7 @@ from robot_runner.ros.rosbridge_types import RobotTypes, Rosapi
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from robot_runner.core.links.robot import Message
+    from robot_runner.core.links.robot import GraphEndpoint, Message
     from robot_runner.ros.graph_addresses import RosbridgeAddress
     from robot_runner.ros.graph_transport import Reception
     from robot_runner.ros.shapes import Shape
@@ -146,6 +146,14 @@ class RosbridgeTransport:
     def nodes(self) -> Iterable[str]:
         """Return the full names of the nodes; raises as `topics`."""
         return self._rosapi.nodes()
+
+    def publishers(self, topic: str) -> Iterable[GraphEndpoint]:
+        """Return who publishes a topic; raises as `topics`. What the server publishes for all its clients is one."""
+        return self._rosapi.endpoints("publishers", topic)
+
+    def subscribers(self, topic: str) -> Iterable[GraphEndpoint]:
+        """Return who subscribes a topic; as `publishers` in all else."""
+        return self._rosapi.endpoints("subscribers", topic)
 
     def wait(self, event: threading.Event, seconds: float) -> None:
         """Wait for an event; raises a `LinkError` as soon as the connection is lost."""

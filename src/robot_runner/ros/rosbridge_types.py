@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.robot import Encoding
+from robot_runner.core.links.robot import Encoding, GraphEndpoint
 from robot_runner.ros.rosbridge_session import ANSWER
 from robot_runner.ros.shapes import UNBOUNDED, Field, Shape, plain_type
 from robot_runner.ros.type_catalogue import TypeCatalogue
@@ -25,6 +25,8 @@ __all__ = ["RobotTypes", "Rosapi"]
 _CONFIRMATION, _LOOK = 2.0, 0.02
 
 #: What every node of a generation offers, for the rosbridge server's own, as its launch file names it.
+#: How the name of a rosbridge server's node begins, whatever its generation.
+_SERVER = "rosbridge"
 _SIGNS = ((1, "/rosbridge_websocket/get_loggers"), (2, "/rosbridge_websocket/list_parameters"))
 
 
@@ -93,6 +95,16 @@ class Rosapi:
         """
         return list(self._must("nodes")["nodes"])
 
+    def endpoints(self, question: str, topic: str) -> list[GraphEndpoint]:
+        """Return the `publishers` or `subscribers` of a topic; rosapi knows one type of it.
+
+        Raises:
+            LinkError: rosapi does not answer.
+        """
+        known = self.topic_type(topic) or ""
+        names: list[str] = self._must(question, {"topic": topic})[question]
+        return [GraphEndpoint(name, known, name.rpartition("/")[2].startswith(_SERVER)) for name in names]
+
     def topic_type(self, topic: str) -> str | None:
         """Return the type of a topic, or None where there is none or the graph does not tell."""
         return plain_type(_text(self._ask("topic_type", {"topic": topic}), "type")) or None
@@ -151,8 +163,8 @@ class Rosapi:
         names, texts = answer.values.get("types", []), answer.values.get("typedefs_full_text", [])
         return {plain_type(name): text for name, text in zip(names, texts, strict=False)}
 
-    def _must(self, question: str) -> dict[str, Any]:
-        answer = self._ask(question)
+    def _must(self, question: str, values: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        answer = self._ask(question, values)
         if not answer.is_good or not isinstance(answer.values, dict):
             raise LinkError(
                 f"the graph cannot be listed, because rosapi does not answer: {answer.values}",

@@ -22,6 +22,7 @@ __all__ = [
     "TWIST_STAMPED",
     "VELOCITY_COMMANDS",
     "Watchdog",
+    "planar",
     "velocity_command",
     "velocity_of",
 ]
@@ -57,6 +58,16 @@ def velocity_of(message_type: str, message: Message) -> Message:
     """
     twist: Message = message.get("twist", {}) if message_type == TWIST_STAMPED else message
     return twist
+
+
+def planar(twist: Message) -> tuple[float, float]:
+    """Return how fast a velocity moves a robot on wheels: ahead, m/s, and round, rad/s.
+
+    Example:
+        >>> planar({"linear": {"x": 0.2}, "angular": {"z": 0.1}})
+        (0.2, 0.1)
+    """
+    return float(twist["linear"]["x"]), float(twist["angular"]["z"])
 
 
 #: Counts up from 1 while a run operates the robot; a 0 says farewell.

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError, did_you_mean
-from robot_runner.core.links.robot import Encoding, RawMessage
+from robot_runner.core.links.robot import Encoding, GraphEndpoint, RawMessage
 from robot_runner.ros.graph_link import GraphLink
 from robot_runner.ros.graph_transport import already_offered, check_type, wrong_service_type
 from robot_runner.ros.shapes import Field, Shape, plain_type
@@ -167,6 +167,24 @@ class SimulatedTransport:
     def nodes(self) -> Sequence[str]:
         """Return one node for each robot of the simulation."""
         return [f"{namespace}/{_NODE}" for namespace in self._simulation.robots]
+
+    def publishers(self, topic: str) -> Sequence[GraphEndpoint]:
+        """Return the robot that publishes a topic."""
+        return self._robots_of(topic, lambda robot: {name: each.message_type for name, each in robot.topics.items()})
+
+    def subscribers(self, topic: str) -> Sequence[GraphEndpoint]:
+        """Return the robot that subscribes a topic."""
+        return self._robots_of(topic, lambda _: COMMAND_TOPICS)
+
+    def _robots_of(
+        self, topic: str, types_of: Callable[[SimulatedTurtlebot3], Mapping[str, str]]
+    ) -> list[GraphEndpoint]:
+        return [
+            GraphEndpoint(f"{namespace}/{_NODE}", message_type)
+            for namespace, robot in self._simulation.robots.items()
+            for name, message_type in types_of(robot).items()
+            if f"{namespace}/{name}" == topic
+        ]
 
     def wait(self, event: threading.Event, seconds: float) -> None:
         """Let the simulation's time go by until the event is set, for so many simulated seconds at most."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError, did_you_mean
-from robot_runner.core.links.robot import Encoding, Qos, RawMessage
+from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos, RawMessage
 from robot_runner.ros.graph_link import FirstMessage
 from robot_runner.ros.graph_links import full_name
 from robot_runner.ros.shapes import completed
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["Answer", "FakeRobotLink", "Publication", "ServiceCall"]
 
 _WHERE = "FakeRobotLink"
+_NODE = "/fake_robot"
 _ANY_TYPE = "*"
 _DELIVER = "Deliver one while the clock is slept on: clock.at(1.0, lambda: link.deliver(...))."
 #: How far a wait moves the clock on between two looks, s.
@@ -90,6 +91,8 @@ class FakeRobotLink:
         is_closed: whether it was closed.
         fault: raised by whatever is asked of the link, once it is set.
         known_topics: what others publish or subscribe on the graph, by name, with their types.
+        known_publishers: who else publishes a topic, by name; one node where it is left out and the topic is there.
+        known_subscribers: who else subscribes a topic; likewise.
 
     Example:
         >>> from robot_runner.testing import FakeClock, FakeRobotLink
@@ -110,6 +113,8 @@ class FakeRobotLink:
         self.fault: LinkError | None = None
         self._clock = clock
         self.known_topics: dict[str, str] = {}
+        self.known_publishers: dict[str, list[GraphEndpoint]] = {}
+        self.known_subscribers: dict[str, list[GraphEndpoint]] = {}
         self._services = dict(services or {})
         self._service_types: dict[str, str] = {}
         self._is_simulated = is_simulated
@@ -262,7 +267,23 @@ class FakeRobotLink:
     def nodes(self) -> list[str]:
         """Return one node."""
         self._check()
-        return ["/fake_robot"]
+        return [_NODE]
+
+    def publishers(self, topic: str) -> list[GraphEndpoint]:
+        """Return the one node where the topic is there, and this link where it published; or what a test put there."""
+        self._check()
+        name = full_name("", topic)
+        own = [each for each in self.publications if full_name("", each.topic) == name]
+        default = [GraphEndpoint(_NODE, self.topics()[name])] if name in self.topics() else []
+        others = self.known_publishers.get(topic, default)
+        return [*others, *([GraphEndpoint("/robot_runner", own[-1].message_type, is_own=True)] if own else [])]
+
+    def subscribers(self, topic: str) -> list[GraphEndpoint]:
+        """Return the one node where the topic is there, or what a test put there."""
+        self._check()
+        name = full_name("", topic)
+        default = [GraphEndpoint(_NODE, self.topics()[name])] if name in self.topics() else []
+        return list(self.known_subscribers.get(topic, default))
 
     def definition(self, message_type: str) -> str:
         """Return the text of a type's definition, as ROS 2 has it.

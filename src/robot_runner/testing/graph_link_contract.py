@@ -215,6 +215,19 @@ class GraphLinkContract(RobotLinkContract):
             found = self.received_on(link, "chatter", _STRING, robot, {"data": "c"})
             require(found[-1]["data"] in {"b", "c"}, f"the subscriber receives {found[-1]}")
 
+    def test_who_publishes_and_who_subscribes_a_topic_is_listed(self) -> None:
+        """Hold that publishers and subscribers are told with their types, one's own among them, until they leave."""
+        with self.opened() as link:
+            with self.opened() as robot:
+                self.received_on(link, "chatter", _STRING, robot, {"data": "a"})
+                for found in (link.publishers("chatter"), link.subscribers("/chatter")):
+                    types = {endpoint.message_type for endpoint in found}
+                    require(types == {_STRING}, f"the types of what is there are {types}")
+                require(any(each.is_own for each in link.subscribers("chatter")), "the own subscription is not told")
+                require(any(each.is_own for each in robot.publishers("chatter")), "the own publisher is not told")
+                require(not link.publishers("nothing"), "somebody publishes a topic that is not there")
+            self.until(lambda: not link.publishers("chatter"), "a publisher that left is listed for ever")
+
     def test_many_messages_arrive_in_order_and_without_loss(self) -> None:
         """Hold that what is published and subscribed reliably is all there."""
         with self.opened() as robot, self.opened() as link:

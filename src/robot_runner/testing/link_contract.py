@@ -321,6 +321,15 @@ class RobotLinkContract:
             require(list(nodes) == sorted(nodes), f"{nodes} are not sorted")
             require(all(name.startswith("/") for name in nodes), f"{nodes} are no full names")
 
+    def test_who_publishes_what_the_robot_publishes_is_listed(self) -> None:
+        """Hold that a robot behind the link is told as a publisher, by the type of its topic."""
+        if not self.publishes:
+            return
+        with self.opened() as link:
+            found = link.publishers(self.topic)
+            require({each.message_type for each in found} == {_ODOMETRY}, f"the publishers are {found}")
+            require(not any(each.is_own for each in found), f"the link says that it is the robot: {found}")
+
     def test_robots_are_kept_apart_by_their_namespaces(self) -> None:
         """Hold that a service of one robot is not that of another, and that a full name reaches either."""
         with self.opened("alice") as alice, self.opened("/bob") as bob:

@@ -239,6 +239,8 @@ class ServedRosapi:
             "services": lambda _: {"services": [*self._graph.services, "/rosapi/topics"]},
             "service_type": lambda asked: {"type": self._service_type(asked["service"])},
             "nodes": lambda _: {"nodes": list(self.nodes)},
+            "publishers": lambda asked: {"publishers": self._endpoints(asked["topic"], "publishers")},
+            "subscribers": lambda asked: {"subscribers": self._endpoints(asked["topic"], "subscribers")},
             "message_details": lambda asked: _details(self._graph.types.shape(plain_type(asked["type"]))),
             "service_request_details": lambda asked: _details(self._graph.types.request(plain_type(asked["type"]))),
             "service_response_details": lambda asked: _details(self._graph.types.response(plain_type(asked["type"]))),
@@ -253,6 +255,11 @@ class ServedRosapi:
             return question(request)
         except KeyError as error:
             raise Refusal(f"the request of {service} lacks {error}") from error
+
+    def _endpoints(self, name: str, kind: str) -> list[str]:
+        """Return the server's node where any client has the topic: a graph does not see who is behind a rosbridge."""
+        topic = self._graph.topics.get(name)
+        return [self.nodes[0]] if topic is not None and getattr(topic, kind) else []
 
     def _stamp(self) -> dict[str, int]:
         seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)

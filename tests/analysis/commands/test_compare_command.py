@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from tests.analysis.comparison.combined_agreement import disagreements_of_combined
 from tests.analysis.experiment_folders import two_tasks
 
 VIDEO = (870.1, 872.4, 869.0, 874.2, 871.3)
@@ -67,3 +68,66 @@ class TestCompare:
         assert answer.code == 2
         assert problem in answer.err
         assert fix in answer.err
+
+    def test_a_region_of_practical_equivalence_is_told_with_probabilities(self, robot_runner):
+        answer = robot_runner("compare", "original", "replica", "--rope", "5 J")
+        assert "P, within" in answer.out
+        assert "With the reference prior, the probability that the difference is within 5.000 J is" in answer.out
+
+    def test_names_may_be_joined_in_a_meta_analysis_only(self, robot_runner):
+        answer = robot_runner("compare", "original", "replica", "--same", "Task=Job")
+        assert answer.code == 2
+        assert "--same" in answer.err
+        assert "Add --meta" in answer.err
+
+
+@pytest.fixture
+def replications(tmp_path):
+    for place, shift in enumerate((0.0, 0.37, -0.61)):
+        video = tuple(value + shift * (-1) ** run for run, value in enumerate(VIDEO))
+        name = f"lab_{'abc'[place]}"
+        two_tasks(tmp_path / name, video, NETWORK, name=name, day=f"2026-02-0{place + 1}")
+
+
+@pytest.mark.usefixtures("replications")
+class TestMetaAnalysis:
+    def test_three_experiments_are_combined(self, robot_runner):
+        answer = robot_runner("compare", "lab_a", "lab_b", "lab_c")
+        assert answer.code == 0
+        for told in ("3 experiments combined: lab_a, lab_b, lab_c", "Video less Network", "Average (random effects)"):
+            assert told in answer.out
+        assert "the Energy of Video is higher than that of Network on average" in answer.out
+
+    def test_two_are_combined_when_asked_for(self, robot_runner):
+        facts = robot_runner("compare", "lab_a", "lab_b", "--meta", "--json").json
+        assert facts["measures"][0]["effects"][0]["difference"]["prediction"] is None
+        assert disagreements_of_combined(facts) == []
+
+    def test_json_is_all_that_is_printed_and_agrees_with_itself(self, robot_runner):
+        facts = robot_runner("compare", "lab_a", "lab_b", "lab_c", "--json", "--alpha", "0.1").json
+        assert facts["alpha"] == 0.1
+        assert [each["name"] for each in facts["experiments"]] == ["lab_a", "lab_b", "lab_c"]
+        assert disagreements_of_combined(facts) == []
+
+    def test_a_page_with_forest_plots_is_written(self, robot_runner, tmp_path):
+        answer = robot_runner("compare", "lab_a", "lab_b", "lab_c", "--html", "combined.html")
+        assert "combined.html" in answer.out
+        page = (tmp_path / "combined.html").read_text(encoding="utf-8")
+        assert "<h1>lab_a, lab_b and lab_c</h1>" in page
+        assert "Forest plot of Video less Network" in page
+
+    @pytest.mark.parametrize(
+        ("words", "told"),
+        [
+            (["lab_b", "lab_c", "--bound", "5%", "--paired"], ["--bound: it is not for", "--paired", "2 errors"]),
+            (["lab_d", "lab_e"], ["lab_d: there is no such file", "lab_e: there is no such file"]),
+            (["lab_b", "lab_a"], ["this is", "same folder", "count twice"]),
+            (["lab_b", "lab_c", "--measure", "Enery"], ["'Enery'", "'Energy'"]),
+            (["lab_b", "lab_c", "--same", "Task=Jobs"], ["'Jobs'", "Choose one of"]),
+        ],
+    )
+    def test_what_cannot_be_is_refused_with_a_way_out(self, robot_runner, words, told):
+        answer = robot_runner("compare", "lab_a", *words)
+        assert answer.code == 2
+        for each in told:
+            assert each in answer.err

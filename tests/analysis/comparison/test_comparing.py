@@ -135,11 +135,21 @@ def test_experiments_without_a_factor_in_common_are_compared_as_a_whole(make_fol
     assert any("no factor in common" in note for note in comparison.notes)
 
 
-def test_units_that_differ_are_told(make_folder):
+def test_units_that_differ_are_converted_and_told(make_folder):
+    one = make_folder(factors={}, rows=[(1000.0,), (1100.0,)], measures={"E": "J"})
+    other = make_folder(factors={}, rows=[(1.0,), (1.2,)], measures={"E": "kJ"}, name="other")
+    comparison = compare(one.root, other.root)
+    [difference] = comparison.measure("E").differences
+    assert (difference.second_mean, difference.difference) == pytest.approx((1100.0, 50.0))
+    assert any("J and kJ: values of other are converted to J" in note for note in comparison.notes)
+
+
+@pytest.mark.parametrize(("unit", "told"), [("V", "J and V"), ("", "J and not known")])
+def test_units_that_cannot_be_converted_are_told(make_folder, unit, told):
     one = make_folder(factors={}, rows=[(1.0,), (1.1,)], measures={"E": "J"})
-    other = make_folder(factors={}, rows=[(1.0,), (1.2,)], measures={"E": "kJ"})
+    other = make_folder(factors={}, rows=[(1.0,), (1.2,)], measures={"E": unit})
     [missed] = compare(one.root, other.root).measure("E").not_computed
-    assert "J and kJ" in missed.why
+    assert told in missed.why
 
 
 def test_origins_and_circumstances_that_differ_are_told(two_tasks):

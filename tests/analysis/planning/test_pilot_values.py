@@ -37,7 +37,9 @@ def pilot_of(root: Path, study: Study, assumed: AssumedMeasure, repetitions: int
     """Return a pilot whose values are drawn as is assumed; its blocks are those of the study."""
     place = list(study.factors).index("Robot") if study.blocks == "Robot" else None
     cells = [study.cells[number] for number in study.cells_of(repetitions)]
-    blocks = [cell[place] if place is not None else f"{number // len(study.cells)}" for number, cell in enumerate(cells)]
+    blocks = [
+        cell[place] if place is not None else f"{number // len(study.cells)}" for number, cell in enumerate(cells)
+    ]
     # Blocks respond to tasks, and a robot is no task.
     if place is not None:
         cells = [tuple(text for at, text in enumerate(cell) if at != place) for cell in cells]
@@ -53,8 +55,9 @@ def pilot_of(root: Path, study: Study, assumed: AssumedMeasure, repetitions: int
 
 
 def assumed(spread: float = 10.0, *, block_sd: float = 0.0, response_sd: float = 0.0) -> AssumedMeasure:
-    means = {("Video",): 100.0, ("Network",): 120.0}
-    return AssumedMeasure("Energy", means, {("Video",): spread, ("Network",): 2 * spread}, block_sd, response_sd)
+    means: dict[tuple[str, ...], float] = {("Video",): 100.0, ("Network",): 120.0}
+    spreads: dict[tuple[str, ...], float] = {("Video",): spread, ("Network",): 2 * spread}
+    return AssumedMeasure("Energy", means, spreads, block_sd, response_sd)
 
 
 def test_means_and_spreads_of_combinations_are_those_that_were_drawn(tmp_path: Path) -> None:
@@ -76,7 +79,8 @@ def test_blocks_are_told_from_chance(tmp_path: Path) -> None:
     drawn = pilot_of(tmp_path / "pilot", study, assumed(block_sd=30.0), 120)
     found = pilot_values(study, drawn, ["Energy"]).measures["Energy"]
     assert found.block_sd == pytest.approx(30, rel=0.2)
-    assert np.hypot(*(found.spreads[cell] for cell in study.cells)) == pytest.approx(np.hypot(10, 20), rel=0.15)
+    one, other = (found.spreads[cell] for cell in study.cells)
+    assert np.hypot(one, other) == pytest.approx(np.hypot(10, 20), rel=0.15)
 
 
 def test_responses_of_robots_are_told_from_chance(tmp_path: Path) -> None:

@@ -14,6 +14,12 @@ __all__ = ["disagreements"]
 
 #: P-values of one comparison that were computed on two ways differ by rounding.
 _SAME = 1e-9
+#: Where a report has what was computed with one choice made otherwise.
+_BESIDE = {
+    "without doubtful values": "without_doubtful",
+    "with all runs": "with_all_runs",
+    "without covariates": "without_covariates",
+}
 _MAGNITUDES = ("negligible", "small", "medium", "large")
 
 
@@ -27,15 +33,77 @@ def disagreements(report: dict[str, Any]) -> list[str]:
     statistics = report["statistics"]
     alpha = statistics["alpha"]
     found: list[str] = []
-    for measure in (*statistics["measures"], *statistics["without_doubtful"]):
+    beside = [each for kind in _BESIDE.values() for each in statistics.get(kind, ())]
+    for measure in (*statistics["measures"], *beside):
         found += [f"{measure['name']}: {each}" for each in _of_measure(measure, alpha)]
     for outcome in statistics["hypotheses"]:
         found += [f"{outcome['hypothesis']['statement']}: {each}" for each in _of_hypothesis(outcome, statistics)]
-    return found
+    for known in report.get("precision", ()):
+        found += [f"{known['measure']}: {each}" for each in _of_precision(known, statistics)]
+    for standing in statistics.get("standings", ()):
+        found += [f"{standing['measure']}: {each}" for each in _of_standing(standing, statistics)]
+    return [*found, *_of_registration(report)]
+
+
+def _of_registration(report: dict[str, Any]) -> Iterator[str]:
+    """Yield where what is said of a registration contradicts what else the report has."""
+    found = report.get("registration")
+    threats = {each["title"] for each in report.get("threats", ())}
+    if found is None:
+        if threats & {"Deviations from the registration", "The registration cannot be trusted"}:
+            yield "there is a threat of a registration, and no registration"
+        return
+    told, problem = found["deviations"], found["problem"]
+    if ("Deviations: none." in found["sentence"]) is not (not told and not problem):
+        yield f"{len(told)} deviations, and the sentence says: {found['sentence']}"
+    if any(each not in found["sentence"] for each in told) or found["sha256"] not in found["sentence"]:
+        yield f"the sentence does not cite the registration, or lacks a deviation: {found['sentence']}"
+    expected = {"Deviations from the registration": bool(told), "The registration cannot be trusted": bool(problem)}
+    for title, is_due in expected.items():
+        if (title in threats) is not is_due:
+            yield f"the threat {title!r} is {'missing' if is_due else 'there without a reason'}"
+    if problem:
+        return
+    tested = [each["name"] for each in report["statistics"]["measures"] if each["test"] and not each["is_planned"]]
+    facts = {
+        "excluded": bool(report["excluded"]),
+        "extended beyond": len(report["design"]["batches"]) > 1,
+        "not planned": report["statistics"]["is_planned"] and bool(tested),
+        "not done": any(run["status"].casefold() != "done" for run in report["runs"]),
+    }
+    for words, is_so in facts.items():
+        if any(words in each for each in told) is not is_so:
+            yield f"{words!r} is {'so' if is_so else 'not so'}, and the deviations are: {told}"
+
+
+def _of_precision(known: dict[str, Any], statistics: dict[str, Any]) -> Iterator[str]:
+    """What was repeated for has one interval of each mean, in the text as in the tables."""
+    measure = next(each for each in statistics["measures"] if each["name"] == known["measure"])
+    tabled = {" / ".join(each["treatments"].values()): each for each in _finest(measure)}
+    for mean in known["means"]:
+        group = tabled.get(mean["of"])
+        interval = group and group["mean_interval"]
+        if interval is None or mean["half_width"] is None:
+            continue
+        half_width = (interval["high"] - interval["low"]) / 2
+        if abs(half_width - mean["half_width"]) > _SAME * abs(half_width) or group["n"] != mean["n"]:
+            yield f"{mean['of']} is known to {mean['half_width']} (n = {mean['n']}), and to {half_width} in its table"
+    if "each difference" not in known["asked"]:
+        widths = [(each["half_width"], each["wanted"]) for each in known["means"]]
+        precise = all(half_width is not None and half_width <= wanted for half_width, wanted in widths)
+        if known["is_reached"] is not precise:
+            yield f"precision is {'' if known['is_reached'] else 'not '}reached, and its means say otherwise"
+    if known["asked"] not in known["sentence"] or f"After {known['repetitions']}," not in known["sentence"]:
+        yield f"the sentence tells another rule: {known['sentence']}"
+
+
+def _finest(measure: dict[str, Any]) -> list[dict[str, Any]]:
+    return measure["by_combination"] or measure["by_treatment"] or [measure["overall"]]
 
 
 def _of_measure(measure: dict[str, Any], alpha: float) -> Iterator[str]:
     test = measure["test"]
+    yield from _of_plan(measure, alpha)
     if test is None:
         if measure["post_hoc"] or not (measure["not_computed"] or measure["overall"] is None):
             yield "there are pairs without a test, or no reason why there is no test"
@@ -201,3 +269,65 @@ def _of_hypothesis(outcome: dict[str, Any], statistics: dict[str, Any]) -> Itera
     for effect in measure["test"]["effects"]:
         if set(effect["factors"]) == set(hypothesis["factors"]) and effect["is_significant"] is not supported:
             yield f"its effect is {'' if effect['is_significant'] else 'not '}significant"
+
+
+def _of_plan(measure: dict[str, Any], alpha: float) -> Iterator[str]:
+    """What the plan leaves out and adjusts for goes with the tests."""
+    left_out = [each["run_id"] for each in measure["left_out"]]
+    if len(left_out) != len(set(left_out)):
+        yield "a run is left out twice"
+    if (measure["rule_false_positives"] is not None) and not any(
+        each["reason"] == "outlier" for each in measure["left_out"]
+    ):
+        yield "a rule for outliers is told of that left none out"
+    adjustment, test = measure["adjustment"], measure["test"]
+    is_adjusted = test is not None and test["method"] == "analysis of covariance"
+    if (adjustment is not None) is not is_adjusted:
+        yield "slopes are told without an analysis of covariance, or the other way round"
+    if adjustment is None or test is None:
+        return
+    for slope in adjustment["slopes"]:
+        interval = slope["interval"]
+        if interval is not None and (interval["low"] > 0 or interval["high"] < 0) is not (slope["p_value"] < alpha):
+            yield f"the slope over {slope['covariate']} has p = {slope['p_value']} and another verdict by its interval"
+        affected = slope["treatments_p_value"] is not None and slope["treatments_p_value"] < alpha
+        if affected and not any(" differs between " in each or "unevenly" in each for each in adjustment["warnings"]):
+            yield f"the covariate {slope['covariate']} differs between treatments, and no sentence says so"
+    yield from _adjusted_means(measure, adjustment)
+
+
+def _adjusted_means(measure: dict[str, Any], adjustment: dict[str, Any]) -> Iterator[str]:
+    means = {tuple(each["treatments"].items()): each["adjusted"] for each in adjustment["means"]}
+    for post_hoc in measure["post_hoc"]:
+        if len(post_hoc["factors"]) > 1:
+            continue
+        (factor,) = post_hoc["factors"]
+        for pair in post_hoc["comparisons"]:
+            difference = means[(factor, pair["first"]),] - means[(factor, pair["second"]),]
+            if abs(difference - pair["difference"]) > 1e-6 * max(1.0, abs(difference)):
+                yield f"adjusted means of {pair['first']} and {pair['second']} differ by {difference}, their pair not"
+    for effect in measure["test"]["effects"]:
+        if " mean of " in effect["conclusion"] and "adjusted mean" not in effect["conclusion"]:
+            yield f"adjusted means are compared, and the sentence says: {effect['conclusion']}"
+
+
+def _of_standing(standing: dict[str, Any], statistics: dict[str, Any]) -> Iterator[str]:
+    """What is said to stand is significant in both analyses, or in neither."""
+    words = {None: "is not known", True: "the conclusion stands", False: "the conclusion does not stand"}
+    if words[standing["stands"]] not in standing["conclusion"]:
+        yield f"stands is {standing['stands']}, and the sentence says: {standing['conclusion']}"
+    if standing["statement"]:
+        return
+    found = []
+    for kind in ("measures", _BESIDE[standing["beside"]]):
+        measure = next(each for each in statistics[kind] if each["name"] == standing["measure"])
+        effects = measure["test"]["effects"] if measure["test"] is not None else []
+        found += [each for each in effects if set(each["factors"]) == set(standing["factors"])]
+    if standing["stands"] is None:
+        return
+    now, then = found
+    if now["p_value"] != standing["p_value"] or then["p_value"] != standing["p_value_without"]:
+        yield f"{standing['factors']}: its p-values are not those of the tests"
+    turned = "other direction" in standing["conclusion"]
+    if standing["stands"] is not (now["is_significant"] == then["is_significant"] and not turned):
+        yield f"{standing['factors']}: {standing['conclusion']}"

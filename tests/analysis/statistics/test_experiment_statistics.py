@@ -264,6 +264,21 @@ def test_correlation_within_treatments_is_told_from_that_of_the_treatments(tmp_p
     assert abs(found.within) < 0.5
 
 
+def test_what_is_said_of_power_does_not_hang_on_the_effect_that_was_observed(tmp_path):
+    # The power of the observed effect is the p-value once more (Hoenig and Heisey 2001).
+    def values(size):
+        return lambda treatments, repetition: {
+            "Energy": 100 + size * (treatments["Task"] == "Video") + NOISE[repetition + 20 * len(treatments["Task"])]
+        }
+
+    none, large = (
+        statistics(tmp_path / str(size), values=values(size), repetitions=8).measure("Energy") for size in (0, 50)
+    )
+    assert none.test.effects[0].p_value != large.test.effects[0].p_value
+    assert none.power == large.power
+    assert none.power.detectable_effect is not None
+
+
 def test_more_power_needs_more_runs():
     assert repetitions_needed(0.2, 2) > repetitions_needed(0.8, 2)
     assert repetitions_needed(0.25, 3) > repetitions_needed(0.25, 3, power=0.5)

@@ -239,6 +239,21 @@ def test_mixed_model_of_a_block_that_lacks_a_treatment():
     assert effect.freedom == (3.0, 24.0)
 
 
+def test_errors_of_a_mixed_model_whose_blocks_lack_different_treatments():
+    # nlme: lme(effort ~ Type, random = ~ 1 | Subject) without Type 1 of Subject 1, 2 of 2, 3 of 3 and 4 of 4:
+    # F = 25.1455787, the error of T2 - T3 and of T1 - T4 is 0.517140711. statsmodels' own covariance has others.
+    rows = [(name, place, value) for name, of in data.ERGO_STOOL.items() for place, value in enumerate(of, 1)]
+    held = [row for row in rows if row[:2] not in {(f"T{each}", each) for each in (1, 2, 3, 4)}]
+    measure = data.split_plot([(f"subject {place}", "all", name, float(value)) for name, place, value in held])
+    model = fit_model(replace(measure, factors=("B",)))
+    (effect,) = model.effects()
+    assert effect.statistic == pytest.approx(25.1455787, abs=5e-6)
+    assert effect.freedom == (3.0, 20.0)
+    for one, other in (("T2", "T3"), ("T1", "T4")):
+        found = model.difference([({"B": one}, 1.0), ({"B": other}, -1.0)])
+        assert float(found.error) == pytest.approx(0.517140711, abs=5e-8)
+
+
 def test_split_plot_of_higgins():
     # summary(aov(y ~ Moisture * Fertilizer + Error(Tray))): where blocks are balanced, the F of what is
     # compared within blocks is the classical one: Fertilizer and its interaction with Moisture

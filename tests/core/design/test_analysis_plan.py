@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Estimand, Family, Statistic
 from robot_runner.core.design.hypothesis import Hypothesis
+from robot_runner.core.design.outliers import Doubtful, Outliers
 from robot_runner.core.errors import DesignError
 
 NAMES = st.text(min_size=1, max_size=8).filter(lambda name: name.strip())
@@ -21,6 +22,13 @@ CONTRASTS = st.builds(
     within=st.none() | st.floats(0.1, 9),
 )
 HYPOTHESES = EFFECTS | CONTRASTS
+SPREADS = st.fixed_dictionaries({"interquartile_ranges": st.floats(0.1, 9)}) | st.fixed_dictionaries(
+    {"median_deviations": st.floats(0.1, 9)}
+)
+BOUNDS = st.dictionaries(NAMES, st.sampled_from([(0, None), (None, 5.5), (-1, 1)]), min_size=1, max_size=2)
+RULES = SPREADS.map(lambda spread: Outliers(**spread)) | st.builds(
+    lambda spread, bounds: Outliers(**spread, bounds=bounds), SPREADS | st.just({}), BOUNDS
+)
 PLANS = st.builds(
     AnalysisPlan,
     st.lists(NAMES, min_size=1, max_size=3),
@@ -32,6 +40,8 @@ PLANS = st.builds(
     statistic=st.sampled_from(Statistic),
     blocks=st.none() | NAMES,
     hypotheses=st.lists(HYPOTHESES, max_size=2),
+    outliers=st.none() | RULES,
+    doubtful=st.sampled_from(Doubtful),
 )
 
 
@@ -126,3 +136,80 @@ def test_blocks_and_secondary_measures_are_those_of_the_design():
 def test_what_is_no_plan_is_refused(plain):
     with pytest.raises(DesignError):
         AnalysisPlan.of_mapping({"measures": ["Energy"], **plain})
+
+
+@pytest.mark.parametrize(
+    ("given", "problem"),
+    [
+        ({}, "there is no rule"),
+        ({"interquartile_ranges": 0}, "interquartile_ranges is 0"),
+        ({"median_deviations": "3"}, "median_deviations is '3'"),
+        ({"interquartile_ranges": 3, "median_deviations": 3}, "there are two rules of spread"),
+        ({"bounds": {"Energy": (5, 1)}}, "the bounds of Energy are"),
+        ({"bounds": {"Energy": 5}}, "the bounds of Energy are 5"),
+        ({"bounds": {"Energy": (None, None)}}, "the bounds of Energy are"),
+        ({"bounds": [1, 2]}, "bounds is"),
+    ],
+)
+def test_a_rule_for_outliers_is_one_that_can_be_followed(given, problem):
+    with pytest.raises(DesignError, match=problem):
+        Outliers(**given)
+
+
+def test_all_that_is_wrong_with_a_rule_is_told_at_once():
+    with pytest.raises(DesignError) as raised:
+        Outliers(median_deviations=-1, bounds={"Energy": (5, 1), "CPU": "low"})
+    assert len(raised.value.findings) == 3
+
+
+def test_a_rule_says_what_it_leaves_out():
+    rule = Outliers(interquartile_ranges=3, bounds={"Energy": (0, 5000)})
+    assert rule.in_words("Energy", "J") == (
+        "more than 3 interquartile ranges beyond the quartiles of its combination, or below 0 J, or above 5000 J"
+    )
+    assert Outliers(bounds={"Energy": (0, None)}).in_words("CPU") == ""
+
+
+@pytest.mark.parametrize(
+    ("given", "problem"),
+    [
+        ({"outliers": 3}, "outliers is 3"),
+        ({"doubtful": "keep"}, "doubtful is 'keep'"),
+        ({"covariates": [3]}, "covariates has 3"),
+        ({"covariates": "Energy"}, "'Energy' is a primary measure and a covariate"),
+        ({"covariates": "Voltage", "estimand": Estimand.TRIMMED_MEAN}, "trimmed means are not adjusted"),
+    ],
+)
+def test_choices_that_cannot_be_are_refused(given, problem):
+    with pytest.raises(DesignError, match=problem):
+        AnalysisPlan("Energy", **given)
+
+
+def test_covariates_and_bounds_that_the_design_lacks_are_found_with_the_nearest():
+    plan = AnalysisPlan(
+        "Energy", covariates=["Volts", "Task", "order", "elapsed"], outliers=Outliers(bounds={"Enrgy": (0, 9)})
+    )
+    found = list(plan.findings(["Task"], ["Energy", "Voltage", "Volt"]))
+    assert [finding.problem for finding in found] == [
+        "there is no measure 'Volts' that could be a covariate",
+        "the covariate 'Task' is a factor",
+        "there is no measure 'Enrgy' that could have bounds",
+    ]
+    assert ["Volt" in found[0].fix, "Energy" in found[2].fix] == [True, True]
+
+
+def test_plans_of_earlier_versions_are_read_and_written_as_they_were():
+    earlier = AnalysisPlan("Energy").as_mapping()
+    assert not {"outliers", "doubtful", "covariates"} & set(earlier)
+    plan = AnalysisPlan.of_mapping(earlier)
+    assert (plan.outliers, plan.doubtful, plan.covariates) == (None, Doubtful.KEEP, ())
+
+
+def test_plain_data_that_is_no_rule_is_refused_as_such():
+    with pytest.raises(DesignError):
+        AnalysisPlan.of_mapping({"measures": ["Energy"], "outliers": {"sigmas": 3}})
+
+
+def test_covariates_come_back_from_plain_data():
+    plan = AnalysisPlan("Energy", covariates=["Voltage", "order"])
+    assert AnalysisPlan.of_mapping(plan.as_mapping()) == plan

@@ -46,7 +46,9 @@ def extended(
     design = grown_design(there, config, added)
     batches = model.batches or (first_batch(there, RunOrder(shuffle=model.shuffle, seed=model.seed)),)
     order = RunOrder(shuffle=shuffle, seed=seed, blocks=config.blocks)
-    batch = next_batch(there, design, config.warm_up, order=order, number=len(batches) + 1, at="2026-11-22T10:00:00.000Z")
+    batch = next_batch(
+        there, design, config.warm_up, order=order, number=len(batches) + 1, at="2026-11-22T10:00:00.000Z"
+    )
     records = json.loads(json.dumps(list(records_of([*batches, batch]))))
     return GrownRunTableModel(config, batches_of(records))
 

@@ -5,7 +5,9 @@ import csv
 import pytest
 
 from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.core.events.early_end import RunFailed
 from robot_runner.core.events.measure import Origin
+from robot_runner.core.links.robot import GraphEndpoint
 from robot_runner.plugins import Circumstances
 from robot_runner.plugins.systems import BasicTurtlebot3
 from robot_runner.testing import FakeClock, FakeLinks, FakeTurtlebot3Link, SystemContract, make_context, rehearse
@@ -186,7 +188,7 @@ def test_the_end_of_the_run_stops_a_robot_that_the_config_set_in_motion(stage):
     played = stage()
     played.plugin.start_run(played.context)
     played.robot.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
-    assert played.robot.topics_heard == {"odom"}
+    assert played.robot.topics_heard == {"odom", "/cmd_vel"}
     played.plugin.stop_run(played.context)
     assert played.robot.stands_still
     assert played.robot.topics_heard == set()
@@ -244,11 +246,102 @@ def test_make_safe_stops_a_robot_that_another_process_set_in_motion(stage):
     assert played.robot.calls[-1].service == "task/stop"
 
 
-def test_a_robot_that_was_blocked_is_told(stage):
-    played = stage(slip=1.0)
+def test_a_robot_that_does_not_move_fails_its_run(stage):
+    with pytest.raises(LinkError, match=r"covered 0\.000 m of 0\.52 m"):
+        stage(slip=1.0).execute()
+
+
+def test_a_robot_that_is_blocked_on_a_long_way_fails_its_run_before_the_way_is_over(stage):
+    played = stage(slip=1.0, drive_s=20.0)
+    with pytest.raises(LinkError, match="does not move as it is commanded"):
+        played.execute()
+    assert played.clock.now() < 1000.0 + 0.5 + 8.0
+    assert played.robot.stands_still
+
+
+@pytest.mark.parametrize("slip", [0.5, -0.3], ids=["half of it", "more than it"])
+def test_a_robot_that_covered_another_way_than_planned_is_told(stage, slip):
+    played = stage(slip=slip)
     measures = played.execute()
-    assert measures["Distance"] == 0.0
-    assert any("covered 0.00 m of" in finding.problem for finding in played.context.broker.findings)
+    problem = f"covered {measures['Distance']:.2f} m of 0.52 m"
+    assert any(problem in finding.problem for finding in played.context.broker.findings)
+
+
+def test_odometry_that_jumps_fails_the_run(stage):
+    played = stage(drive_s=6.0)
+    played.clock.at(1000.0 + 3.0, lambda: setattr(played.robot, "x", 1000.0))
+    with pytest.raises(LinkError, match=r"odometry jumped by 999\.\d+ m within 0\.0\d s"):
+        played.execute()
+    assert played.robot.stands_still
+
+
+def test_messages_of_the_odometry_that_are_lost_are_no_jump(stage):
+    played = stage(drive_s=6.0, odometry_timeout_s=3.0)
+    played.clock.at(1000.0 + 2.0, lambda: setattr(played.robot, "odometry_ends_at", 0.0))
+    played.clock.at(1000.0 + 4.0, lambda: setattr(played.robot, "odometry_ends_at", 2000.0))
+    assert played.execute()["Distance"] > 0
+
+
+def test_a_robot_that_moves_while_it_is_to_stand_still_fails_its_run(stage):
+    played = stage(task_s=20.0)
+    played.clock.at(1000.0 + 8.0, lambda: setattr(played.robot, "_speed", 0.2))
+    with pytest.raises(LinkError, match=r"moved by 0\.\d+ m while it was to stand still"):
+        played.execute()
+    assert played.robot.stands_still
+
+
+TELEOP = GraphEndpoint("/teleop", "geometry_msgs/Twist")
+ROBOT = GraphEndpoint("/turtlebot3_node", "nav_msgs/Odometry")
+
+
+def test_a_second_publisher_of_the_odometry_is_refused_before_the_robot_moves(stage):
+    played = stage()
+    played.robot.known_publishers["/odom"] = [ROBOT, GraphEndpoint("/ekf", "nav_msgs/Odometry")]
+    with pytest.raises(LinkError, match="/ekf and /turtlebot3_node publish '/odom'"):
+        played.execute()
+    assert not any(speed for _, speed, _ in commands(played.robot))
+
+
+def test_where_the_user_allows_it_others_make_the_run_doubtful(stage):
+    played = stage(sole_control=False)
+    played.robot.known_publishers["/odom"] = [ROBOT, GraphEndpoint("/ekf", "nav_msgs/Odometry")]
+    played.execute()
+    assert any("/ekf and /turtlebot3_node" in finding.problem for finding in played.context.broker.findings)
+
+
+def test_a_robot_that_subscribes_no_velocity_commands_is_refused_before_the_mission(stage):
+    played = stage()
+    played.robot.known_subscribers["/cmd_vel"] = [GraphEndpoint("/drone", "mavros_msgs/Thrust")]
+    with pytest.raises(LinkError, match="/drone subscribes '/cmd_vel' as mavros_msgs/Thrust") as raised:
+        played.execute()
+    assert "geometry_msgs/Twist or geometry_msgs/TwistStamped" in raised.value.fix
+
+
+def test_whoever_could_command_the_robot_as_well_is_warned_of_but_for_our_watchdog(stage):
+    played = stage()
+    watchdog = GraphEndpoint("/robot_runner_watchdog", "geometry_msgs/Twist")
+    played.robot.known_publishers["/cmd_vel"] = [TELEOP, watchdog]
+    played.execute()
+    told = [finding.problem for finding in played.context.broker.findings]
+    assert told == ["/teleop could command the robot, too, on '/cmd_vel'"]
+
+
+def test_a_command_of_somebody_else_fails_the_run_and_names_who_it_was(stage):
+    played = stage()
+    played.robot.known_publishers["/cmd_vel"] = [TELEOP]
+    back = {"linear": {"x": -0.1}, "angular": {"z": 0.0}}
+    played.clock.at(1000.0 + 1.0, lambda: played.robot.deliver("/cmd_vel", back))
+    with pytest.raises(RunFailed, match=r"/teleop commands the robot on '/cmd_vel': -0\.1 m/s, 0 rad/s"):
+        played.execute()
+    assert played.robot.stands_still
+
+
+def test_task_services_that_are_missing_are_told_before_the_robot_moves(stage):
+    played = stage()
+    del played.robot._services["task/video/stop"]
+    with pytest.raises(LinkError, match="there is no service '/task/video/stop'"):
+        played.execute()
+    assert not any(speed for _, speed, _ in commands(played.robot))
 
 
 def test_a_mission_that_ended_elsewhere_is_told(stage):

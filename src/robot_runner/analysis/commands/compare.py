@@ -1,9 +1,17 @@
-"""Compare two experiments, and say whether they are equivalent.
+"""Compare two experiments and say whether they are equivalent, or combine three and more.
 
-They may be real and simulated, measured and estimated, original and replication. FIRST is what is compared with, SECOND
-the other one: each an experiment's folder, or the config file that it comes from. Runs are matched by the factors that
-both have. With a bound - the difference that would not matter - each measure gets a verdict: equivalent, different, or
-undecided.
+They may be real and simulated, measured and estimated, original and replication: each an experiment's folder, or the
+config file that it comes from. Of two, FIRST is what is compared with, SECOND the other one, and runs are matched by
+the factors that both have. With a bound - the difference that would not matter - each measure gets a verdict:
+equivalent, different, or undecided.
+
+Three and more (or two, with --meta) are replications of each other, of which a meta-analysis is made: the difference
+of each pair of treatments, on average over all experiments, how far these differ, and what a further one may find.
+
+  robot-runner compare original replication --bound 5%
+  robot-runner compare real simulated --rope "5 J" --measure Energy
+  robot-runner compare lab_a lab_b lab_c --html combined.html
+  robot-runner compare lab_a lab_b lab_c --measure Energy=E_total --same Task=Job --same Video=video
 """
 
 from __future__ import annotations
@@ -24,15 +32,18 @@ from robot_runner.cli.console import (
     shown_path,
     width_of,
 )
-from robot_runner.cli.parser import add_json
+from robot_runner.cli.parser import UsageError, add_json
 from robot_runner.cli.planning import folder_of_target
+from robot_runner.core.errors import Finding, RobotRunnerError, StorageError
 from robot_runner.core.words import counted, one_line
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
+    from robot_runner.analysis.comparison.combined import MetaAnalysis
     from robot_runner.analysis.comparison.compared import Comparison, MeasureComparison
+    from robot_runner.analysis.report.blocks import Table
     from robot_runner.cli.parser import Parser
 
 __all__ = ["add_arguments", "execute"]
@@ -44,17 +55,32 @@ def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
     parser.add_argument("first", metavar="FIRST", help="the experiment that is compared with")
     parser.add_argument("second", metavar="SECOND", help="the other one")
+    parser.add_argument("more", metavar="MORE", nargs="*", default=[], help="further replications, for a meta-analysis")
     parser.add_argument(
         "--measure",
         metavar="NAME",
         action="append",
-        help="compare this measure, or NAME=OTHER where SECOND calls it otherwise; may be given several times",
+        help="compare this measure, or NAME=OTHER where another calls it otherwise; may be given several times",
+    )
+    parser.add_argument("--meta", action="store_true", help="make a meta-analysis of two experiments, too")
+    parser.add_argument(
+        "--same",
+        metavar="NAME=OTHER",
+        action="append",
+        help="of a meta-analysis: a factor or treatment that experiments call otherwise; may be given several times",
     )
     parser.add_argument(
         "--bound",
         metavar="BOUND",
         action="append",
         help="what would not matter: 5%%, 10 (in the measure's unit), or NAME=BOUND; may be given several times",
+    )
+    parser.add_argument(
+        "--rope",
+        metavar="REGION",
+        action="append",
+        help="say how probable it is that a difference lies within this region of practical equivalence: 2%%, 10, "
+        "'5 J' or NAME=REGION; may be given several times",
     )
     parser.add_argument(
         "--paired",
@@ -70,36 +96,84 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Print the comparison; a difference is no failure, so the exit code is 0."""
+    is_meta = bool(arguments.more) or arguments.meta
+    _check_options(arguments, is_meta=is_meta)
     require_libraries()
-    first, second = (folder_of_target(target, []).root for target in (arguments.first, arguments.second))
+    folders = _folders([arguments.first, arguments.second, *arguments.more])
+    page = None if arguments.html is None else Path(arguments.html).expanduser()
+    return _combine(arguments, folders, page) if is_meta else _compare(arguments, folders, page)
+
+
+def _check_options(arguments: Namespace, *, is_meta: bool) -> None:
+    """Refuse options that would have no effect.
+
+    Raises:
+        UsageError: there are such; all are told.
+    """
+    given = ("--bound", "--rope", "--paired") if is_meta else ("--same",)
+    where = "a meta-analysis" if is_meta else "a comparison of two experiments"
+    fix = "Leave it out, or compare two experiments at a time." if is_meta else "Add --meta, or leave it out."
+    findings = [
+        Finding.error(name, f"it is not for {where}", fix) for name in given if getattr(arguments, name.lstrip("-"))
+    ]
+    if findings:
+        raise UsageError.of_findings(findings)
+
+
+def _folders(targets: Sequence[str]) -> list[Path]:
+    """Return the folders of all experiments.
+
+    Raises:
+        StorageError: there is none in some of them; all are told.
+    """
+    folders: list[Path] = []
+    findings: list[Finding] = []
+    for target in targets:
+        try:
+            folders.append(folder_of_target(target, []).root)
+        except RobotRunnerError as error:
+            findings += error.findings
+    if findings:
+        raise StorageError.of_findings(findings)
+    return folders
+
+
+def _compare(arguments: Namespace, folders: Sequence[Path], page: Path | None) -> int:
+    from robot_runner.analysis.comparison import comparison_document as document  # noqa: PLC0415 - slow, and an extra
     from robot_runner.analysis.comparison.comparing import compare  # noqa: PLC0415 - slow, and an extra
 
     comparison = compare(
-        first,
-        second,
+        *folders,
         measures=arguments.measure,
         bound=arguments.bound,
         alpha=arguments.alpha,
         is_paired=True if arguments.paired else None,
+        rope=arguments.rope or (),
     )
-    _write(comparison, arguments.html)
+    if page is not None:
+        document.write_comparison(comparison, page)
     if arguments.json:
-        from robot_runner.analysis.comparison.comparison_document import json_of_comparison  # noqa: PLC0415 - slow, and an extra
-
-        print(json_of_comparison(comparison))
+        print(document.json_of_comparison(comparison))
     else:
-        _print(output(), comparison, arguments.html)
+        _print(output(), comparison, page)
     return 0
 
 
-def _write(comparison: Comparison, path: str | None) -> None:
-    if path is not None:
-        from robot_runner.analysis.comparison.comparison_document import write_comparison  # noqa: PLC0415 - slow, and an extra
+def _combine(arguments: Namespace, folders: Sequence[Path], page: Path | None) -> int:
+    from robot_runner.analysis.comparison import combined_document as document  # noqa: PLC0415 - slow, and an extra
+    from robot_runner.analysis.comparison.combining import meta_analyse  # noqa: PLC0415 - slow, and an extra
 
-        write_comparison(comparison, Path(path).expanduser())
+    found = meta_analyse(*folders, measures=arguments.measure, alpha=arguments.alpha, same=arguments.same or ())
+    if page is not None:
+        document.write_meta_analysis(found, page)
+    if arguments.json:
+        print(document.json_of_meta_analysis(found))
+    else:
+        _print_combined(output(), found, page)
+    return 0
 
 
-def _print(console: UserConsole, comparison: Comparison, page: str | None) -> None:
+def _print(console: UserConsole, comparison: Comparison, page: Path | None) -> None:
     console.print(Text(f"{comparison.second.name} compared with {comparison.first.name}", style="bold"))
     print_facts(
         console, [(name, f"{one_line(ours)}; {one_line(theirs)}") for name, ours, theirs in comparison.differing]
@@ -113,8 +187,12 @@ def _print(console: UserConsole, comparison: Comparison, page: str | None) -> No
         )
     for note in comparison.notes:
         print_folded(console, "  ! ", one_line(note), style="bold yellow")
+    _print_page(console, page)
+
+
+def _print_page(console: UserConsole, page: Path | None) -> None:
     if page is not None:
-        print_facts(console, [("Page", shown_path(Path(page).expanduser().resolve()))])
+        print_facts(console, [("Page", shown_path(page.resolve()))])
 
 
 def _print_measure(console: UserConsole, comparison: Comparison, measure: MeasureComparison) -> None:
@@ -123,15 +201,7 @@ def _print_measure(console: UserConsole, comparison: Comparison, measure: Measur
     console.print()
     head = Text(measure.label, style="bold").append("  ").append(measure.verdict.value, _STYLES[measure.verdict.value])
     console.print(head.append("".join(_origins(measure)), "not bold yellow"))
-    table = difference_table(comparison, measure).for_readers
-    texts = [[one_line(cell.text) for cell in row] for row in table.rows]
-    columns = [
-        Column(column.name, width_of([column.name, *(row[place] for row in texts)]), is_number=column.is_number)
-        for place, column in enumerate(table.columns)
-    ]
-    console.print(f"  {aligned(columns, [column.heading for column in columns])}", style="dim", soft_wrap=True)
-    for row in texts:
-        print(f"  {aligned(columns, row)}")
+    _print_rows(console, difference_table(comparison, measure))
     agreement = measure.agreement
     if agreement is not None and agreement.error is not None:
         pairs = counted(sum(map(len, agreement.pairs.values())), "pair")
@@ -139,6 +209,40 @@ def _print_measure(console: UserConsole, comparison: Comparison, measure: Measur
     print_folded(console, "  ", one_line(measure.conclusion), style="")
     for missed in measure.not_computed:
         print_folded(console, "  ! ", one_line(f"{missed.what}: {missed.why}"), style="bold yellow")
+
+
+def _print_rows(console: UserConsole, table: Table) -> None:
+    shown = table.for_readers
+    texts = [[one_line(cell.text) for cell in row] for row in shown.rows]
+    columns = [
+        Column(column.name, width_of([column.name, *(row[place] for row in texts)]), is_number=column.is_number)
+        for place, column in enumerate(shown.columns)
+    ]
+    console.print(f"  {aligned(columns, [column.heading for column in columns])}", style="dim", soft_wrap=True)
+    for row in texts:
+        print(f"  {aligned(columns, row)}")
+
+
+def _print_combined(console: UserConsole, found: MetaAnalysis, page: Path | None) -> None:
+    from robot_runner.analysis.comparison.combined_document import effect_table  # noqa: PLC0415 - slow, and an extra
+
+    names = ", ".join(one_line(each.name) for each in found.experiments)
+    console.print(Text(f"{counted(len(found.experiments), 'experiment')} combined: {names}", style="bold"))
+    print_facts(console, [(each[0], "; ".join(map(one_line, each[1:]))) for each in found.differing])
+    for measure in found.measures:
+        console.print()
+        console.print(Text(measure.label, style="bold"))
+        for effect in measure.effects:
+            console.print(Text(f"  {one_line(effect.label)}", style="bold"))
+            _print_rows(console, effect_table(found, measure, effect))
+            print_folded(console, "  ", one_line(effect.conclusion), style="")
+        for missed in measure.not_computed:
+            print_folded(console, "  ! ", one_line(f"{missed.what}: {missed.why}"), style="bold yellow")
+    if found.findings:
+        console.print()
+    for finding in found.findings:
+        print_folded(console, "  ! ", one_line(str(finding)), style="bold yellow")
+    _print_page(console, page)
 
 
 def _origins(measure: MeasureComparison) -> Iterator[str]:

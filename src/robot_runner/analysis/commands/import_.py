@@ -10,156 +10,26 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.analysis.commands.import_words import (
+    differences_as_json,
+    print_adoption,
+    print_understanding,
+    understanding_as_json,
+)
 from robot_runner.analysis.libraries import require_libraries
-from robot_runner.cli.console import UserConsole, output, print_facts, print_json, shown_path
+from robot_runner.cli.console import output, print_json
 from robot_runner.cli.parser import UsageError, add_json
 from robot_runner.cli.screens.plain import terminal_input
-from robot_runner.core.words import counted, listed, one_line
+from robot_runner.core.errors import AnalysisError
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
-    from robot_runner.analysis.importing.adoption import Adoption
     from robot_runner.analysis.importing.description import ImportDescription
     from robot_runner.analysis.importing.understanding import Understanding
     from robot_runner.cli.parser import Parser
 
-__all__ = [
-    "add_arguments",
-    "differences_as_json",
-    "execute",
-    "print_adoption",
-    "print_understanding",
-    "understanding_as_json",
-]
-
-
-# What `robot-runner import` shows: what was understood, and how recomputed measures agree.
-
-_SHOWN_DIFFERENCES = 5
-
-
-def print_understanding(console: UserConsole, found: Understanding, target: Path) -> None:
-    """Print what was understood of the results."""
-    roles = found.roles
-    console.print(f"{found.name}: what was understood of {one_line(found.table.path.name)}", style="bold")
-    statuses = [(status, sum(run.status.value == status for run in found.runs)) for status in ("Done", "Failed", "-")]
-    words = {"Done": "done", "Failed": "failed", "-": "to do"}
-    counts = ", ".join(f"{count} {words[status]}" for status, count in statuses if count)
-    facts = [("Runs", f"{len(found.runs)}: {counts}; ids from {roles.run_id or 'their place in the table'}")]
-    facts += [(f"Factor {one_line(name)}", listed(map(one_line, found.treatments(name)))) for name in roles.factors]
-    repetition = roles.repetition or ("the run ids" if roles.repetition_in_run_id else "")
-    facts += [("Repetitions", f"counted by {one_line(repetition)}" if repetition else "")]
-    facts += [("Measures", listed([_measure_words(found, name) for name in roles.measures], shown=30))]
-    facts += [("Kept as text", listed(map(one_line, roles.extras)))]
-    facts += [(f"Samples {one_line(each.file)}", _samples_words(each)) for each in found.samples]
-    facts += [
-        (
-            "Recomputed" if not place else " ",
-            f"{one_line(recipe.measure)} = {recipe.words}{' (guessed)' * recipe.is_guessed}",
-        )
-        for place, recipe in enumerate(found.recipes)
-    ]
-    facts += [("Note" if not place else " ", one_line(note)) for place, note in enumerate(found.notes)]
-    facts += [("To", shown_path(target))]
-    print_facts(console, facts)
-
-
-def _measure_words(found: Understanding, name: str) -> str:
-    unit = found.units.get(name)
-    return f"{one_line(name)} ({unit.symbol if unit else 'unit not known'})"
-
-
-def _samples_words(samples: Any) -> str:
-    values = [
-        f"{one_line(name)}{f' in {unit.symbol}' if (unit := samples.units.get(name)) else ''}"
-        for name in samples.columns
-    ]
-    runs = counted(len(samples.paths), "run")
-    guesses = f"; guessed: {', '.join(map(one_line, samples.guesses))}" if samples.guesses else ""
-    return f"{runs}; time: {one_line(samples.time)} ({samples.time_unit}); values: {listed(values, shown=8)}{guesses}"
-
-
-def print_adoption(console: UserConsole, adoption: Adoption) -> None:
-    """Print how the recomputed measures agree with the table's own, and where everything is."""
-    from robot_runner.analysis.importing.recomputation import TOLERANCE, agreements  # noqa: PLC0415 - as above
-
-    console.print("\nRecomputed from the samples, beside the table's own values", style="bold")
-    found = agreements(adoption.differences)
-    for each in found:
-        if not each.differing:
-            relative = each.largest.relative or 0.0
-            console.print(
-                f"  {one_line(each.measure)}: {counted(each.compared, 'run')} agree, within {abs(relative):.1g}"
-            )
-            continue
-        console.print(
-            f"  {one_line(each.measure)}: {len(each.differing)} of {counted(each.compared, 'run')} differ by more than "
-            f"{TOLERANCE:.1%}",
-            style="yellow",
-        )
-        if each.factor is not None:
-            console.print(f"    the recomputed values are {each.factor:g} times the table's: is a unit mistaken?")
-        for difference in each.differing[:_SHOWN_DIFFERENCES]:
-            relative_words = "" if difference.relative is None else f" ({difference.relative:+.2%})"
-            console.print(
-                f"    {difference.run_id}: {difference.table:.6g} in the table, {difference.recomputed:.6g} recomputed"
-                f"{relative_words}"
-            )
-    if not found:
-        console.print("  nothing could be recomputed")
-    folder = shown_path(adoption.folder)
-    console.print()
-    print_facts(
-        console,
-        [
-            ("Results", folder),
-            ("All differences", f"{folder}/import/differences.csv" if found else ""),
-            ("Next", f"robot-runner report {folder}"),
-        ],
-    )
-
-
-def understanding_as_json(found: Understanding) -> dict[str, Any]:
-    """Return what was understood as plain data."""
-    return {
-        "name": found.name,
-        "table": found.table.path.name,
-        "runs": {status: sum(run.status.value == status for run in found.runs) for status in ("Done", "Failed", "-")},
-        "run_id": found.roles.run_id,
-        "status": found.roles.status,
-        "repetition": found.roles.repetition,
-        "factors": {name: list(found.treatments(name)) for name in found.roles.factors},
-        "measures": {name: unit.symbol if unit else "" for name, unit in found.units.items()},
-        "extras": list(found.roles.extras),
-        "samples": [
-            {
-                "file": each.file,
-                "runs": len(each.paths),
-                "time": each.time,
-                "time_unit": each.time_unit,
-                "units": {name: unit.symbol if unit else "" for name, unit in each.units.items()},
-                "guessed": list(each.guesses),
-            }
-            for each in found.samples
-        ],
-        "recompute": {recipe.measure: recipe.words for recipe in found.recipes},
-        "notes": list(found.notes),
-    }
-
-
-def differences_as_json(adoption: Adoption) -> list[dict[str, Any]]:
-    """Return all differences as plain data."""
-    return [
-        {
-            "run": each.run_id,
-            "measure": each.measure,
-            "table": each.table,
-            "recomputed": each.recomputed,
-            "relative": each.relative,
-        }
-        for each in adoption.differences
-    ]
+__all__ = ["add_arguments", "execute"]
 
 
 def add_arguments(parser: Parser) -> None:
@@ -176,9 +46,15 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("--table", metavar="FILE", help="the run table, below the folder; run_table.csv if left out")
     for option, what in (("run-id", "the runs' ids"), ("status", "how far runs are"), ("repetition", "repetitions")):
         parser.add_argument(f"--{option}", metavar="COLUMN", help=f"the table's column of {what}")
-    _add_repeated(parser, "--factor", "COLUMN", "a factor; may be given several times, and then all are to be named")
+    parser.add_argument(
+        "--block", metavar="COLUMN", help="what runs are grouped by, such as the robot, the room or the day"
+    )
+    _add_repeated(parser, "--factor", "COLUMN", "a factor; may be given several times")
     _add_repeated(parser, "--measure", "COLUMN", "a measure; likewise")
     _add_repeated(parser, "--ignore", "COLUMN", "a column to leave out")
+    parser.add_argument(
+        "--decimal", choices=("point", "comma"), help="the decimal sign of the table's numbers, where it is not clear"
+    )
     _add_repeated(parser, "--unit", "COLUMN=UNIT", "the unit of a measure, such as energy=mJ")
     parser.add_argument("--run-folder", metavar="PATTERN", help="where a run's files are, such as 'raw/{run_id}'")
     _add_repeated(
@@ -193,9 +69,13 @@ def add_arguments(parser: Parser) -> None:
         "change, count or duration",
     )
     parser.add_argument("--origin", choices=("measured", "simulated", "estimated"), help="where the values come from")
-    parser.add_argument("--no-guess", action="store_true", help="take nothing for samples that was not described")
+    parser.add_argument(
+        "--no-guess",
+        action="store_true",
+        help="take nothing for samples, and no column for a factor, that was not named",
+    )
     parser.add_argument("--dry-run", action="store_true", help="show what was understood, and write nothing")
-    parser.add_argument("--yes", action="store_true", help="write without asking")
+    parser.add_argument("--yes", action="store_true", help="write without asking, unless something is not sure")
     add_json(parser)
 
 
@@ -217,7 +97,7 @@ def execute(arguments: Namespace) -> int:
         print_understanding(output(), understanding, target)
     if arguments.dry_run:
         return _shown(arguments, understanding)
-    _make_sure(arguments)
+    _make_sure(arguments, understanding)
     adoption = adopt(understanding, target)
     if arguments.json:
         print_json(
@@ -225,6 +105,7 @@ def execute(arguments: Namespace) -> int:
                 **understanding_as_json(understanding),
                 "folder": str(adoption.folder),
                 "differences": differences_as_json(adoption),
+                "warnings": list(adoption.warnings),
             }
         )
     else:
@@ -247,6 +128,8 @@ def _said(arguments: Namespace) -> ImportDescription:
             run_id=arguments.run_id,
             status=arguments.status,
             repetition=arguments.repetition,
+            block=arguments.block,
+            decimal={"point": ".", "comma": ","}.get(arguments.decimal),
             factors=tuple(arguments.factor) or None,
             measures=tuple(arguments.measure) or None,
             ignore=tuple(arguments.ignore),
@@ -317,13 +200,16 @@ def _shown(arguments: Namespace, understanding: Understanding) -> int:
     return 0
 
 
-def _make_sure(arguments: Namespace) -> None:
+def _make_sure(arguments: Namespace, understanding: Understanding) -> None:
     """Ask at a terminal whether it is right.
 
     Raises:
-        UsageError: it is not, or nobody can be asked.
+        AnalysisError: with `--yes`, something is not sure; its findings name the options that settle it.
+        UsageError: it is not right, or nobody can be asked.
     """
     if arguments.yes:
+        if understanding.questions:
+            raise AnalysisError.of_findings(understanding.questions)
         return
     if arguments.json or terminal_input() is None:
         fix = "Look at it with --dry-run, then add --yes."

@@ -1,7 +1,8 @@
 """Write down what is fixed before the first run: design, order, seed, plan of the analysis, power; with a checksum.
 
 The report cites the checksum and lists every deviation. Where the config gives no seed, one is drawn and registered,
-and the experiment uses it. With --check, say how a config differs from a registration. Nothing is sent anywhere.
+and the experiment uses it. With --check, say how a config differs from a registration (exit code 1 where it does).
+Nothing is sent anywhere.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from robot_runner.core.storage.registration import (
     Registration,
     differences,
     read_registration,
+    repeated_in_words,
     write_registration,
 )
 from robot_runner.core.storage.safe_write import storage_error
@@ -83,7 +85,7 @@ def _content(arguments: Namespace) -> tuple[Path, dict[str, Any], Experiment]:
     if experiment is None:
         raise ConfigError.of_findings(preparation.findings)
     parameters = experiment.parameters
-    content = registration_content(loaded, experiment.model, parameters.analysis, experiment.columns)
+    content = registration_content(loaded, experiment.model, parameters, experiment.columns)
     return registration_path(loaded), content, experiment
 
 
@@ -206,6 +208,7 @@ def _text(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         f"{factors}{left_out}; {counted(design['repetitions'], 'repetition')}, {counted(design['runs'], 'run')}",
     )
     blocks = f" within blocks of {design['blocks']}" if design["blocks"] else ""
+    yield "Repeated", repeated_in_words(content["repeat_until"]) if content.get("repeat_until") else ""
     whence = "given by the config" if content["seed_is_given"] else "drawn now, and used by the experiment"
     order = f"randomised{blocks} from seed {content['seed']} ({whence})"
     yield "Order", order if design["shuffle"] else f"as written{blocks}"

@@ -84,7 +84,7 @@ class EffectIn:
         estimate: the difference of means (or the contrast), in the unit of the measure.
         error: its standard error, with `freedom` degrees of freedom (Welch, Satterthwaite).
         interval: at 1 - alpha.
-        g: Hedges' g; `g_error` its standard error.
+        g: Hedges' g; `g_error` its standard error; None with a single degree of freedom.
     """
 
     experiment: str
@@ -94,8 +94,8 @@ class EffectIn:
     freedom: float
     interval: Interval
     p_value: float
-    g: float
-    g_error: float
+    g: float | None
+    g_error: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,7 @@ class CombinedEffect:
         statement: the hypothesis of a plan that names the contrast; empty for a pair.
         experiments: those that tell of it.
         difference: in the unit of the measure; None where fewer than two experiments tell of it.
-        standardised: Hedges' g.
+        standardised: Hedges' g; None where an experiment has none.
         adjusted_p_value: of the random-effects average, after Holm, for the number of effects on this measure.
         is_significant: whether it is below alpha; None where there is none.
         conclusion: in plain sentences.

@@ -15,7 +15,17 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.statistics.tested import Interval, NotComputed
 
-__all__ = ["Agreement", "Bound", "Bounds", "Comparison", "Difference", "MeasureComparison", "Side", "Verdict"]
+__all__ = [
+    "Agreement",
+    "Bound",
+    "Bounds",
+    "Comparison",
+    "Difference",
+    "MeasureComparison",
+    "PracticalEquivalence",
+    "Side",
+    "Verdict",
+]
 
 
 _PERCENT = 100.0
@@ -150,6 +160,25 @@ class Side:
 
 
 @dataclass(frozen=True, slots=True)
+class PracticalEquivalence:
+    """How probable it is that a difference is too small to matter, after the runs were seen.
+
+    The prior of each mean and standard deviation is the reference prior, 1 / standard deviation.
+
+    Attributes:
+        region: the half-width of the region about no difference, in the unit of the measure.
+        below, within, above: probabilities that the second mean lies there, summing up to 1.
+        interval: the credible interval of the difference at 1 - alpha.
+    """
+
+    region: float
+    below: float
+    within: float
+    above: float
+    interval: Interval
+
+
+@dataclass(frozen=True, slots=True)
 class Difference:
     """One measure of the runs of one combination, second experiment less first.
 
@@ -166,6 +195,7 @@ class Difference:
         bound: what would not matter, in the unit of the measure; None where no bound was stated.
         equivalence_p_value: the larger one of the two one-sided tests.
         not_computed: why there is no verdict by numbers; empty where there is one.
+        practical: the probabilities of a region of practical equivalence, where one was stated.
     """
 
     treatments: Mapping[str, str]
@@ -185,6 +215,7 @@ class Difference:
     equivalence_p_value: float | None = None
     verdict: Verdict = Verdict.UNDECIDED
     not_computed: str = ""
+    practical: PracticalEquivalence | None = None
 
     @property
     def label(self) -> str:
@@ -223,6 +254,7 @@ class MeasureComparison:
         unit: in the first.
         first_origin, second_origin: where the values come from.
         bound: as stated.
+        region: of practical equivalence, as stated, in the unit of the measure.
         differences: one a combination.
         verdict: of all combinations together.
         not_computed: what could not be compared and why.
@@ -239,6 +271,7 @@ class MeasureComparison:
     verdict: Verdict
     conclusion: str
     not_computed: tuple[NotComputed, ...] = ()
+    region: Bound | None = None
 
     @property
     def name(self) -> str:

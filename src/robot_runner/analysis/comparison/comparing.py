@@ -21,7 +21,15 @@ from robot_runner.analysis.comparison.equivalence import (
     equivalence_p_value,
     why_not_testable,
 )
-from robot_runner.analysis.comparison.matching import chosen_measures, differing_circumstances, match_runs, names_of
+from robot_runner.analysis.comparison.matching import (
+    can_be_converted,
+    chosen_measures,
+    differing_circumstances,
+    in_unit,
+    match_runs,
+    names_of,
+)
+from robot_runner.analysis.comparison.practical import Regions, practical_equivalence
 from robot_runner.analysis.results import Results, load_results
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import NotComputed
@@ -52,6 +60,7 @@ def compare(
     bound: str | float | Bound | Iterable[str] | None = None,
     alpha: float = _ALPHA,
     is_paired: bool | None = None,
+    rope: str | Iterable[str] = (),
 ) -> Comparison:
     """Compare the runs that are done of two experiments; runs are matched by the factors that both have.
 
@@ -62,6 +71,8 @@ def compare(
         bound: what difference would not matter, as in `10`, `"5%"` or `["5%", "Energy=10"]`; None claims nothing.
         alpha: the level of significance, below 0.5.
         is_paired: whether the runs of a combination belong together one by one; None means within one experiment only.
+        rope: regions of practical equivalence, as in `"2%"` or `["5 J", "CPU=2"]`: how probable is it that a difference
+            lies within? Verdicts do not depend on it.
 
     Example:
         >>> comparison = compare("original", "replication", bound="5%")  # doctest: +SKIP
@@ -70,7 +81,7 @@ def compare(
 
     Raises:
         StorageError: there is no experiment in a folder, or it cannot be read.
-        AnalysisError: there is no such measure, or a bound or alpha cannot be.
+        AnalysisError: there is no such measure, or a bound, a region or alpha cannot be.
     """
     if not 0 < alpha < 0.5:  # noqa: PLR2004 - 1 - 2 alpha is a level of confidence
         raise AnalysisError(f"alpha is {alpha!r}", where="compare", fix="Give a number between 0 and 0.5.")
@@ -78,10 +89,12 @@ def compare(
     paired = ours.folder == theirs.folder if is_paired is None else is_paired
     bounds = _bounds(bound)
     chosen = chosen_measures(ours, theirs, measures)
-    _check_bounds(bounds, [name for name, _ in chosen], ours)
+    _check_bounds("bound", bounds.own, [name for name, _ in chosen], ours)
+    regions = _regions(Regions.parse([rope] if isinstance(rope, str) else rope), [name for name, _ in chosen], ours)
     matching = match_runs(ours, theirs, is_paired=paired)
     compared = tuple(
-        _compare_measure(matching, names, bounds.of(names[0]), alpha, is_paired=paired) for names in chosen
+        _compare_measure(matching, names, bounds.of(names[0]), regions[names[0]], alpha, is_paired=paired)
+        for names in chosen
     )
     is_one = ours.folder == theirs.folder and len(chosen) == 1 and len(set(chosen[0])) > 1
     labels = chosen[0] if is_one else names_of(ours, theirs)
@@ -93,8 +106,15 @@ def compare(
         paired,
         compared,
         differing_circumstances(ours, theirs),
-        matching.notes,
+        (*matching.notes, *_conversions(ours, theirs, chosen)),
     )
+
+
+def _conversions(first: Results, second: Results, chosen: Sequence[tuple[str, str]]) -> Iterator[str]:
+    for one, other in chosen:
+        units = first.unit(one), second.unit(other)
+        if units[0] != units[1] and can_be_converted(units[1], units[0]):
+            yield f"{one} is in {units[0]} and {units[1]}: values of {second.name} are converted to {units[0]}."
 
 
 def _bounds(given: str | float | Bound | Iterable[str] | None) -> Bounds:
@@ -107,23 +127,49 @@ def _bounds(given: str | float | Bound | Iterable[str] | None) -> Bounds:
     return Bounds.parse([given] if isinstance(given, str) else given)
 
 
-def _check_bounds(bounds: Bounds, names: Sequence[str], first: Results) -> None:
-    for name in bounds.own:
+def _check_bounds(what: str, own: Iterable[str], names: Sequence[str], first: Results) -> None:
+    for name in own:
         if name not in names:
             fix = f"Compared are: {', '.join(names)}."
-            raise AnalysisError(f"a bound is given for {name!r}, which is not compared", where=first.name, fix=fix)
+            raise AnalysisError(f"a {what} is given for {name!r}, which is not compared", where=first.name, fix=fix)
+
+
+def _regions(regions: Regions, names: Sequence[str], first: Results) -> dict[str, Bound | None]:
+    """Return the region of each measure, in its unit."""
+    _check_bounds("region", regions.own, names, first)
+    found = {name: regions.of(name, first.unit(name)) for name in names}
+    if (regions.general or regions.own) and not any(found.values()):
+        units = ", ".join(dict.fromkeys(first.unit(name) or "no unit" for name in names))
+        problem = f"no measure that is compared can be in {', '.join(regions.general)}"
+        raise AnalysisError(problem, where="rope", fix=f"They are in {units}; a percentage holds for all: --rope 2%.")
+    return found
 
 
 def _compare_measure(
-    matching: Matching, names: tuple[str, str], bound: Bound | None, alpha: float, *, is_paired: bool
+    matching: Matching,
+    names: tuple[str, str],
+    bound: Bound | None,
+    region: Bound | None,
+    alpha: float,
+    *,
+    is_paired: bool,
 ) -> MeasureComparison:
     """Compare a measure in all combinations; p-values are adjusted after Holm for their number."""
-    values = [group.values(*names, is_paired=is_paired) for group in matching.groups]
+    units = matching.first.unit(names[0]), matching.second.unit(names[1])
+    found_values = (group.values(*names, is_paired=is_paired) for group in matching.groups)
+    values = [(one, in_unit(other, units[1], units[0])) for one, other in found_values]
     pairs = zip(matching.groups, values, strict=True)
     found = [
         _tested(Difference(group.treatments, len(one), len(other)), one, other, bound, alpha, is_paired=is_paired)
         for group, (one, other) in pairs
     ]
+    if region is not None:
+        found = [
+            each
+            if each.not_computed
+            else replace(each, practical=practical_equivalence(*pair, region, alpha=alpha, is_paired=is_paired))
+            for each, pair in zip(found, values, strict=True)
+        ]
     differences = tuple(_judged(each, alpha) for each in _adjusted(found))
     ours, theirs = matching.first.columns[names[0]], matching.second.columns[names[1]]
     labelled = {each.label: pair for each, pair in zip(differences, values, strict=True)}
@@ -137,7 +183,8 @@ def _compare_measure(
         agreement=agreement_of(labelled, is_paired=is_paired),
         verdict=Verdict.of_all([each.verdict for each in differences]),
         conclusion="",
-        not_computed=tuple(_missed(differences, matching.first.unit(names[0]), matching.second.unit(names[1]))),
+        not_computed=tuple(_missed(differences, region, *units)),
+        region=region,
     )
     return replace(compared, conclusion=conclusion_of(compared))
 
@@ -196,10 +243,13 @@ def _judged(difference: Difference, alpha: float) -> Difference:
     return difference
 
 
-def _missed(differences: Sequence[Difference], one: str, other: str) -> Iterator[NotComputed]:
+def _missed(differences: Sequence[Difference], region: Bound | None, one: str, other: str) -> Iterator[NotComputed]:
     for each in differences:
         if each.not_computed:
             yield NotComputed(f"test of {each.label}", each.not_computed)
-    if one != other:
+        elif region is not None and each.practical is None:
+            why = "The runs of one experiment are all equal, so that there is no posterior distribution."
+            yield NotComputed(f"probabilities of {each.label}", why)
+    if one != other and not can_be_converted(other, one):
         why = f"The units are {one or 'not known'} and {other or 'not known'}: numbers are compared as they are."
         yield NotComputed("conversion of units", why)

@@ -28,7 +28,7 @@ from robot_runner.analysis.report.blocks import (
 )
 from robot_runner.analysis.report.document import plain
 from robot_runner.analysis.report.material import origin_badges
-from robot_runner.analysis.report.tables import build_table, field, interval, number, p_value, text
+from robot_runner.analysis.report.tables import Field, build_table, field, interval, number, p_value, text
 from robot_runner.analysis.report.writing import made_by, write_page
 from robot_runner.analysis.wording import ALPHA, listed, shown_number, with_unit
 from robot_runner.core.words import counted
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from robot_runner.analysis.comparison.compared import Agreement, Comparison, Difference, MeasureComparison
+    from robot_runner.analysis.comparison.compared import Agreement, Bound, Comparison, Difference, MeasureComparison
 
 __all__ = [
     "comparison_document",
@@ -80,14 +80,41 @@ def conclusion_of(measure: MeasureComparison) -> str:
             verdict = f"Different{where}."
         case _:
             verdict = f"Undecided: {_why_undecided(measure)}"
-    return f"{verdict}{_largest(measure)}"
+    return f"{verdict}{_largest(measure)}{_practical(measure)}"
+
+
+def _practical(measure: MeasureComparison) -> str:
+    """Return how probable it is that a difference does not matter, for the combination where it is least so."""
+    known = [each for each in measure.differences if each.practical is not None]
+    if measure.region is None or not known:
+        return ""
+    least = min(known, key=lambda each: each.practical.within if each.practical else 1.0)
+    where = f" (least of all combinations: {least.label})" if len(known) > 1 else ""
+    share = shown_probability(least.practical.within if least.practical else None)
+    region = _shown_bound(measure.region, measure.unit)
+    return f" With the reference prior, the probability that the difference is within {region} is {share}{where}."
+
+
+def shown_probability(value: float | None) -> str:
+    """Return a probability as papers print it; what was not seen is not impossible.
+
+    Example:
+        >>> [shown_probability(each) for each in (0.98765, 0.0, 0.9999)]
+        ['0.988', '< 0.001', '> 0.999']
+    """
+    if value is None:
+        return shown_number(None)
+    least = 0.001
+    return f"< {least}" if value < least else f"> {1 - least}" if value > 1 - least else f"{value:.3f}"
 
 
 def shown_bound(measure: MeasureComparison) -> str:
     """Return the bound as it was stated, with the unit."""
-    if measure.bound is None:
-        return "no bound"
-    return str(measure.bound) if measure.bound.is_relative else with_unit(measure.bound.value, measure.unit)
+    return "no bound" if measure.bound is None else _shown_bound(measure.bound, measure.unit)
+
+
+def _shown_bound(bound: Bound, unit: str) -> str:
+    return str(bound) if bound.is_relative else with_unit(bound.value, unit)
 
 
 def _why_undecided(measure: MeasureComparison) -> str:
@@ -159,7 +186,7 @@ def difference_table(comparison: Comparison, measure: MeasureComparison) -> Tabl
     def size(each: Difference) -> Cell:
         return Cell.of_text(", ".join(map(str, dict.fromkeys((each.first_n, each.second_n)))))
 
-    fields = (
+    fields: list[Field | tuple[Field, ...]] = [
         text(" / ".join(comparison.factors) or "Group", "label"),
         text("Verdict", "verdict.value", lambda each: _TONES[each.verdict]),
         field("n", size, is_number=True),
@@ -170,12 +197,26 @@ def difference_table(comparison: Comparison, measure: MeasureComparison) -> Tabl
         field("Relative", lambda each: Cell(each.relative, _percentage(each.relative)), is_number=True),
         p_value("p, different", "adjusted_p_value"),
         p_value("p, equivalent", "equivalence_p_value"),
-    )
+    ]
+    if measure.region is not None:
+        fields += [_probability(name) for name in ("below", "within", "above")]
     test = "t-test of pairs" if comparison.is_paired else "Welch's t-test"
     bound = f"two one-sided tests with a bound of {shown_bound(measure)}" if measure.bound else "no bound was stated"
     note = f"Difference: {test}, p-values adjusted after Holm. Equivalence: {bound}. {ALPHA} = {comparison.alpha:g}."
+    if measure.region is not None:
+        region = _shown_bound(measure.region, measure.unit)
+        note += f" P: that the second mean is below, within or above {region} of the first; prior of each mean and "
+        note += "standard deviation: 1 / standard deviation."
     caption = f"{measure.label}: {comparison.second.name} less {comparison.first.name}."
     return build_table(f"difference {measure.name}", caption, measure.differences, fields, note)
+
+
+def _probability(which: str) -> Field:
+    def cell(each: Difference) -> Cell:
+        value = None if each.practical is None else float(getattr(each.practical, which))
+        return Cell(value, shown_probability(value))
+
+    return field(f"P, {which}", cell, is_number=True)
 
 
 def _brief(comparison: Comparison) -> Iterator[Block]:

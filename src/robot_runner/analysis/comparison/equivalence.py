@@ -9,6 +9,7 @@ import numpy as np
 from scipy import stats
 
 from robot_runner.analysis.comparison.compared import Agreement, Bound
+from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.tested import Interval
 
 if TYPE_CHECKING:
@@ -98,9 +99,10 @@ def equivalence_p_value(
 
 def _t_test(one: NDArray[np.float64], other: NDArray[np.float64], *, is_paired: bool, **settings: str) -> Any:
     """Return scipy's t-test of pairs, or Welch's."""
-    if is_paired:
-        return stats.ttest_1samp(one - other, 0.0, **settings)
-    return stats.ttest_ind(one, other, equal_var=False, **settings)
+    with quiet():  # of experiments whose own values are all equal scipy says that precision may be lost
+        if is_paired:
+            return stats.ttest_1samp(one - other, 0.0, **settings)
+        return stats.ttest_ind(one, other, equal_var=False, **settings)
 
 
 #: Bland and Altman, "Statistical methods for assessing agreement between two methods of clinical measurement" (Lancet

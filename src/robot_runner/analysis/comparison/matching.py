@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from robot_runner.analysis.importing.units import unit_of
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import AnalysisError, did_you_mean
 
@@ -18,7 +19,16 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.results import Results
 
-__all__ = ["MatchedRuns", "Matching", "chosen_measures", "differing_circumstances", "match_runs", "names_of"]
+__all__ = [
+    "MatchedRuns",
+    "Matching",
+    "can_be_converted",
+    "chosen_measures",
+    "differing_circumstances",
+    "in_unit",
+    "match_runs",
+    "names_of",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +161,20 @@ def _paired(
     places = {key: place for place, key in enumerate(keys[1])}
     pairs = [(place, places[key]) for place, key in enumerate(keys[0]) if key in places]
     return ours.iloc[[ours_at for ours_at, _ in pairs]], theirs.iloc[[theirs_at for _, theirs_at in pairs]]
+
+
+def can_be_converted(own: str, wanted: str) -> bool:
+    """Return whether a unit is known, and is one of the same quantity as another that is known."""
+    ours, theirs = unit_of(own), unit_of(wanted)
+    return ours is not None and theirs is not None and ours.si == theirs.si
+
+
+def in_unit(values: Any, own: str, wanted: str) -> Any:
+    """Return a number, or several, in the wanted unit; as they are where that cannot be told."""
+    ours, theirs = unit_of(own), unit_of(wanted)
+    if ours is None or theirs is None or ours.si != theirs.si or ours == theirs:
+        return values
+    return (ours.to_si(values) - theirs.offset) / theirs.factor
 
 
 def _numbers(values: pd.Series) -> NDArray[np.float64]:

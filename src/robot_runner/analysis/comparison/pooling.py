@@ -14,14 +14,12 @@ Spiegelhalter, A re-evaluation of random-effects meta-analysis (Journal of the R
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy import optimize, stats
-from statsmodels.stats.meta_analysis import combine_effects
 
 from robot_runner.analysis.comparison.combined import Combined, Heterogeneity, Pooled
-from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.tested import Interval
 
 if TYPE_CHECKING:
@@ -33,9 +31,8 @@ if TYPE_CHECKING:
 
 __all__ = ["combine"]
 
-#: Statsmodels does not say when it stops before it has converged: each step doubles at least, so that these suffice
-#: from the smallest floating-point number to the largest.
-_STEPS, _CLOSE = 2500, 1e-9
+_CLOSE = 1e-13
+_PROFILE = "profile of Q"
 _FEWEST_TO_PREDICT = 3
 
 
@@ -44,7 +41,9 @@ def combine(estimates: Sequence[float], errors: Sequence[float], freedom: Sequen
 
     The average over all experiments that could be made (random effects) is that of Paule and Mandel with the interval
     of Hartung, Knapp, Sidik and Jonkman. The common effect takes all experiments to estimate one and the same; its
-    standard error is Meier's, since weights are estimated, too.
+    standard error is Meier's, since weights are estimated, too. `combine_effects` of statsmodels finds the same; it is
+    not used, since the variance between experiments is a root that its interval needs as well, and since the iteration
+    there, where it is to be more exact than by default, ends at 0 in one of eight cases.
 
     Args:
         estimates: one an experiment.
@@ -53,25 +52,44 @@ def combine(estimates: Sequence[float], errors: Sequence[float], freedom: Sequen
         alpha: the level of significance.
     """
     values, variances, freedoms = np.array(estimates), np.square(errors), np.array(freedom)
-    with quiet():
-        found = combine_effects(values, variances, method_re="pm", atol=_CLOSE, maxiter=_STEPS)
-    shares = np.asarray(found.weights_rel_fe)
-    inflation = 1 + 4 * float(np.sum(shares * (1 - shares) / freedoms))
-    random_error = math.sqrt(max(0.0, float(found.var_hksj_re)))
-    known, tau_squared = float(np.sum(shares**2 / freedoms)), float(found.tau2)
-    return Combined(
-        common=_pooled(
-            float(found.mean_effect_fe),
-            math.sqrt(inflation) * float(found.sd_eff_w_fe),
-            1 / known if known else math.inf,
-            alpha,
-        ),
-        random=_pooled(float(found.mean_effect_re), random_error, len(values) - 1, alpha),
-        common_weights=tuple(map(float, shares)),
-        random_weights=tuple(map(float, found.weights_rel_re)),
-        heterogeneity=_heterogeneity(values, variances, freedoms, float(found.q), tau_squared, alpha),
-        prediction=_prediction(float(found.mean_effect_re), float(found.sd_eff_w_re), tau_squared, len(values), alpha),
+    spread = _Spread(values, variances)
+    tau_squared, count = spread.at(len(values) - 1), len(values)
+    common, random = (np.average(values, weights=1 / (variances + each)) for each in (0.0, tau_squared))
+    common_weights, random_weights = (
+        weights / weights.sum() for weights in (1 / variances, 1 / (variances + tau_squared))
     )
+    unknown = common_weights / freedoms
+    common_error = math.sqrt((1 + 4 * np.sum(unknown * (1 - common_weights))) / np.sum(1 / variances))
+    known = float(np.sum(unknown * common_weights))
+    random_error = math.sqrt(np.sum(random_weights * (values - random) ** 2) / (count - 1))
+    wald_error = math.sqrt(1 / np.sum(1 / (variances + tau_squared)))
+    return Combined(
+        common=_pooled(float(common), common_error, 1 / known if known else math.inf, alpha),
+        random=_pooled(float(random), random_error, count - 1, alpha),
+        common_weights=tuple(map(float, common_weights)),
+        random_weights=tuple(map(float, random_weights)),
+        heterogeneity=_heterogeneity(spread, freedoms, tau_squared, alpha),
+        prediction=_prediction(float(random), wald_error, tau_squared, count, alpha),
+    )
+
+
+class _Spread(NamedTuple):
+    """How far estimates lie apart, as Q with weights that allow for a variance between experiments."""
+
+    values: Floats
+    variances: Floats
+
+    def q(self, tau_squared: float) -> float:
+        weights = 1 / (self.variances + tau_squared)
+        return float(np.sum(weights * (self.values - np.average(self.values, weights=weights)) ** 2))
+
+    def at(self, wanted: float) -> float:
+        """Return the variance between experiments of which Q is so much; 0 where it is less already."""
+        if self.q(0.0) <= wanted:
+            return 0.0
+        # Beyond unit / wanted even unweighted squares are too small. The root is sought in a unit of its own size.
+        unit = float(np.sum((self.values - self.values.mean()) ** 2))
+        return unit * float(optimize.brentq(lambda each: self.q(unit * each) - wanted, 0.0, 2 / wanted, rtol=_CLOSE))
 
 
 def _pooled(estimate: float, error: float, freedom: float, alpha: float) -> Pooled:
@@ -82,24 +100,22 @@ def _pooled(estimate: float, error: float, freedom: float, alpha: float) -> Pool
     return Pooled(estimate, error, freedom, interval, float(2 * stats.t.sf(abs(estimate) / error, freedom)))
 
 
-def _heterogeneity(
-    values: Floats, variances: Floats, freedoms: Floats, q: float, tau_squared: float, alpha: float
-) -> Heterogeneity:
-    weights, count = 1 / variances, len(values)
-    typical = (count - 1) * weights.sum() / (weights.sum() ** 2 - np.sum(weights**2))  # Higgins and Thompson 2002
-    interval = _profile(values, variances, alpha)
+def _heterogeneity(spread: _Spread, freedoms: Floats, tau_squared: float, alpha: float) -> Heterogeneity:
+    weights, freedom = 1 / spread.variances, len(spread.values) - 1
+    typical = freedom * weights.sum() / (weights.sum() ** 2 - np.sum(weights**2))  # Higgins and Thompson 2002
+    low, high = (spread.at(float(stats.chi2.ppf(share, freedom))) for share in (1 - alpha / 2, alpha / 2))
 
     def share(variance: float) -> float:
         return float(100 * variance / (variance + typical))
 
     return Heterogeneity(
-        q,
-        count - 1,
-        _welch_p_value(q, weights / weights.sum(), freedoms),
-        tau_squared,
-        interval,
-        share(tau_squared),
-        Interval(share(interval.low), share(interval.high), interval.level, interval.method),
+        q=spread.q(0.0),
+        freedom=freedom,
+        p_value=_welch_p_value(spread.q(0.0), weights / weights.sum(), freedoms),
+        tau_squared=tau_squared,
+        tau_squared_interval=Interval(low, high, 1 - alpha, _PROFILE),
+        i_squared=share(tau_squared),
+        i_squared_interval=Interval(share(low), share(high), 1 - alpha, _PROFILE),
     )
 
 
@@ -111,24 +127,6 @@ def _welch_p_value(q: float, shares: Floats, freedoms: Floats) -> float:
         return float(stats.chi2.sf(q, count - 1))
     f_value = q / (count - 1) / (1 + 2 * (count - 2) / (count**2 - 1) * unknown)
     return float(stats.f.sf(f_value, count - 1, (count**2 - 1) / (3 * unknown)))
-
-
-def _profile(values: Floats, variances: Floats, alpha: float) -> Interval:
-    """Return the interval of tau squared in which Q, with weights of that tau, is neither too large nor too small."""
-    spread = float(np.sum((values - values.mean()) ** 2))
-
-    def q_of(tau_squared: float) -> float:
-        weights = 1 / (variances + tau_squared)
-        return float(np.sum(weights * (values - np.average(values, weights=weights)) ** 2))
-
-    def end(share: float) -> float:
-        wanted = float(stats.chi2.ppf(share, len(values) - 1))
-        if q_of(0.0) <= wanted:
-            return 0.0
-        # Beyond spread / wanted even unweighted squares are too small.
-        return float(optimize.brentq(lambda each: q_of(each) - wanted, 0.0, spread / wanted))
-
-    return Interval(end(1 - alpha / 2), end(alpha / 2), 1 - alpha, "profile of Q")
 
 
 def _prediction(mean: float, error: float, tau_squared: float, count: int, alpha: float) -> Interval | None:

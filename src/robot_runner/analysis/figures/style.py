@@ -279,8 +279,11 @@ def _flatten_crowds(figure: Figure) -> None:
     """Have crowds of points and bars kept as pixels in SVG and PDF too, which would hold some 200 bytes for each."""
     for axes in figure.axes:
         points = [line for line in axes.lines if line.get_marker() not in _NO_MARKERS]
-        crowds: tuple[Sequence[Artist], ...] = (points, axes.patches)
-        sizes = (sum(np.size(line.get_xdata(orig=False)) for line in points), len(axes.patches))
+        crowds: tuple[Sequence[Artist], ...] = (points, axes.collections)
+        sizes = (
+            sum(np.size(line.get_xdata(orig=False)) for line in points),
+            sum(len(bars.get_paths()) for bars in axes.collections),
+        )
         for artists, size in zip(crowds, sizes, strict=True):
             for artist in artists if size > _CROWD else ():
                 artist.set_rasterized(True)

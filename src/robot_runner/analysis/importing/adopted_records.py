@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.importing.description import description_text
 from robot_runner.analysis.importing.recomputation import unit_of_recipe
+from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.factor import Combination, factor_places
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.storage.cells import CellValue, RunStatus, typed_value
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.importing.foreign_runs import ForeignRun
     from robot_runner.analysis.importing.recomputation import Difference
+    from robot_runner.analysis.importing.trace_checks import TraceSpan
     from robot_runner.analysis.importing.understanding import Understanding
     from robot_runner.core.storage.layout import ExperimentFolder
 
@@ -42,6 +44,7 @@ class AdoptedRun:
         started_at: when its first sample was taken, nanoseconds since 1970; None where that is not known.
         duration: s, from the first sample to the last; None without samples.
         recomputed: the measures that were computed from samples, in SI.
+        spans: the traces.
         unsorted: the files whose times were not in order.
         checksums: SHA-256 of each original file.
     """
@@ -50,6 +53,7 @@ class AdoptedRun:
     started_at: int | None = None
     duration: float | None = None
     recomputed: Mapping[str, float | None] = field(default_factory=dict)
+    spans: tuple[TraceSpan, ...] = ()
     unsorted: tuple[str, ...] = ()
     checksums: Mapping[str, str] = field(default_factory=dict)
 
@@ -68,6 +72,7 @@ def write_records(
     folder: ExperimentFolder,
     runs: Sequence[AdoptedRun],
     differences: Sequence[Difference],
+    warnings: Sequence[str] = (),
 ) -> None:
     """Write everything but the samples.
 
@@ -77,7 +82,7 @@ def write_records(
     rows = _rows(understanding, runs)
     write_run_table(folder.run_table, rows)
     write_schema(folder.schema, describe_columns(rows, _known(understanding)))
-    write_manifest(folder.manifest, _manifest(understanding, runs))
+    write_manifest(folder.manifest, _manifest(understanding, runs, warnings))
     _write_journal(understanding, folder, runs)
     (folder.root / "import").mkdir()
     description = description_text(understanding.description)
@@ -89,7 +94,7 @@ def _rows(understanding: Understanding, runs: Sequence[AdoptedRun]) -> RunTableR
     roles, headings = understanding.roles, understanding.headings
     stamps = _STAMPS if any(run.started_at is not None for run in runs) else ()
     layout = TableLayout(
-        tuple(FactorColumn(headings[name]) for name in roles.factors),
+        tuple(FactorColumn(headings[name]) for name in roles.design),
         tuple(headings[name] for name in (*roles.measures, *understanding.new_measures)),
         has_repetition=all(run.repetition is not None for run in understanding.runs),
         stamps=stamps,
@@ -98,7 +103,7 @@ def _rows(understanding: Understanding, runs: Sequence[AdoptedRun]) -> RunTableR
     places = factor_places(layout.factor_names)
     rows = []
     for number, (run, adopted) in enumerate(zip(understanding.runs, runs, strict=True), start=1):
-        treatments = tuple(typed_value(run.treatments[name], None) for name in roles.factors)
+        treatments = tuple(typed_value(run.treatments[name], None) for name in roles.design)
         planned = PlannedRun(run.run_id, number, Combination(places, treatments), run.repetition or 1)
         of_table = [run.measures[name] for name in roles.measures]
         computed = [adopted.recomputed.get(name) for name in understanding.new_measures]
@@ -132,17 +137,19 @@ def _known(understanding: Understanding) -> dict[str, ColumnDescription]:
     }
 
 
-def _manifest(understanding: Understanding, runs: Sequence[AdoptedRun]) -> dict[str, Any]:
-    headings = understanding.headings
+def _manifest(understanding: Understanding, runs: Sequence[AdoptedRun], warnings: Sequence[str]) -> dict[str, Any]:
+    headings, roles = understanding.headings, understanding.roles
+    unsorted = [_unsorted(runs)] if any(run.unsorted for run in runs) else []
     return {
         "experiment_name": understanding.name,
         "origin": "imported",
         "design": {
             "source": understanding.table.path.name,
-            "factors": {headings[name]: list(understanding.treatments(name)) for name in understanding.roles.factors},
+            "factors": {headings[name]: list(understanding.treatments(name)) for name in roles.design},
             "repetitions": max((run.repetition or 1 for run in understanding.runs), default=1),
-            "shuffle": None,
-            "blocks": None,
+            "blocks": REPETITION
+            if roles.block and roles.block == roles.repetition
+            else headings.get(roles.block or ""),
         },
         "plugins": [
             {"name": each.name, "class": None, "package": None, "version": None, "measures": []}
@@ -153,7 +160,7 @@ def _manifest(understanding: Understanding, runs: Sequence[AdoptedRun]) -> dict[
             "at": utc_now(),
             "from": understanding.root.resolve().name,
             "table": understanding.table.path.name,
-            "notes": [*understanding.notes, *([_unsorted(runs)] if any(run.unsorted for run in runs) else [])],
+            "notes": [*understanding.notes, *unsorted, *warnings],
             "sources": {run.run_id: dict(run.checksums) for run in runs if run.checksums},
         },
         "software": describe_software(),

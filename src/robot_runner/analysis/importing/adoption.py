@@ -17,6 +17,7 @@ from robot_runner.analysis.importing.foreign_samples import ForeignSamples, RunS
 from robot_runner.analysis.importing.foreign_table import free_heading
 from robot_runner.analysis.importing.recomputation import Difference, recompute
 from robot_runner.analysis.importing.sample_times import TimeKind
+from robot_runner.analysis.importing.trace_checks import TraceSpan, trace_warnings
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.cells import quoted
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -39,11 +40,13 @@ class Adoption:
         folder: the experiment folder that was written.
         runs: what was found in each run's raw files.
         differences: each value of the table beside the recomputed one.
+        warnings: what looks wrong with the raw files.
     """
 
     folder: Path
     runs: tuple[AdoptedRun, ...]
     differences: tuple[Difference, ...]
+    warnings: tuple[str, ...] = ()
 
 
 def adopt(understanding: Understanding, target: Path, *, progress: Callable[[int], None] = lambda _: None) -> Adoption:
@@ -87,8 +90,9 @@ def _write(
     for count, run in enumerate(understanding.runs, start=1):
         runs.append(_adopted(understanding, folder.run(run.run_id), run))
         progress(count)
-    adoption = Adoption(target, tuple(runs), tuple(_differences(understanding, runs)))
-    write_records(understanding, folder, adoption.runs, adoption.differences)
+    warnings = trace_warnings(understanding.runs, {run.run_id: run.spans for run in runs}, understanding.units)
+    adoption = Adoption(target, tuple(runs), tuple(_differences(understanding, runs)), tuple(warnings))
+    write_records(understanding, folder, adoption.runs, adoption.differences, warnings)
     return adoption
 
 
@@ -96,8 +100,8 @@ def _adopted(understanding: Understanding, folder: Path, run: ForeignRun) -> Ado
     if run.folder is None:
         return AdoptedRun(run.run_id)
     known = {path: each for each in understanding.samples if (path := each.paths.get(run.source_id)) is not None}
-    samples = [(each, read_run_samples(each, path)) for path, each in known.items()]
-    samples = [(each, read) for each, read in samples if len(read.nanoseconds)]
+    everything = [(each, read_run_samples(each, path)) for path, each in known.items()]
+    samples = [(each, read) for each, read in everything if len(read.nanoseconds)]
     zeros = _zeros(samples)
     for each, read in samples:
         _write_samples(each, read, zeros[each.time_kind], folder / each.name)
@@ -116,9 +120,16 @@ def _adopted(understanding: Understanding, folder: Path, run: ForeignRun) -> Ado
             recipe.measure: recompute(recipe, by_file[recipe.file]) if recipe.file in by_file else None
             for recipe in understanding.recipes
         },
+        spans=tuple(_span(each, read) for each, read in everything),
         unsorted=tuple(each.file for each, read in samples if not read.was_sorted),
         checksums={path.name: _checksum(path) for path in files},
     )
+
+
+def _span(samples: ForeignSamples, run: RunSamples) -> TraceSpan:
+    first, last = (int(run.nanoseconds[0]), int(run.nanoseconds[-1])) if len(run.nanoseconds) else (0, 0)
+    is_moment = samples.time_kind is TimeKind.MOMENT
+    return TraceSpan(samples.file, first, last, is_moment, len(run.nanoseconds), run.left_out)
 
 
 def _zeros(samples: Sequence[tuple[ForeignSamples, RunSamples]]) -> dict[TimeKind, int]:

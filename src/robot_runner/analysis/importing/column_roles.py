@@ -1,4 +1,4 @@
-"""Which column of another tool's run table is what: as the user says, or as it looks."""
+"""Which column of another tool's run table is what: as the user says, or as it looks, and how sure that is."""
 
 from __future__ import annotations
 
@@ -6,24 +6,39 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.importing.units import split_heading
+from robot_runner.analysis.importing.column_evidence import IN_RUN_ID, ColumnEvidence
+from robot_runner.analysis.importing.foreign_runs import STATUSES
+from robot_runner.analysis.importing.role_guesses import Confidence, Role, RoleGuess
 from robot_runner.core.errors import AnalysisError, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from robot_runner.analysis.importing.description import ImportDescription
     from robot_runner.analysis.importing.foreign_table import ForeignTable
 
 __all__ = ["ColumnRoles", "roles_of"]
 
-# As the earlier tools, the paper's Fig. 3 and people write them; blanks, underscores and case are ignored.
-_RUN_ID = ("runid", "id", "run", "runnumber", "runname")
+# As the earlier tools, the paper's Fig. 3 and people write them; blanks, underscores, dots and case are ignored.
+_RUN_ID = ("runid",)
+_NUMBERING = ("id", "run", "runnumber", "runname", "runno", "nr", "no", "number", "index", "entryid", "experimentid")
 _STATUS = ("done", "status", "progress", "state")
-_REPETITION = ("repetition", "repetitions", "rep", "repeat", "trial", "iteration", "replication")
+#: What counts repetitions, the surest first; the values have to count, too.
+_REPETITION = re.compile(
+    r"(repetition|rep|repeat|replicate|replication|trial|iteration|iter|round|run|take|experiment)(id|no|nr|num|number|index|idx)?"
+)
+_PLURALS = {"repetitions": "repetition", "reps": "rep", "repeats": "repeat", "trials": "trial"}
+#: Columns of this name are always what the name says: the earlier tools write them.
+_CERTAIN = "repetition"
 
-_NUMBERED = re.compile(r"(.*?)[_-]repetition[_-](\d+)$", re.IGNORECASE)
-_LIKE_A_NUMBER = re.compile(r"[+-]?[0-9.,eE+-]+")
+# What runs are grouped by rather than compared for. A few robots or rooms of a kind stand for all; what is called a
+# subject or a device is as often what the study is about.
+_BLOCK = re.compile(r"(block|participant|person|operator|day|date|session|room|site|lab|robot|batch)s?(id|no|nr|name)?")
+_MAYBE_BLOCK = re.compile(r"(subject|device|host|machine|node|phone|website|app|vehicle|drone)s?(id|no|nr|name)?")
+_NUMBERED_NAME = re.compile(
+    r"(?:[a-z_ -]*[a-z_ -])?\d+|[a-z]|\d{4}-\d\d-\d\d|mon|tue|wed|thu|fri|sat|sun", re.IGNORECASE
+)
+_FEWEST_BLOCKS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,116 +50,267 @@ class ColumnRoles:
         status: None where a run counts as done if it has any measure.
         repetition: a column, or None.
         repetition_in_run_id: whether run ids end in `_repetition_0` and the like.
+        block: the column that runs are grouped by, or None; the repetition may be one.
         factors, measures: columns in the order of the table.
         extras: columns that are kept as they are.
-        notes: how roles were found that the user did not give.
+        guesses: for each column what it is taken for, and why.
+        notes: what to think of besides.
     """
 
     run_id: str | None
     status: str | None
     repetition: str | None
     repetition_in_run_id: bool
+    block: str | None
     factors: tuple[str, ...]
     measures: tuple[str, ...]
     extras: tuple[str, ...]
+    guesses: tuple[RoleGuess, ...]
     notes: tuple[str, ...]
+
+    @property
+    def design(self) -> tuple[str, ...]:
+        """The columns that say under which treatments a run was executed: the factors, and the block's column."""
+        has_block = self.block is not None and self.block != self.repetition
+        return (*self.factors, *([self.block] if has_block and self.block else []))
 
     def repetition_of(self, run_id: str) -> int | None:
         """Return the number in a run id such as `run_3_repetition_1`."""
-        found = _NUMBERED.match(run_id)
+        found = IN_RUN_ID.match(run_id)
         return int(found[2]) if found and self.repetition_in_run_id else None
+
+    @property
+    def unsure(self) -> tuple[RoleGuess, ...]:
+        """The guesses that need an answer."""
+        return tuple(guess for guess in self.guesses if guess.confidence is Confidence.UNSURE)
 
 
 def roles_of(table: ForeignTable, said: ImportDescription) -> ColumnRoles:
-    """Find out what each column is.
-
-    Columns after the run's id and status are factors as long as their values repeat; the first that does not begins
-    the measures, as in the tables of the earlier tools. What the user said comes first.
+    """Find out what each column is; what the user said comes first.
 
     Raises:
-        AnalysisError: the user named a column that does not exist.
+        AnalysisError: the user named a column that does not exist, or one for two things.
     """
+    _check(table, said)
+    return _Guessing(table, said).roles()
+
+
+def _check(table: ForeignTable, said: ImportDescription) -> None:
     # A measure that the table lacks may come from a recipe.
-    for name in filter(None, (said.run_id, said.status, said.repetition, *(said.factors or ()), *said.ignore)):
+    single = (said.run_id, said.status, said.repetition, said.block)
+    for name in filter(None, (*single, *(said.factors or ()), *said.ignore)):
         if name not in table.headings:
             fix = did_you_mean(name, table.headings)
             raise AnalysisError(f"there is no column {name!r}", where=table.path.name, fix=fix)
-    left = [name for name in table.headings if name not in said.ignore]
-    free = [name for name in left if name not in {*(said.factors or ()), *(said.measures or ())}]
-    run_id = said.run_id or _named(free, _RUN_ID)
-    status = said.status or _named([name for name in free if name != run_id], _STATUS)
-    repetition = said.repetition or _named([name for name in free if name not in {run_id, status}], _REPETITION)
-    rest = [name for name in left if name not in {run_id, status, repetition}]
-    numbered = [_NUMBERED.match(each) for each in table.column(run_id)] if run_id and repetition is None else []
-    in_run_id = bool(numbered) and all(numbered)
-    if in_run_id:
-        repeated: list[tuple[str | None, str]] = [(each[1], each[2]) for each in numbered if each]
-    else:
-        repeated = [(None, cell) for cell in table.column(repetition)] if repetition else []
-    factors = said.factors if said.factors is not None else _guessed_factors(table, rest, said.measures, repeated)
-    others = [name for name in rest if name not in factors]
-    measures = tuple(name for name in others if _is_measure(table, name, said.measures))
-    extras = tuple(name for name in others if name not in measures)
-    is_guessed = said.factors is None and bool(factors)
-    notes = ("factors were told from measures by their repeating values",) if is_guessed else ()
-    return ColumnRoles(run_id, status, repetition, in_run_id, tuple(factors), measures, extras, notes)
+    roles: dict[str, Sequence[str | None]] = {
+        "factor": said.factors or (),
+        "measure": said.measures or (),
+        "ignored": said.ignore,
+    }
+    roles |= {"the run id": [said.run_id], "the status": [said.status], "the repetition": [said.repetition]}
+    for name in table.headings:
+        given = [role for role, names in roles.items() if name in names]
+        given += ["the block"] if name == said.block and name != said.repetition else []
+        if len(given) > 1:
+            problem = f"column {name!r} is said to be {' and '.join(given)}"
+            raise AnalysisError(problem, where=table.path.name, fix="Say one of the two.")
 
 
-def _named(headings: Sequence[str], known: Sequence[str]) -> str | None:
-    folded = {re.sub(r"[\s_-]", "", name.casefold()): name for name in reversed(headings)}
-    return next((folded[name] for name in known if name in folded), None)
+class _Guessing:
+    """The state of one table's guessing: columns leave `left` as soon as their role is known."""
+
+    def __init__(self, table: ForeignTable, said: ImportDescription) -> None:
+        self._table = table
+        self._said = said
+        self._guesses: dict[str, RoleGuess] = {}
+        self._evidence = ColumnEvidence(table)
+        self._notes: list[str] = []
+        self._late: set[str] = set()
+
+    def roles(self) -> ColumnRoles:
+        said = self._said
+        for role, names in ((Role.FACTOR, said.factors), (Role.MEASURE, said.measures)):
+            for name in names or ():
+                self._take(name, role, Confidence.SURE, "as you said")
+        run_id, status = self._run_id(), self._status()
+        self._evidence.read_run_ids(run_id)
+        repetition = self._repetition()
+        if said.block is not None and said.block != repetition:
+            self._take(said.block, Role.BLOCK, Confidence.SURE, "as you said")
+        if said.guess or said.factors is None:
+            self._guess_rest(repetition)
+            repetition = self._checked_repetition(repetition)
+            self._name_aliases()
+        else:
+            for name in self._left():
+                is_measure = said.measures is None and self._evidence.is_measurable(name)
+                self._take(
+                    name, Role.MEASURE if is_measure else Role.TEXT, Confidence.SURE, "the description has no other"
+                )
+        block = said.block or self._guessed_block()
+        in_run_id = repetition is None and self._evidence.repetition_in_run_id
+        named = {role: self._named(role) for role in Role}
+        return ColumnRoles(
+            run_id=run_id,
+            status=status,
+            repetition=repetition,
+            repetition_in_run_id=in_run_id,
+            block=block,
+            factors=said.factors if said.factors is not None and not said.guess else named[Role.FACTOR],
+            measures=named[Role.MEASURE],
+            extras=named[Role.TEXT],
+            guesses=tuple(self._guesses[name] for name in self._table.headings if name in self._guesses),
+            notes=tuple(self._notes),
+        )
+
+    def _named(self, role: Role) -> tuple[str, ...]:
+        guesses = self._guesses
+        return tuple(name for name in self._table.headings if name in guesses and guesses[name].role is role)
+
+    def _left(self) -> list[str]:
+        return [name for name in self._table.headings if name not in self._guesses and name not in self._said.ignore]
+
+    def _take(self, name: str, role: Role, confidence: Confidence, reason: str) -> str:
+        self._guesses[name] = RoleGuess(name, role, confidence, reason)
+        return name
+
+    # The run's id, its status and the repetition are known by their names, and by what stands under them.
+
+    def _run_id(self) -> str | None:
+        if self._said.run_id:
+            return self._take(self._said.run_id, Role.RUN_ID, Confidence.SURE, "as you said")
+        evidence = self._evidence
+        for name in self._called(_RUN_ID):
+            if not evidence.is_empty(name):
+                return self._take(name, Role.RUN_ID, Confidence.SURE, "its name")
+        for name in self._called(_NUMBERING):
+            if name != self._said.repetition and evidence.differs_everywhere(name):
+                return self._take(name, Role.RUN_ID, Confidence.SURE, "its name, and no value twice")
+        return None
+
+    def _status(self) -> str | None:
+        if self._said.status:
+            return self._take(self._said.status, Role.STATUS, Confidence.SURE, "as you said")
+        for name in self._called(_STATUS):
+            words = {value.casefold() for value in self._evidence.values(name)}
+            if name.startswith("__") or (words <= STATUSES.keys() and not words <= {"0", "1"}):
+                return self._take(name, Role.STATUS, Confidence.SURE, "its name, and its words")
+        return None
+
+    def _called(self, names: Iterable[str]) -> list[str]:
+        """Return the columns that are called one of the names, in the order of the names."""
+        folded: dict[str, list[str]] = {}
+        for name in self._left():
+            folded.setdefault(_folded(name), []).append(name)
+        return [name for each in names for name in folded.get(each, ())]
+
+    def _repetition(self) -> str | None:
+        if self._said.repetition:
+            return self._take(self._said.repetition, Role.REPETITION, Confidence.SURE, "as you said")
+        stems = list(_REPETITION.pattern[1 : _REPETITION.pattern.index(")")].split("|"))
+        found: list[tuple[int, int, str]] = []
+        for place, name in enumerate(self._left()):
+            match = _REPETITION.fullmatch(_PLURALS.get(_folded(name), _folded(name)))
+            if match and (_folded(name) == _CERTAIN or self._evidence.may_count_repetitions(name)):
+                found.append((stems.index(match[1]), place, name))
+        if not found:
+            return None
+        name = min(found)[2]
+        sure = Confidence.SURE if _folded(name).startswith("rep") else Confidence.LIKELY
+        return self._take(name, Role.REPETITION, sure, "its name, and its numbers count")
+
+    def _checked_repetition(self, repetition: str | None) -> str | None:
+        """Return the column if it counts the runs of each combination; else its role is found as that of any other."""
+        if repetition is None or self._said.repetition or _folded(repetition) == _CERTAIN:
+            return repetition
+        factors = self._named(Role.FACTOR)
+        if self._evidence.tells_runs_apart(repetition, factors):
+            self._take(
+                repetition, Role.REPETITION, Confidence.SURE, "its name, and it counts the runs of a combination"
+            )
+            return repetition
+        if self._evidence.crosses(repetition, factors) or _folded(repetition).startswith(("rep", "trial")):
+            reason = "its name, but runs of a combination have the same number"
+            self._take(repetition, Role.REPETITION, Confidence.UNSURE, reason)
+            return repetition
+        del self._guesses[repetition]
+        self._guess_rest(None)
+        return None
+
+    # Factors, measures and text.
+
+    def _guess_rest(self, repetition: str | None) -> None:
+        evidence = self._evidence
+        left = self._left()
+        # Texts first: they tell for which runs numbers differ between repetitions of one combination.
+        texts = [name for name in left if evidence.is_treatment_text(name)]
+        texts = [name for name in left if name in texts or evidence.is_part_of(name, texts)]
+        begun = min((place for place, name in enumerate(left) if evidence.is_surely_measured(name)), default=len(left))
+        self._late = set(left[begun:])
+        factors = [*self._named(Role.FACTOR), *texts]
+        for place, name in enumerate(left):
+            is_first = place < begun or name in texts
+            role, confidence, reason = evidence.verdict(name, factors, repetition, is_first=is_first)
+            self._take(name, role, confidence, reason)
+            if role is Role.FACTOR and name not in factors:
+                factors.append(name)
+        if not any(len(evidence.values(name)) > 1 for name in self._named(Role.FACTOR)):
+            self._take_only_text(texts or left)
+        if repetition is None and not evidence.repetition_in_run_id:
+            self._doubt_counts()
+
+    def _take_only_text(self, names: Sequence[str]) -> None:
+        """Take the first text for the factor where nothing repeats: a table with one run for each treatment."""
+        for name in names:
+            if self._guesses[name].role is Role.TEXT and self._evidence.could_be_only_factor(name):
+                self._take(name, Role.FACTOR, Confidence.LIKELY, "the one text of the table; each value has one run")
+                return
+
+    def _doubt_counts(self) -> None:
+        """Ask about a factor of numbered texts with one run for each combination: it may count repetitions."""
+        factors = self._named(Role.FACTOR)
+        for name in factors:
+            others = [each for each in factors if each != name]
+            if others and self._evidence.counts(name) and self._evidence.tells_runs_apart(name, others):
+                reason = "its texts are numbered, and each combination has every one once: a repetition?"
+                self._take(name, Role.FACTOR, Confidence.UNSURE, reason)
+
+    def _name_aliases(self) -> None:
+        """Keep as text what follows from factors: names and numbers of combinations, second names of treatments."""
+        factors = self._named(Role.FACTOR)
+        free = [name for name in factors if name not in (self._said.factors or ())]
+        for name, confidence, reason in self._evidence.aliases(factors, free, self._late):
+            self._take(name, Role.TEXT, confidence, reason)
+        for name in self._named(Role.MEASURE):
+            is_numbering = _folded(name) in _NUMBERING or _REPETITION.fullmatch(_folded(name))
+            if is_numbering and self._evidence.follow(self._named(Role.FACTOR), name):
+                self._take(name, Role.TEXT, Confidence.LIKELY, "it numbers the combinations")
+
+    # Blocks.
+
+    def _guessed_block(self) -> str | None:
+        """Return the factor that is better taken for a block; others that may be one are noted."""
+        found: str | None = None
+        for name in self._named(Role.FACTOR):
+            varied = [each for each in self._named(Role.FACTOR) if len(self._evidence.values(each)) > 1]
+            others = [each for each in varied if each != name]
+            likely, maybe = _BLOCK.fullmatch(_folded(name)), _MAYBE_BLOCK.fullmatch(_folded(name))
+            values = self._evidence.values(name)
+            is_free = (likely or maybe) and name not in (self._said.factors or ())
+            if not is_free or name not in varied or not others or not self._evidence.crosses(name, others):
+                continue
+            is_numbered = all(map(_NUMBERED_NAME.fullmatch, values))
+            if found is None and likely and is_numbered and len(values) >= _FEWEST_BLOCKS and self._said.guess:
+                found = name
+                reason = f"each of its {len(values)} values has every combination, and they are only numbered"
+                self._take(name, Role.BLOCK, Confidence.LIKELY, reason)
+                self._notes.append(f"{name} is taken for a block; if it is a treatment, say --factor {name}")
+            else:
+                self._notes.append(
+                    f"{name} has every combination for each of its values: a block? Then say --block {name}"
+                )
+        return found
 
 
-def _guessed_factors(
-    table: ForeignTable,
-    rest: Sequence[str],
-    measures: tuple[str, ...] | None,
-    repeated: Sequence[tuple[str | None, str]],
-) -> list[str]:
-    """Return the columns that hold treatments.
-
-    Args:
-        table: the run table.
-        rest: its columns, less the run's id and the like.
-        measures: those that the user named, or None.
-        repeated: for each run the name of its combination (None where it is not known), and which repetition it is.
-    """
-    factors: list[str] = []
-    for name in rest:
-        if name in table.unnamed or name in (measures or ()):
-            continue
-        cells = table.column(name)
-        is_number = table.is_numeric(name)
-        mostly_differs = len(set(cells)) * 2 > len(cells)
-        has_unit = measures is None and split_heading(name)[1] is not None
-        if not all(cells) or (mostly_differs and (has_unit or is_number or factors)):
-            break
-        if is_number and repeated and _differs_between_repetitions(table, name, factors, repeated):
-            break
-        factors.append(name)
-    return factors
-
-
-def _differs_between_repetitions(
-    table: ForeignTable, name: str, factors: Sequence[str], repeated: Sequence[tuple[str | None, str]]
-) -> bool:
-    """Return whether a column differs between repetitions of a combination that is known without it: so it is measured.
-
-    Measured numbers repeat, too, where they are few or round.
-    """
-    treatments = zip(*(table.column(factor) for factor in factors), strict=True) if factors else [()] * len(repeated)
-    combinations = [(named,) if named else cells for cells, (named, _) in zip(treatments, repeated, strict=True)]
-    is_known = len({*zip(combinations, (which for _, which in repeated), strict=True)}) == len(repeated)
-    return is_known and len({*zip(combinations, table.column(name), strict=True)}) > len({*combinations})
-
-
-def _is_measure(table: ForeignTable, name: str, measures: tuple[str, ...] | None) -> bool:
-    """Return whether a column is a measure: as the user says, else one that is empty still, or has mostly numbers."""
-    if measures is not None:
-        return name in measures
-    if name in table.unnamed:
-        return False
-    cells = [cell for cell in table.column(name) if cell]
-    if not cells or table.is_numeric(name) or table.is_boolean(name):
-        return True
-    return 2 * len([cell for cell in cells if _LIKE_A_NUMBER.fullmatch(cell)]) >= len(cells)
+def _folded(name: str) -> str:
+    return re.sub(r"[\s_.#-]", "", name.casefold())

@@ -120,8 +120,9 @@ class ImportDescription:
     Attributes:
         name: the experiment's name.
         table: the run table's file, below the folder.
-        run_id, status, repetition: columns of the table.
+        run_id, status, repetition, block: columns of the table.
         factors, measures, ignore: columns of the table.
+        decimal: `.` or `,`, the decimal sign of the table's numbers.
         units: units of measures, by column.
         run_folder: where a run's files are, below the folder, with `{run_id}` in it.
         samples: the raw files.
@@ -135,9 +136,11 @@ class ImportDescription:
     run_id: str | None = None
     status: str | None = None
     repetition: str | None = None
+    block: str | None = None
     factors: tuple[str, ...] | None = None
     measures: tuple[str, ...] | None = None
     ignore: tuple[str, ...] = ()
+    decimal: str | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     run_folder: str | None = None
     samples: tuple[SamplesDescription, ...] = ()
@@ -206,7 +209,7 @@ def check_time_unit(unit: str | None, where: str) -> None:
 #: The entries of each table of the file, and the type that each has. A list of names may be written as one name.
 _ENTRIES: dict[str, dict[str, type]] = {
     "": {
-        **dict.fromkeys(("name", "table", "run_folder", "origin"), str),
+        **dict.fromkeys(("name", "table", "run_folder", "origin", "decimal"), str),
         "guess": bool,
         "columns": dict,
         "units": dict,
@@ -214,7 +217,7 @@ _ENTRIES: dict[str, dict[str, type]] = {
         "recompute": dict,
     },
     "columns.": {
-        **dict.fromkeys(("run_id", "status", "repetition"), str),
+        **dict.fromkeys(("run_id", "status", "repetition", "block"), str),
         **dict.fromkeys(("factors", "measures", "ignore"), tuple),
     },
     "samples.": {**dict.fromkeys(("file", "name", "time", "time_unit"), str), "units": dict},
@@ -227,6 +230,7 @@ _FIXES: dict[type, str] = {
     list: "Write [[{key}]] before each.",
 }
 _ORIGINS = ("measured", "simulated", "estimated")
+_DECIMALS = (".", ",")
 
 
 def read_description(path: Path) -> ImportDescription:
@@ -244,8 +248,10 @@ def read_description(path: Path) -> ImportDescription:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise AnalysisError(f"the file is not TOML: {error}", where=where, fix="Mend this line.") from error
     entries = _checked(plain, "", where)
-    if (origin := entries.get("origin", _ORIGINS[0])) not in _ORIGINS:
-        raise AnalysisError(f"origin is {origin!r}", where=where, fix=did_you_mean(origin, _ORIGINS))
+    for key, choices in (("origin", _ORIGINS), ("decimal", _DECIMALS)):
+        if (given := entries.get(key, choices[0])) not in choices:
+            fix = did_you_mean(given, choices) or f"Write one of {', '.join(choices)}."
+            raise AnalysisError(f"{key} is {given!r}", where=where, fix=fix)
     columns = _checked(entries.pop("columns", {}), "columns.", where)
     entries["recipes"] = tuple(parse_recipe(f"{name}={how}") for name, how in entries.pop("recompute", {}).items())
     entries["samples"] = tuple(_samples(each, where) for each in entries.pop("samples", ()))
@@ -294,8 +300,8 @@ def _units(entries: Mapping[str, Any], where: str) -> dict[str, str]:
 
 def description_text(description: ImportDescription) -> str:
     """Return a description as the text of a TOML file."""
-    said = {key: getattr(description, key) for key in ("name", "table", "guess", "origin")}
-    columns = {key: getattr(description, key) for key in _ENTRIES["columns."] if key != "ignore"}
+    said = {key: getattr(description, key) for key in ("name", "table", "guess", "origin", "decimal")}
+    columns = {key: getattr(description, key) for key in _ENTRIES["columns."]}
     lines = ["# How results made elsewhere are to be read: robot-runner import FOLDER --description THIS_FILE"]
     lines += [*_lines(said), "", "[columns]", *_lines(columns), *_section("units", description.units)]
     for each in description.samples:
@@ -311,7 +317,7 @@ def _section(name: str, entries: Mapping[str, str]) -> list[str]:
 
 
 def _lines(entries: Mapping[str, Any]) -> list[str]:
-    return [f"{key} = {_toml(value)}" for key, value in entries.items() if value is not None]
+    return [f"{key} = {_toml(value)}" for key, value in entries.items() if value is not None and value != ()]
 
 
 def _toml(value: Any) -> str:

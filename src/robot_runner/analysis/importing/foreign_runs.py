@@ -7,33 +7,35 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from robot_runner.analysis.importing.cell_numbers import MISSING
+from robot_runner.analysis.importing.column_evidence import repetition_number
 from robot_runner.core.errors import AnalysisError
-from robot_runner.core.storage.cells import CellValue, RunStatus, number_of
-from robot_runner.core.words import counted
+from robot_runner.core.storage.cells import CellValue, RunStatus
+from robot_runner.core.words import counted, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.analysis.importing.column_roles import ColumnRoles
     from robot_runner.analysis.importing.foreign_table import ForeignTable
 
-__all__ = ["ForeignRun", "read_runs"]
+__all__ = ["STATUSES", "ForeignRun", "read_runs"]
 
 _WORDS = {
     RunStatus.DONE: "done true yes 1 finished completed complete ok success x",
     RunStatus.TODO: "- – — todo to_do false no 0 pending running planned",  # noqa: RUF001 - spreadsheets write dashes
     RunStatus.FAILED: "failed error aborted crashed fail",
 }
-_STATUSES = {word: status for status, words in _WORDS.items() for word in words.split()} | dict.fromkeys(
+#: The words for how far a run is, in small letters.
+STATUSES = {word: status for status, words in _WORDS.items() for word in words.split()} | dict.fromkeys(
     ("", "to do", "not done"), RunStatus.TODO
 )
-_MISSING = frozenset({"", "na", "n/a", "nan", "none", "null"})
 _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
 _LONGEST_ID = 60
-
-#: Repetitions that are numbered in words, as in `r3` or `rep_3`.
-_LAST_NUMBER = re.compile(r"[A-Za-z]+[ _-]?(\d+)")
+_NUMBER = re.compile(r"\d+")
+#: Names of raw files, as they stand in tables.
+_FILE = re.compile(r"[^\0]{1,200}\.(csv|tsv|json|txt|log|bag|db3|mcap|parquet|png|jpe?g|mp4|zip|gz)", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,15 +94,32 @@ def read_runs(
                 run_id=run_ids[place],
                 source_id=source_id,
                 status=_status(cells, roles, measures, f"{table.path}:{table.lines[place]}"),
-                treatments={name: _treatment(cells[name], name, table) for name in roles.factors},
+                treatments={name: _treatment(cells[name], name, table) for name in roles.design},
                 repetition=repetitions[place],
                 measures=measures,
                 extras={name: cells[name] for name in roles.extras},
                 folder=next((folder for folder in folders if folder.is_dir()), None),
             )
         )
-    notes += _run_notes(table, roles, runs)
-    return runs
+    notes += [*_run_notes(table, roles, runs), *_folder_notes(runs), *_file_notes(root, runs)]
+    return _renumbered(runs, notes)
+
+
+def _renumbered(runs: list[ForeignRun], notes: list[str]) -> list[ForeignRun]:
+    """Return the runs with repetitions that count the runs of each combination, where they count others as well."""
+    sizes = Counter(tuple(run.treatments.values()) for run in runs)
+    if any(run.repetition is None for run in runs) or max(run.repetition or 0 for run in runs) <= 2 * max(
+        sizes.values()
+    ):
+        return runs
+    places: dict[int, int] = {}
+    seen: Counter[tuple[str, ...]] = Counter()
+    for place in sorted(range(len(runs)), key=lambda place: runs[place].repetition or 0):
+        combination = tuple(runs[place].treatments.values())
+        seen[combination] += 1
+        places[place] = seen[combination]
+    notes.append("repetitions are numbered anew within each combination: the table counts them across combinations")
+    return [replace(run, repetition=places[place]) for place, run in enumerate(runs)]
 
 
 def _without_copies(table: ForeignTable, roles: ColumnRoles, notes: list[str]) -> ForeignTable:
@@ -148,7 +167,7 @@ def _repetitions(
         numbers = [roles.repetition_of(run_id) for run_id in source_ids]
     else:
         cells = table.column(roles.repetition)
-        numbers = [_number_of_repetition(cell) for cell in cells]
+        numbers = [repetition_number(cell) for cell in cells]
         if None in numbers:
             place = numbers.index(None)
             where = f"{table.path}:{table.lines[place]}, column {roles.repetition!r}"
@@ -160,24 +179,18 @@ def _repetitions(
     return numbers
 
 
-def _number_of_repetition(cell: str) -> int | None:
-    worded = _LAST_NUMBER.fullmatch(cell)
-    number = number_of(worded[1] if worded else cell)
-    return int(number) if number is not None and number >= 0 and number == int(number) else None
-
-
 def _status(cells: Mapping[str, str], roles: ColumnRoles, measures: Mapping[str, CellValue], where: str) -> RunStatus:
     if roles.status is None:
         return RunStatus.DONE if any(value is not None for value in measures.values()) else RunStatus.TODO
     word = cells[roles.status]
-    if word.casefold() not in _STATUSES:
+    if word.casefold() not in STATUSES:
         fix = "Write DONE, TODO or FAILED, or name another column: --status."
         raise AnalysisError(f"{word!r} is not a status", where=f"{where}, column {roles.status!r}", fix=fix)
-    return _STATUSES[word.casefold()]
+    return STATUSES[word.casefold()]
 
 
 def _value(cell: str, table: ForeignTable) -> CellValue:
-    if cell.casefold() in _MISSING:
+    if cell.casefold() in MISSING:
         return None
     number = table.number(cell)
     return number if number is not None else {"true": True, "false": False}.get(cell.casefold(), cell)
@@ -202,3 +215,30 @@ def _run_notes(table: ForeignTable, roles: ColumnRoles, runs: Sequence[ForeignRu
     if any(run.folder for run in runs) and without:
         notes.append(f"{counted(len(without), 'run')} done without a folder of raw files, such as {without[0]}")
     return notes
+
+
+_FOLDERS_SHOWN = 3
+
+
+def _folder_notes(runs: Sequence[ForeignRun]) -> Iterator[str]:
+    """Say which folders look like those of runs, and belong to none in the table."""
+    used = {run.folder for run in runs if run.folder is not None}
+    kinds = {_NUMBER.sub("#", run.folder.name) for run in runs if run.folder is not None}
+    parents = {folder.parent for folder in used}
+    beside = sorted(path for parent in parents for path in parent.iterdir() if path.is_dir() and path not in used)
+    left = [path.name for path in beside if _NUMBER.sub("#", path.name) in kinds]
+    if left:
+        of_runs = f"{counted(len(left), 'folder')} of raw files beside those of {counted(len(used), 'run')}"
+        yield f"{of_runs} that the table does not have: {listed(left, shown=_FOLDERS_SHOWN)}"
+
+
+def _file_notes(root: Path, runs: Sequence[ForeignRun]) -> Iterator[str]:
+    """Say which columns name files that are not there."""
+    for name in runs[0].extras if runs else ():
+        named = [(run, run.extras[name]) for run in runs if _FILE.fullmatch(run.extras[name])]
+        missing = [
+            text for run, text in named if not any((place / text).exists() for place in (root, run.folder or root))
+        ]
+        if missing:
+            files = counted(len(named), "file")
+            yield f"column {name!r} names {files}, of which {len(missing)} are missing, such as {missing[0]}"

@@ -21,11 +21,12 @@ from robot_runner.analysis.importing.sample_times import (
     time_unit,
     unit_words,
 )
-from robot_runner.analysis.importing.units import Unit, si_heading, split_heading, unit_of
+from robot_runner.analysis.importing.units import TIME_UNITS, Unit, si_heading, split_heading, unit_of
 from robot_runner.core.errors import AnalysisError, did_you_mean
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 __all__ = ["ForeignSamples", "RunSamples", "read_run_samples", "understand_samples"]
 
 _NUMBER = re.compile(r"\d+")
-_MISSING = ["", " ", "NA", "N/A", "NaN", "nan", "null"]
+_MISSING = ["", " ", "NA", "N/A", "NaN", "nan", "null", "None", "-"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +65,12 @@ class ForeignSamples:
     paths: Mapping[str, Path] = field(repr=False)
     guesses: tuple[str, ...] = ()
 
+    def is_of_kind(self, times: pa.ChunkedArray) -> bool:
+        """Return whether the times of a run are counted from where those of the first run are."""
+        if self.time_unit not in TIME_UNITS or not is_number(times.type) or not len(times.drop_null()):
+            return self.time_unit in TIME_UNITS or not is_number(times.type) or not len(times)
+        return time_kind(self.time_unit, times) is self.time_kind
+
     def heading(self, column: str) -> str:
         """Return the heading of a column in the experiment folder, in SI."""
         return si_heading(column, self.units.get(column))
@@ -77,11 +84,13 @@ class RunSamples:
         nanoseconds: the time of each: since 1970 for moments, since midnight for times of day, else as counted.
         values: the columns under their own headings, numbers in SI.
         was_sorted: whether the file was in order already.
+        left_out: rows with another number of cells than the heading.
     """
 
     nanoseconds: NDArray[np.int64]
     values: Mapping[str, Any]
     was_sorted: bool
+    left_out: int = 0
 
     @property
     def times(self) -> NDArray[np.float64]:
@@ -127,6 +136,7 @@ def understand_samples(
                 raise
             notes.append(f"{file} is left as it is: {error.problem}")
         else:
+            notes += _missing(file, paths, folders)
             found.append(replace(understood, name=_free_name(understood.name, [each.name for each in found])))
     return found, notes
 
@@ -151,6 +161,16 @@ def _by_file(folders: Mapping[str, Path]) -> dict[str, dict[str, Path]]:
                 del by_name[path.name]
             by_name[pattern] = dict(found)
     return by_name
+
+
+def _missing(file: str, paths: Mapping[str, Path], folders: Mapping[str, Path]) -> Iterator[str]:
+    """Say in which runs a file is missing that most have, and where it has no samples."""
+    missing = [run for run in folders if run not in paths]
+    if missing and len(missing) < len(paths):
+        yield f"{file} is missing in {len(missing)} of {counted(len(folders), 'run')}, such as {missing[0]}"
+    empty = [run for run, path in paths.items() if not _has_rows(path)]
+    if empty:
+        yield f"{file} has no samples in {len(empty)} of {counted(len(paths), 'run')}, such as {empty[0]}"
 
 
 def _has_rows(path: Path) -> bool:
@@ -207,19 +227,33 @@ def read_run_samples(samples: ForeignSamples, path: Path) -> RunSamples:
         AnalysisError: the file is not a table, or its times cannot be read.
     """
     is_text = samples.time_unit == "clock" or "%" in samples.time_unit
-    table = _read(path, {samples.time: pa.string()} if is_text else {})
+    left_out: list[object] = []
+    table = _read(path, {samples.time: pa.string()} if is_text else {}, left_out)
     if samples.time not in table.column_names:
         fix = "Describe the file, or leave it out."
         raise AnalysisError(f"the file has no column {samples.time!r}", where=str(path), fix=fix)
+    if not samples.is_of_kind(table.column(samples.time)):
+        fix = "Mend the file, or leave it out."
+        problem = f"times are of another kind than in other runs, which have {samples.time_unit}"
+        raise AnalysisError(problem, where=str(path), fix=fix)
     times, valid = nanoseconds_of(table.column(samples.time), samples.time_unit, str(path))
     order = np.flatnonzero(valid)[np.argsort(times[valid], kind="stable")]
     was_sorted = bool(len(order) == len(times) and np.all(np.diff(times) >= 0))
     values = {name: _values(table, name, samples.units.get(name), order) for name in samples.columns}
-    return RunSamples(times[order], values, was_sorted)
+    return RunSamples(times[order], values, was_sorted, len(left_out))
 
 
-def _read(path: Path, types: Mapping[str, pa.DataType] | None = None) -> pa.Table:
-    """Read a file; its types are found out where it does not have those that are expected."""
+def _read(path: Path, types: Mapping[str, pa.DataType] | None = None, left_out: list[object] | None = None) -> pa.Table:
+    """Read a file; its types are found out where it does not have those that are expected.
+
+    Rows with another number of cells than the heading go to `left_out`.
+    """
+    skipped: list[object] = [] if left_out is None else left_out
+
+    def skip(row: object) -> str:
+        skipped.append(row)
+        return "skip"
+
     dialect = dialect_of(path)
     try:
         table = arrow_csv.read_csv(
@@ -227,7 +261,7 @@ def _read(path: Path, types: Mapping[str, pa.DataType] | None = None) -> pa.Tabl
             read_options=arrow_csv.ReadOptions(
                 skip_rows=dialect.blank_lines, encoding=dialect.encoding.removesuffix("-sig"), use_threads=False
             ),
-            parse_options=arrow_csv.ParseOptions(delimiter=dialect.delimiter, invalid_row_handler=lambda _: "skip"),
+            parse_options=arrow_csv.ParseOptions(delimiter=dialect.delimiter, invalid_row_handler=skip),
             convert_options=arrow_csv.ConvertOptions(
                 column_types=types,
                 decimal_point="," if dialect.decimal_comma else ".",
@@ -237,7 +271,8 @@ def _read(path: Path, types: Mapping[str, pa.DataType] | None = None) -> pa.Tabl
         )
     except pa.ArrowInvalid as error:
         if types:
-            return _read(path)
+            skipped.clear()
+            return _read(path, None, skipped)
         problem = f"the file is not a table: {str(error).partition(chr(10))[0]}"
         raise AnalysisError(problem, where=str(path), fix="Leave it out, or mend it.") from error
     return table.rename_columns([name.lstrip("\ufeff").strip() for name in table.column_names])

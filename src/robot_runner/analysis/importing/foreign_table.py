@@ -4,26 +4,34 @@ from __future__ import annotations
 
 import csv
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+from robot_runner.analysis.importing.cell_numbers import MISSING, plain_cells
+from robot_runner.analysis.importing.units import split_heading
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.storage.cells import number_of
 from robot_runner.core.storage.safe_write import storage_error
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
+
+    from robot_runner.analysis.importing.units import Unit
 
 __all__ = ["CsvDialect", "ForeignTable", "dialect_of", "free_heading", "read_foreign_table"]
 
 _DELIMITERS = {",": "", ";": "semicolons", "\t": "tabs", "|": "bars"}
 _DECIMAL_COMMA = re.compile(r"(?<![0-9])-?[0-9]+,[0-9]+(?![0-9,])")
+#: What pandas writes above a column that has no name.
+_WRITTEN_FOR_NONE = re.compile(r"Unnamed: \d+(_level_\d+)?")
 _BOOLEANS = frozenset({"true", "false"})
 
 #: As much of a file as is needed to see how it is written.
 _HEAD = 1 << 16
+#: More rows are no experiment: at a second a run these take two days, and nobody could look at the report.
+_MOST_RUNS = 200_000
 _LONGEST_CHARACTER = 4  # bytes in UTF-8
 _LINES_LOOKED_AT = 50
 
@@ -62,7 +70,9 @@ class ForeignTable:
         rows: the cells of each row, trimmed; as many as there are headings.
         lines: the line of the file on which each row begins.
         unnamed: the columns that had no heading, by the names that they have here.
-        notes: what was done about those.
+        cell_units: the units that stood behind the numbers of columns.
+        doubts: what numbers of columns may mean otherwise, as `1,234`.
+        notes: what was done to read it.
     """
 
     path: Path
@@ -71,6 +81,8 @@ class ForeignTable:
     rows: tuple[tuple[str, ...], ...]
     lines: tuple[int, ...]
     unnamed: frozenset[str] = frozenset()
+    cell_units: Mapping[str, Unit] = field(default_factory=dict)
+    doubts: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     def column(self, heading: str) -> tuple[str, ...]:
@@ -82,19 +94,22 @@ class ForeignTable:
         return self._numbers.get(cell)
 
     def is_numeric(self, heading: str) -> bool:
-        """Return whether the column has numbers, and nothing else beside empty cells."""
+        """Return whether the column has numbers, and nothing else beside missing values."""
         return heading in self._numeric
 
     def is_boolean(self, heading: str) -> bool:
         """Return whether the column has `true` and `false` in any case of letters, and nothing else."""
         return heading in self._boolean
 
+    def unit(self, heading: str) -> Unit | None:
+        """Return the unit that stands behind each number of a column, or in its heading; None where neither is."""
+        return self.cell_units.get(heading) or split_heading(heading)[1]
+
     # Each text is examined once, however many runs have it.
 
     @cached_property
     def _numbers(self) -> dict[str, int | float | None]:
-        comma = self.dialect.decimal_comma
-        return {cell: number_of(cell, decimal_comma=comma) for cells in self._distinct.values() for cell in cells}
+        return {cell: number_of(cell) for cells in self._distinct.values() for cell in cells}
 
     @cached_property
     def _columns(self) -> dict[str, tuple[str, ...]]:
@@ -102,8 +117,12 @@ class ForeignTable:
 
     @cached_property
     def _distinct(self) -> dict[str, set[str]]:
-        """The filled cells of each column that has any."""
-        return {name: filled for name, cells in self._columns.items() if (filled := set(cells) - {""})}
+        """The values of each column that has any."""
+        filled = {
+            name: {cell for cell in set(cells) if cell.casefold() not in MISSING}
+            for name, cells in self._columns.items()
+        }
+        return {name: cells for name, cells in filled.items() if cells}
 
     @cached_property
     def _numeric(self) -> frozenset[str]:
@@ -116,12 +135,16 @@ class ForeignTable:
         return frozenset(name for name, cells in distinct if {cell.casefold() for cell in cells} <= _BOOLEANS)
 
 
-def read_foreign_table(path: Path) -> ForeignTable:
+def read_foreign_table(path: Path, decimal: str | None = None) -> ForeignTable:
     """Read a table: with or without a byte-order mark, with commas, semicolons or tabs, with blank lines anywhere.
+
+    Args:
+        path: the file.
+        decimal: the decimal sign of its numbers; None to find it out.
 
     Raises:
         StorageError: the file cannot be read.
-        AnalysisError: it has no heading, or rows that do not fit the heading.
+        AnalysisError: it has no heading, rows that do not fit the heading, or too many of them.
     """
     dialect = dialect_of(path)
     filled: list[tuple[int, list[str]]] = []
@@ -132,6 +155,10 @@ def read_foreign_table(path: Path) -> ForeignTable:
             for row in lines:
                 if any(cells := [cell.strip() for cell in row]):
                     filled.append((before + 1, cells))
+                if len(filled) > _MOST_RUNS:
+                    problem = f"the table has more than {_MOST_RUNS:,} rows: are they samples rather than runs?"
+                    fix = "Name the table that has a row for each run: --table FILE."
+                    raise AnalysisError(problem, where=str(path), fix=fix)
                 before = lines.line_num
     except OSError as error:
         raise storage_error(path, "read", error) from error
@@ -140,7 +167,7 @@ def read_foreign_table(path: Path) -> ForeignTable:
         raise AnalysisError(f"the file is not CSV: {error}", where=where, fix="Mend the quotes in it.") from error
     if not filled:
         raise AnalysisError("the table is empty", where=str(path), fix="Name the file that holds the runs.")
-    return _table(path, dialect, filled)
+    return _table(path, dialect, filled, decimal)
 
 
 def dialect_of(path: Path) -> CsvDialect:
@@ -148,6 +175,7 @@ def dialect_of(path: Path) -> CsvDialect:
 
     Raises:
         StorageError: the file cannot be read.
+        AnalysisError: it is not text.
     """
     try:
         with path.open("rb") as file:
@@ -155,6 +183,9 @@ def dialect_of(path: Path) -> CsvDialect:
     except OSError as error:
         raise storage_error(path, "read", error) from error
     encoding = _encoding(head)
+    if encoding != "utf-16" and b"\0" in head:
+        fix = "Name the CSV file that holds the runs: --table FILE."
+        raise AnalysisError("the file is not text: it holds zero bytes", where=str(path), fix=fix)
     lines = head.decode(encoding, "replace").splitlines()
     blank = next((place for place, line in enumerate(lines) if line.strip(" ,;\t|")), len(lines))
     heading, *body = lines[blank : blank + _LINES_LOOKED_AT] or [""]
@@ -172,22 +203,28 @@ def _encoding(head: bytes) -> str:
     return "utf-8-sig"
 
 
-def _table(path: Path, dialect: CsvDialect, filled: Sequence[tuple[int, list[str]]]) -> ForeignTable:
+def _table(
+    path: Path, dialect: CsvDialect, filled: Sequence[tuple[int, list[str]]], decimal: str | None
+) -> ForeignTable:
     (line, headings), *body = filled
+    headings = ["" if _WRITTEN_FOR_NONE.fullmatch(name) else name for name in headings]
     for name in filter(None, headings):
         if headings.count(name) > 1:
             problem = f"heading {name!r} is there twice"
             raise AnalysisError(problem, where=f"{path}:{line}", fix="Name each column, each differently.")
+    if body and all(number_of(name) is not None for name in headings):
+        problem = f"the first row has only numbers, such as {headings[0]!r}: the table has no heading"
+        raise AnalysisError(problem, where=f"{path}:{line}", fix="Write the names of the columns above it.")
     width = len(headings)
     for number, row in body:
         if any(row[width:]):
             problem = f"the row has {len(row)} cells, the heading has {width}"
             raise AnalysisError(problem, where=f"{path}:{number}", fix="Give it a cell under each heading.")
-    rows = [(*row[:width], *[""] * (width - len(row))) for _, row in body]
+    columns = list(zip(*((*row[:width], *[""] * (width - len(row))) for _, row in body), strict=True))
     # A spreadsheet leaves an empty column behind a deleted one.
-    kept = [place for place, name in enumerate(headings) if name or any(row[place] for row in rows)]
+    kept = [place for place, name in enumerate(headings) if name or (columns and any(columns[place]))]
     notes = []
-    if kept and not headings[kept[0]] and [row[kept[0]] for row in rows] == [*map(str, range(len(rows)))]:
+    if kept and not headings[kept[0]] and columns and _numbers_rows(columns[kept[0]]):
         notes.append("the first column has no heading and numbers the rows: left out")
         kept = kept[1:]
     named = {place: headings[place] or free_heading(f"column_{place + 1}", headings) for place in kept}
@@ -195,15 +232,29 @@ def _table(path: Path, dialect: CsvDialect, filled: Sequence[tuple[int, list[str
     if unnamed:
         many = f"{len(unnamed)} columns have" if len(unnamed) > 1 else "a column has"
         notes.append(f"{many} no heading ({', '.join(unnamed)} here): values may stand under headings of others")
+    commas = dialect.decimal_comma
+    plain = (
+        {name: plain_cells(columns[place], decimal=decimal, has_decimal_commas=commas) for place, name in named.items()}
+        if columns
+        else {}
+    )
+    notes += [f"{name} is written with {each.words}" for name, each in plain.items() if each.words and not commas]
     return ForeignTable(
         path,
         dialect,
         tuple(named.values()),
-        tuple(tuple(row[place] for place in kept) for row in rows),
+        tuple(zip(*(each.cells for each in plain.values()), strict=True)),
         tuple(number for number, _ in body),
         frozenset(unnamed),
+        {name: each.unit for name, each in plain.items() if each.unit},
+        {name: each.doubt for name, each in plain.items() if each.doubt},
         tuple(notes),
     )
+
+
+def _numbers_rows(cells: Sequence[str]) -> bool:
+    """Return whether cells are the numbers of a data frame's rows, from 0 in pandas, from 1 in R."""
+    return any(all(map(str.__eq__, cells, map(str, range(first, first + len(cells))))) for first in (0, 1))
 
 
 def free_heading(heading: str, taken: Collection[str]) -> str:

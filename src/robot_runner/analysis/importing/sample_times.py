@@ -18,7 +18,16 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["TimeKind", "is_number", "nanoseconds_of", "time_column", "time_kind", "time_unit", "unit_words"]
+__all__ = [
+    "TimeKind",
+    "is_number",
+    "nanoseconds_of",
+    "nanoseconds_since_1970",
+    "time_column",
+    "time_kind",
+    "time_unit",
+    "unit_words",
+]
 
 _HEADINGS = ("timestamp", "time", "datetime", "date_time", "date", "t", "elapsed", "elapsed_time", "seconds", "clock")
 
@@ -104,6 +113,12 @@ def time_kind(unit: str, column: pa.ChunkedArray) -> TimeKind:
         return TimeKind.MOMENT
     first = next(iter(column.drop_null()[:1].to_pylist()), 0) if is_number(column.type) else 0
     return TimeKind.MOMENT if first * _NANOSECONDS[unit] >= _EPOCHS["ns"] else TimeKind.COUNTED
+
+
+def nanoseconds_since_1970(number: float) -> int | None:
+    """Return a moment that is counted since 1970 in s, ms, us or ns, by its size; None where it is too small."""
+    unit = next((unit for unit, least in _EPOCHS.items() if number >= least), None)
+    return None if unit is None else round(number * _NANOSECONDS[unit])
 
 
 def is_number(kind: pa.DataType) -> bool:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
+import shlex
+from collections import Counter
 from dataclasses import dataclass, field
+from math import prod
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.importing.column_roles import ColumnRoles, roles_of
@@ -12,17 +15,20 @@ from robot_runner.analysis.importing.foreign_runs import ForeignRun, read_runs
 from robot_runner.analysis.importing.foreign_samples import ForeignSamples, understand_samples
 from robot_runner.analysis.importing.foreign_table import ForeignTable, read_foreign_table
 from robot_runner.analysis.importing.recomputation import check_recipes, guess_recipes
+from robot_runner.analysis.importing.role_guesses import Role
 from robot_runner.analysis.importing.sample_times import TimeKind
-from robot_runner.analysis.importing.units import Unit, split_heading, unit_of
-from robot_runner.core.design.columns import REPETITION, name_findings
-from robot_runner.core.errors import AnalysisError, StorageError, did_you_mean
+from robot_runner.analysis.importing.units import Unit, unit_of
+from robot_runner.core.design.columns import REPETITION, is_fit_for_heading, name_findings
+from robot_runner.core.errors import AnalysisError, Finding, StorageError, did_you_mean
 from robot_runner.core.storage.cells import number_of
+from robot_runner.core.words import counted, one_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from robot_runner.analysis.importing.description import Recipe
+    from robot_runner.analysis.importing.role_guesses import RoleGuess
 
 __all__ = ["Understanding", "understand"]
 
@@ -59,6 +65,39 @@ class Understanding:
     recipes: tuple[Recipe, ...]
     origin: str | None
     notes: tuple[str, ...]
+    ignored: tuple[str, ...] = ()
+    decimal: str | None = None
+
+    @property
+    def questions(self) -> tuple[Finding, ...]:
+        """What is not sure, each with the options that settle it."""
+        where = self.table.path.name
+        found = [Finding.error(where, guess.question, _settled_by(guess)) for guess in self.roles.unsure]
+        for name, doubt in self.table.doubts.items():
+            if name in {*self.roles.measures, *self.roles.design}:
+                fix = "Say which the decimal sign is: --decimal point or --decimal comma."
+                found.append(Finding.error(where, f"numbers of column {name!r} can be read in two ways: {doubt}", fix))
+        return tuple(found)
+
+    @property
+    def design_words(self) -> str:
+        """The design that the runs have: factors with their treatments, repetitions, blocks, how many runs."""
+        varied = [name for name in self.roles.factors if len(self.treatments(name)) > 1]
+        counts = " x ".join(str(len(self.treatments(name))) for name in varied)
+        combinations = Counter(tuple(run.treatments[name] for name in varied) for run in self.runs)
+        possible = prod(len(self.treatments(name)) for name in varied)
+        least, most = min(combinations.values()), max(combinations.values())
+        parts = [f"{counts} ({' x '.join(map(one_line, varied))})" if varied else "one combination"]
+        parts += [f"{len(combinations)} of {possible} combinations are there"] if len(combinations) < possible else []
+        parts += [f"{least if least == most else f'{least} to {most}'} runs a combination"]
+        if block := self.roles.block:
+            number = (
+                len(self.treatments(block))
+                if block in self.roles.design
+                else len({run.repetition for run in self.runs})
+            )
+            parts += [f"in {number} blocks ({one_line(block)})"]
+        return f"{', '.join(parts)}: {counted(len(self.runs), 'run')}"
 
     @property
     def new_measures(self) -> tuple[str, ...]:
@@ -74,8 +113,11 @@ class Understanding:
             run_id=self.roles.run_id,
             status=self.roles.status,
             repetition=self.roles.repetition,
+            block=self.roles.block,
             factors=self.roles.factors,
             measures=self.roles.measures,
+            ignore=self.ignored,
+            decimal=self.decimal,
             units=_symbols(self.units),
             samples=tuple(
                 SamplesDescription(
@@ -114,7 +156,7 @@ def understand(root: Path, said: ImportDescription) -> Understanding:
         StorageError: the results cannot be read.
         AnalysisError: they cannot be understood, or what the user said does not fit them.
     """
-    table = read_foreign_table(_table_path(root, said.table))
+    table = read_foreign_table(_table_path(root, said.table), said.decimal)
     where = str(table.path)
     if not table.rows:
         raise AnalysisError("there are no runs in the table", where=where, fix="Name the table that holds the runs.")
@@ -136,12 +178,14 @@ def understand(root: Path, said: ImportDescription) -> Understanding:
         name=said.name or re.sub(r"[^A-Za-z0-9 ._-]+", "_", root.resolve().name).strip(" ._-")[:128] or "imported",
         table=table,
         roles=roles,
-        headings=_headings(roles, (*roles.factors, *roles.measures, *computed, *roles.extras), notes),
+        headings=_headings(roles, (*roles.design, *roles.measures, *computed, *roles.extras), notes),
         units=units,
         runs=tuple(runs),
         samples=tuple(samples),
         recipes=(*said.recipes, *guessed),
         origin=said.origin,
+        ignored=said.ignore,
+        decimal=said.decimal,
         notes=(*notes, *sample_notes),
     )
 
@@ -165,7 +209,14 @@ def _table_path(root: Path, name: str | None) -> Path:
 def _unit(table: ForeignTable, measure: str, units: Mapping[str, str]) -> Unit | None:
     if measure in units:
         return unit_of(units[measure])
-    return split_heading(measure)[1] if table.is_numeric(measure) else None
+    return table.unit(measure) if table.is_numeric(measure) else None
+
+
+def _settled_by(guess: RoleGuess) -> str:
+    options = [f"--{each} {shlex.quote(guess.column)}" for each in ("factor", "measure", "ignore")]
+    first = {Role.REPETITION: "repetition", Role.BLOCK: "block"}.get(guess.role)
+    options = [f"--{first} {shlex.quote(guess.column)}", *options] if first else options
+    return f"Say what it is: {', '.join(options[:-1])} or {options[-1]}."
 
 
 def _headings(roles: ColumnRoles, names: Iterable[str], notes: list[str]) -> dict[str, str]:
@@ -173,10 +224,12 @@ def _headings(roles: ColumnRoles, names: Iterable[str], notes: list[str]) -> dic
     headings: dict[str, str] = {}
     repeated = 2 if roles.repetition or roles.repetition_in_run_id else 1
     for name in names:
-        here = name
-        while any(name_findings(here, kind="column", repetitions=repeated)) or here == REPETITION:
-            here = f"{here.strip()}_"
+        here = "".join(character for character in name if is_fit_for_heading(character)).strip() or "column"
+        taken = {REPETITION, *headings.values()}
+        while here in taken or any(name_findings(here, kind="column", repetitions=repeated)):
+            here = f"{here}_"
         if here != name:
-            notes.append(f"column {name!r} is called {here!r} here: the name is taken")
+            why = "the name is taken" if here.strip("_") == name.strip("_") else "a heading cannot hold all of it"
+            notes.append(f"column {name!r} is called {here!r} here: {why}")
         headings[name] = here
     return headings

@@ -1,4 +1,4 @@
-"""Units as people write them into headings, and their conversion to SI by pint."""
+"""Units as people write them, parsed and converted to SI by pint; and where headings name one."""
 
 from __future__ import annotations
 
@@ -10,50 +10,80 @@ from typing import Any
 
 __all__ = ["TIME_UNITS", "Unit", "known_units", "si_heading", "split_heading", "unit_of"]
 
-#: The SI units that values are converted to, each with all its spellings by the rules of pint. Other units of pint are
-#: not recognised: the last word of a heading often reads like one (`mem_avg`, `run_d`).
-_SYMBOLS = {
-    "s": "s ms us ns min h",
-    "W": "W kW mW uW",
-    "J": "J kJ mJ uJ Wh mWh kWh",
-    "V": "V mV uV",
-    "A": "A mA uA",
-    "Hz": "Hz kHz MHz GHz",
-    "B": "B kB KB MB GB KiB MiB GiB",
-    "K": "K degC",
-    "m": "m cm mm km",
-    "rad": "rad deg",
-    **{symbol: symbol for symbol in ("m/s", "rad/s", "N", "Pa", "%", "1")},
-}
-_SI_OF = {symbol: si for si, symbols in _SYMBOLS.items() for symbol in symbols.split()}
-_NAME_IN_PINT = {"KB": "kB"}
-
 #: What a time may be counted in.
-TIME_UNITS = tuple(_SYMBOLS["s"].split())
+TIME_UNITS = ("s", "ms", "us", "ns", "min", "h")
+
+#: The units that the last word of a heading may be; of others it only looks like one (`mem_avg`, `run_d`, `cpu_min`).
+#: In brackets, or said by the user, a unit may be any that pint knows.
+_IN_NAMES = (
+    *(
+        "s",
+        "ms",
+        "us",
+        "ns",
+        "h",
+        "W",
+        "kW",
+        "mW",
+        "uW",
+        "J",
+        "kJ",
+        "MJ",
+        "mJ",
+        "uJ",
+        "Wh",
+        "mWh",
+        "kWh",
+        "V",
+        "mV",
+        "uV",
+    ),
+    *("A", "mA", "uA", "mAh", "Hz", "kHz", "MHz", "GHz", "B", "kB", "KB", "MB", "GB", "KiB", "MiB", "GiB", "K", "degC"),
+    *("m", "cm", "mm", "km", "rad", "deg", "m/s", "rad/s", "N", "Pa", "kg", "g", "rpm", "rps", "fps", "%", "1"),
+)
+#: What SI, and this house, has for each kind of quantity: a percentage and a byte stand for themselves.
+_SI = ("s", "W", "J", "V", "A", "Hz", "B", "B/s", "K", "m", "rad", "rad/s", "N", "Pa", "kg", "C", "ohm", "%", "1")
+#: Products that have a name. A newton metre may be a torque, and a joule a metre is no force: these stay as they are.
+_NAMED = {"W*s": "J", "J/s": "W", "A*V": "W", "V*A": "W"}
 
 _SPELLINGS = {
-    "percent": "%",
-    "pct": "%",
-    "µs": "us",
-    "μs": "us",
-    "sec": "s",
-    "seconds": "s",
-    "msec": "ms",
-    "°C": "degC",
-    "celsius": "degC",
-    "m_s": "m/s",
-    "rad_s": "rad/s",
-    "joules": "J",
-    "watts": "W",
-    "bytes": "B",
-    "MHZ": "MHz",
+    "%": "percent pct percentage",
+    "us": "µs μs",
+    "s": "sec secs second seconds",
+    "ms": "msec millisec millis millisecond milliseconds",
+    "ns": "nanosecond nanoseconds",
+    "min": "mins minute minutes",
+    "h": "hr hrs hour hours",
+    "degC": "°c ℃ celsius",
+    "m/s": "m_s",
+    "rad/s": "rad_s",
+    "W": "watt watts",
+    "V": "volt volts",
+    "B": "byte bytes",
     # Python programmers write headings without capital letters; these are unambiguous all the same.
-    **{symbol.lower(): symbol for symbol in ("J", "kJ", "Wh", "kWh", "Hz", "kB", "MB", "GB")},
+    "J": "joule joules j",
+    **{each: each.lower() for each in ("kJ", "Wh", "kWh", "Hz", "kHz", "MHz", "GHz")},
+    **{each: each.lower() for each in ("kB", "MB", "GB", "KiB", "MiB", "GiB")},
 }
+_SPELT = {spelling: symbol for symbol, all_of in _SPELLINGS.items() for spelling in all_of.split()}
+#: What is counted: `ops/sec` is a number of times a second.
+_COUNTED = re.compile(r"\b(ops?|operations?|req|requests?|frames?|packets?|messages?|msgs?|samples?|tokens?|counts?)\b")
+_WORD = re.compile(r"[A-Za-zµμ°Ω%℃]+")
+#: How pint writes what is written otherwise here, and the signs of multiplication and of powers.
+_IN_PINT = {"KB": "kB", "1": "", "rps": "count/s", "fps": "count/s", "qps": "count/s"}
+_SIGNS = str.maketrans({"⋅": "*", "·": "*", "²": "^2", "³": "^3", "μ": "µ"})
+#: Single letters that pint knows, and that are units in headings; others (`C`, `G`, `b`) mean something else too often.
+_LETTERS = frozenset("sWJVAKmNhBgΩ%1")
+_MAY_BE_A_UNIT = re.compile(r"[A-Za-zµμ°Ω%℃1][A-Za-zµμ°Ω%\d/*^ ().⋅·²³_-]{0,23}")
 
-# At the end of a heading: `power_mW`, `Power (mW)`, `power [mW]`.
-_BRACKETED = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]+?)\s*[\])]$")
-_SUFFIXED = re.compile(r"^(.+?)[_ ](m_s|rad_s|[A-Za-zµμ°%/]+)$")
+_BRACKETED = re.compile(r"\s*[\[(]\s*([^\])\[(]+?)\s*[\])]")
+_SUFFIXED = re.compile(
+    r"(?P<base>.+?)[_ .](?P<unit>(?:m_s|rad_s|[A-Za-zµμ°%/]+)(?:_per_[A-Za-z]+)?)"
+    r"(?P<rest>[_ ](?:avg|mean|median|max|sd|std|rss|total))?",
+    re.IGNORECASE,
+)
+_SPREAD = re.compile(r"(^|[_ ])(var|variance|cv)($|[_ ])", re.IGNORECASE)
+_TIMES = re.compile(r"time|duration|elapsed|latency|delay|period|interval|\bt$", re.IGNORECASE)
 _SUFFIXES = {"%": "percent", "m/s": "m_s", "rad/s": "rad_s", "1": ""}
 
 
@@ -68,8 +98,8 @@ class Unit:
         offset: added afterwards.
 
     Example:
-        >>> unit_of("mW").factor
-        0.001
+        >>> unit_of("mW").factor, unit_of("kJ/km").si
+        (0.001, 'J/m')
     """
 
     symbol: str
@@ -79,7 +109,7 @@ class Unit:
 
     def to_si(self, values: Any) -> Any:
         """Return a number, or an array of them, in SI."""
-        if self.symbol == self.si:
+        if self.factor == 1.0 and self.offset == 0.0:
             return values
         parts = round(1 / self.factor)
         # Dividing by a whole number rounds once: 14.849 ms are 0.014849 s, and not 0.014849000000000001 s.
@@ -88,26 +118,64 @@ class Unit:
 
 
 def known_units() -> tuple[str, ...]:
-    """Return the symbols of all units that are recognised."""
-    return tuple(_SI_OF)
+    """Return the symbols of the units that are recognised at the end of a heading."""
+    return _IN_NAMES
 
 
 def unit_of(text: str) -> Unit | None:
     """Return the unit that is written like this, or None."""
-    trimmed = text.strip()
-    symbol = trimmed if trimmed in _SI_OF else _SPELLINGS.get(trimmed, _SPELLINGS.get(trimmed.casefold(), ""))
-    return _unit(symbol) if symbol else None
+    symbol = _symbol(text.strip())
+    return _unit(symbol) if symbol in _IN_NAMES or (_MAY_BE_A_UNIT.fullmatch(symbol) and _is_clear(symbol)) else None
+
+
+def _symbol(text: str) -> str:
+    return text if text in _IN_NAMES else _SPELT.get(text.casefold(), text)
+
+
+def _is_clear(symbol: str) -> bool:
+    return len(symbol) > 1 or symbol in _LETTERS
 
 
 @cache
-def _unit(symbol: str) -> Unit:
-    si = _SI_OF[symbol]
-    if symbol == si:
-        return Unit(symbol, si)
+def _unit(symbol: str) -> Unit | None:
+    if symbol in _SI:
+        return Unit(symbol, symbol)
+    written = _WORD.sub(lambda found: _IN_PINT.get(_symbol(found[0]), _symbol(found[0])), _COUNTED.sub("count", symbol))
+    try:
+        parsed = dict(_registry().parse_units(written.translate(_SIGNS))._units)  # noqa: SLF001 - no other way to its parts
+    except Exception:  # noqa: BLE001 - pint raises errors of many kinds for what is no unit
+        return None
+    parts = [(_part(name), power) for name, power in parsed.items()]
+    factor, offset = math.prod(part.factor**power for part, power in parts), sum(part.offset for part, _ in parts)
+    if not parts or any(name.startswith("decibel") for name in parsed) or (offset and len(parts) > 1):
+        return None
+    above = "*".join(_raised(part.si, power) for part, power in parts if power > 0) or "1"
+    below = "".join(f"/{_raised(part.si, -power)}" for part, power in parts if power < 0)
+    si = _NAMED.get(above + below, above + below)
+    return Unit(symbol, si, factor, offset)
+
+
+@cache
+def _part(name: str) -> Unit:
+    """Return a unit of pint that has a name of its own, converted to what we have for its kind of quantity."""
     registry = _registry()
-    name = _NAME_IN_PINT.get(symbol, symbol)
-    offset = registry.convert(0.0, name, si)
-    return Unit(symbol, si, registry.convert(1.0, name, si) - offset, offset)
+    if name == "percent":
+        return Unit("%", "%")
+    root = registry.get_root_units(name)[1]
+    si = _of_roots().get(root, f"{root:~}".replace(" ", ""))
+    offset = registry.convert(0.0, name, root if si not in _SI else _IN_PINT.get(si, si))
+    return Unit(name, si, registry.convert(1.0, name, root if si not in _SI else _IN_PINT.get(si, si)) - offset, offset)
+
+
+@cache
+def _of_roots() -> dict[Any, str]:
+    registry = _registry()
+    roots = {registry.get_root_units(_IN_PINT.get(si, si))[1]: si for si in _SI if si not in {"%", "1"}}
+    return {**roots, registry.Unit("count"): "1", registry.Unit(""): "1"}
+
+
+def _raised(symbol: str, power: float) -> str:
+    return symbol if power == 1 else f"{symbol}^{power:g}"
 
 
 @cache
@@ -124,16 +192,36 @@ def split_heading(heading: str) -> tuple[str, Unit | None]:
         >>> split_heading("power_mW")[0], split_heading("PACKAGE_ENERGY (J)")[1].si, split_heading("cpu_util")
         ('power', 'J', ('cpu_util', None))
     """
-    for pattern in (_BRACKETED, _SUFFIXED):
-        found = pattern.match(heading.strip())
-        if found is None:
-            continue
-        base, symbol = found[1].strip(), found[2]
-        # `w` is watts in the name of a power only: an orientation, too, has a component w.
-        unit = unit_of("W" if symbol == "w" and "power" in base.casefold() else symbol)
-        if base and unit is not None:
+    name = heading.strip()
+    if _SPREAD.search(name):  # a variance has the square of the unit, and a coefficient of variation none
+        return name, None
+    for found in reversed([*_BRACKETED.finditer(name)]):
+        # Of `[avg %]` the last word is the unit; `Core(s)` is a plural.
+        base = (name[: found.start()] + name[found.end() :]).strip()
+        unit = _unit_in(base, found[1]) or _unit_in(base, found[1].split()[-1])
+        is_plural = found[1] == "s" and not _TIMES.search(base)
+        if base and unit is not None and not is_plural:
             return base, unit
-    return heading.strip(), None
+    if suffixed := _SUFFIXED.fullmatch(name):
+        base, written = suffixed["base"], suffixed["unit"].replace("_per_", "/")
+        is_known = _symbol(written) in _IN_NAMES or all(
+            _symbol(part) in {*_IN_NAMES, "w"} for part in written.split("/")
+        )
+        unit = _unit_in(base, written) if is_known and not base.endswith("_per") else None
+        if unit is not None:
+            return base + (suffixed["rest"] or ""), unit
+    # A heading of its own is a unit if it is a word: `Joules`, `Watts`.
+    return name, unit_of(name) if name.casefold() in _SPELT and len(name) > len("Hour") else None
+
+
+def _unit_in(base: str, written: str) -> Unit | None:
+    """Return the unit in a heading, where letters may mean several: degrees or coulombs, minutes or metres."""
+    # `w` is watts in the name of a power only: an orientation, too, has a component w.
+    if written == "w" and "power" in base.casefold():
+        return unit_of("W")
+    if written == "C" and "temp" in base.casefold():
+        return unit_of("degC")
+    return None if written == "m" and _TIMES.search(base) else unit_of(written)
 
 
 def si_heading(heading: str, unit: Unit | None) -> str:
@@ -145,8 +233,6 @@ def si_heading(heading: str, unit: Unit | None) -> str:
     """
     if unit is None:
         return heading.strip()
-    base, named = split_heading(heading)
-    if named is None:
-        base = heading.strip()
-    suffix = _SUFFIXES.get(unit.si, unit.si)
+    suffix = _SUFFIXES.get(unit.si, unit.si.replace("/", "_per_").replace("*", "_"))
+    base = split_heading(heading)[0]
     return f"{base}_{suffix}" if suffix else base

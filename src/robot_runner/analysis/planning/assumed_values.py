@@ -14,7 +14,7 @@ import pandas as pd
 
 from robot_runner.analysis.statistics.families import effect_key
 from robot_runner.core.errors import AnalysisError, did_you_mean
-from robot_runner.core.words import counted, enumerated
+from robot_runner.core.words import counted, enumerated, listed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -201,6 +201,7 @@ def assumed_scenario(
     if missing:
         fix = "Give " + " ".join(f"--sd {name}=..." for name in missing) + ", or a pilot: --pilot FOLDER."
         raise AnalysisError(f"nothing is assumed of {enumerated(missing)}", where="power", fix=fix)
+    _refuse_bounds(study, [name for name in measures if name not in base])
     made = []
     for name in measures:
         known = base.get(name)
@@ -218,6 +219,21 @@ def assumed_scenario(
     return Scenario(title, tuple(made), frozenset(effect_key(each.measure, each.factors) for each in differences))
 
 
+def _refuse_bounds(study: Study, measures: Sequence[str]) -> None:
+    """Refuse to assume differences alone where the plan leaves out values beyond bounds.
+
+    Raises:
+        AnalysisError: it does, of one of these measures.
+    """
+    rule = study.plan.outliers if study.plan is not None else None
+    bound = [name for name in measures if rule is not None and name in rule.bounds]
+    if bound:
+        problem = (
+            f"the plan leaves out values of {enumerated(bound)} beyond bounds, and nothing says how large they are"
+        )
+        raise AnalysisError(problem, where="power", fix="Give their means: --means FILE, or --pilot FOLDER.")
+
+
 def means_file(study: Study, path: Path, spreads: Mapping[str, float]) -> dict[str, AssumedMeasure]:
     """Return the means of a CSV file: columns for factors and measures, `<measure>.sd` beside; a row a combination.
 
@@ -230,7 +246,8 @@ def means_file(study: Study, path: Path, spreads: Mapping[str, float]) -> dict[s
     try:
         table = pd.read_csv(path, dtype=str, keep_default_na=False)
     except (OSError, ValueError) as error:
-        raise AnalysisError(f"the file cannot be read: {error}", where=where, fix="Name a CSV file.") from error
+        why = error.strerror if isinstance(error, OSError) else str(error)
+        raise AnalysisError(f"the file cannot be read: {why}", where=where, fix="Name a CSV file.") from error
     known = [*study.factors, *study.units, *(f"{name}{_SPREAD}" for name in study.units)]
     for name in table.columns:
         if name not in known:
@@ -271,7 +288,7 @@ def _rows_of_cells(study: Study, table: pd.DataFrame, where: str) -> Iterator[tu
         problem = (
             f"{counted(len(missing), 'combination')} of the design {'has' if len(missing) == 1 else 'have'} no row"
         )
-        raise AnalysisError(problem, where=where, fix=f"Add {enumerated(missing[:5])}.")
+        raise AnalysisError(problem, where=where, fix=f"Add rows for {listed(dict.fromkeys(missing))}.")
 
 
 def with_blocks(scenario: Scenario, blocks: Mapping[str, float], responses: Mapping[str, float]) -> Scenario:

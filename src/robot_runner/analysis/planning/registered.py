@@ -80,6 +80,7 @@ def _deviations(found: Registration, results: Results, statistics: ExperimentSta
         "design": {**_first_design(manifest), "excluded": content["design"].get("excluded", [])},
         "seed": manifest.get("seed"),
         "analysis": manifest.get("analysis"),
+        "repeat_until": manifest.get("repeat_until"),
         "measures": [{"name": name, "unit": results.unit(name)} for name in results.measures],
     }
     yield from differences(content, json.loads(json.dumps(now, default=str)))
@@ -96,6 +97,8 @@ def _first_design(manifest: Mapping[str, Any]) -> dict[str, Any]:
     batches = (manifest.get("design") or {}).get("batches") or []
     if batches and batches[0].get("repetitions"):
         design["repetitions"] = batches[0]["repetitions"]
+    if rule := manifest.get("repeat_until"):  # what is added until it is precise was registered with the rule
+        design["repetitions"] = rule["least"]
     return design
 
 
@@ -143,6 +146,8 @@ def _of_execution(found: Registration, results: Results) -> Iterator[str]:
         yield "another registration took the place of this one after runs had been executed, and does not count"
     if manifest.get("analysis_changes"):
         yield "the analysis plan was changed after runs had been executed"
+    if manifest.get("repeat_until_changes"):
+        yield "how precisely measures are to be known was changed after runs had been executed"
     for batch in (manifest.get("design") or {}).get("batches", [])[1:]:
         runs, at = counted(batch["runs"], "run"), str(batch.get("at"))[:10]
         yield f"extended beyond what was registered: batch {batch['batch']}, {runs}, added on {at}"

@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.analysis.report.blocks import Block, Cell, Facts, Paragraph, Part, Section, Table, Tone
 from robot_runner.analysis.report.charts import points_chart
 from robot_runner.analysis.report.material import correction_in_words
+from robot_runner.analysis.report.plan_part import choices_in_words
 from robot_runner.analysis.report.tables import build_table, field, interval, number, text
+from robot_runner.analysis.statistics.known_precision import repeated_interval
 from robot_runner.analysis.wording import ALPHA, MINUS, listed, sentence, with_unit
+from robot_runner.core.design.repeated_intervals import METHOD
 from robot_runner.core.storage.executed_runs import moved_in_words
 from robot_runner.core.words import counted, shown_commit, shown_duration
 
@@ -16,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from robot_runner.analysis.report.material import Material
+    from robot_runner.analysis.statistics.known_precision import KnownPrecision
     from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics
 
 __all__ = ["description_section", "design_section", "order_in_words", "shown_stamp"]
@@ -50,6 +54,8 @@ def _facts(material: Material) -> Iterator[tuple[str, str]]:
     yield "Design", material.statistics.design.sentence
     yield "Order", order_in_words(material)
     yield from _batches(material)
+    for known in material.precisions.values():
+        yield f"Repeated for {known.measure}", f"{known.asked}; {counted(known.repetitions, 'repetition')} in the end"
     if material.results.warm_ups:
         yield "Warm-up", f"{listed(material.results.warm_ups)}: executed and kept, not analysed"
     yield "Robot", str(material.manifest("robot", default="not recorded"))
@@ -62,7 +68,8 @@ def _facts(material: Material) -> Iterator[tuple[str, str]]:
     plan = material.results.plan
     if plan is not None:
         correction = correction_in_words(plan.correction)
-        yield "Fixed beforehand", f"measures {listed(plan.measures)}, {ALPHA} = {plan.alpha:g}, {correction}"
+        choices = f"measures {listed(plan.measures)}, {ALPHA} = {plan.alpha:g}, {correction}"
+        yield "Fixed beforehand", "; ".join([choices, *choices_in_words(plan, material.results.unit)])
     if material.registered is not None:
         yield "Registration", material.registered.sentence
         if material.registered.power:
@@ -196,8 +203,26 @@ def _part(material: Material, measure: MeasureStatistics) -> Part:
     meaning = material.results.columns[measure.name].description
     blocks: list[Block] = [Paragraph(meaning, Tone.NOTE)] if meaning else []
     blocks += _description_tables(material, measure, label)
+    if measure.name in material.precisions:
+        blocks += _precision_blocks(material.precisions[measure.name], label)
     blocks += [Paragraph(note, Tone.NOTE) for note in _notes(measure)]
     return Part(f"describe-{measure.name}", label, tuple(blocks), material.badges(measure))
+
+
+def _precision_blocks(known: KnownPrecision, label: str) -> Iterator[Block]:
+    """Yield how precisely a measure is known that combinations were repeated for."""
+    yield Paragraph(known.sentence, Tone.PLAIN if known.is_reached else Tone.WARNING, lead="Precision.")
+    if not known.differences:
+        return
+    fields = (
+        text("Treatments", "of"),
+        number("Repetitions", "n"),
+        number("Difference of means", "mean"),
+        interval("CI of the difference", repeated_interval),
+    )
+    note = f"CI: 95 % confidence interval, {METHOD}; it holds wherever the experiment stopped."
+    caption = f"{label}: differences between treatments, compared within repetitions."
+    yield build_table(f"precision {known.measure}", caption, known.differences, fields, note)
 
 
 def _description_tables(material: Material, measure: MeasureStatistics, label: str) -> Iterator[Table]:
@@ -253,7 +278,7 @@ def _notes(measure: MeasureStatistics) -> Iterator[str]:
             f"{run_id} ({with_unit(outlier.value, measure.unit)}{', extreme' if outlier.is_extreme else ''})"
             for run_id, outlier in outliers.items()
         ]
-        by = "by Tukey's fences"
-        yield f"{counted(len(outliers), 'outlier')} {by}: {listed(named, shown=_MOST_NAMED)}. None was left out."
+        many = f"{counted(len(outliers), 'outlier')} by Tukey's fences"
+        yield f"{many}: {listed(named, shown=_MOST_NAMED)}. None of these was left out."
     for missed in measure.not_computed:
         yield f"Not computed: {missed.what}. {sentence(missed.why)}"

@@ -59,6 +59,7 @@ def json_of_report(material: Material, *, made: str) -> str:
         "quality": material.qualities,
         "doubtful_values": material.doubted.to_dict("records"),
         "statistics": material.statistics,
+        "precision": tuple(material.precisions.values()),
         "registration": material.registered.as_mapping() if material.registered is not None else None,
         "threats": threats_of(material),
     }

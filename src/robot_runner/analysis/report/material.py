@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.planning.registered import registered
 from robot_runner.analysis.report.blocks import Badge, Tone
+from robot_runner.analysis.statistics.known_precision import known_precisions
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.events.measure import Quality
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.planning.registered import Registered
     from robot_runner.analysis.results import Results
+    from robot_runner.analysis.statistics.known_precision import KnownPrecision
     from robot_runner.analysis.statistics.outcome import ExperimentStatistics, MeasureStatistics
 
 __all__ = [
@@ -159,6 +161,12 @@ class Material:
     def done(self) -> pd.DataFrame:
         """The runs that are done."""
         return self.results.done
+
+    @cached_property
+    def precisions(self) -> Mapping[str, KnownPrecision]:
+        """How precisely each measure is known that the experiment was repeated for, by its name."""
+        left_out = {each.name: [one.run_id for one in each.left_out] for each in self.statistics.measures}
+        return {each.measure: each for each in known_precisions(self.results, left_out)}
 
     @cached_property
     def labels(self) -> Mapping[str, str]:

@@ -21,6 +21,7 @@ from robot_runner.analysis.report.blocks import (
 )
 from robot_runner.analysis.report.material import correction_in_words
 from robot_runner.analysis.report.measure_figures import quantile_figure
+from robot_runner.analysis.report.plan_part import besides, planned_parts, standing_parts
 from robot_runner.analysis.report.tables import Field, build_table, field, interval, number, p_value, text
 from robot_runner.analysis.wording import ALPHA, MISSING, RHO, listed, sentence, shown_interval, shown_number
 from robot_runner.core.design.analysis_plan import Estimand
@@ -52,8 +53,7 @@ def tests_section(material: Material) -> Section:
     if material.statistics.hypotheses:
         blocks.append(_hypothesis_table(material))
     blocks += [_part(material, measure) for measure in material.statistics.measures]
-    if material.statistics.standings:
-        blocks.append(Part("without-doubtful", "Without doubtful values", (_standing_table(material),)))
+    blocks += standing_parts(material)
     if material.statistics.correlations:
         blocks.append(Part("correlations", "Correlations", (_correlation_table(material),)))
     blocks += _missed(material.statistics.not_computed)
@@ -75,8 +75,9 @@ def _planned(material: Material) -> str:
 
 def _part(material: Material, measure: MeasureStatistics) -> Part:
     label = material.results.label(measure.name)
-    blocks: list[Block] = [*_test(material, measure), *_assumptions(material, measure)]
+    blocks: list[Block] = [*_test(material, measure), *planned_parts(measure, label), *_assumptions(material, measure)]
     blocks += [_pair_table(measure, label, each) for each in measure.post_hoc]
+    blocks += _beside(material, measure, label)
     if measure.power is not None:
         blocks.append(Paragraph(_power(measure.power), Tone.NOTE, lead="Power."))
     blocks += _missed(measure.not_computed)
@@ -104,6 +105,16 @@ def _test(material: Material, measure: MeasureStatistics) -> Iterator[Block]:
     yield _effect_table(f"test {measure.name}", caption, test, material.statistics.alpha)
     for note in test.notes:
         yield Paragraph(note, Tone.NOTE)
+
+
+def _beside(material: Material, measure: MeasureStatistics, label: str) -> Iterator[Part]:
+    """Yield the tests with one choice made otherwise, folded: the planned one leads."""
+    for title, test in besides(material, measure.name):
+        name = f"test {measure.name} {title.casefold()}"
+        table = _effect_table(
+            name, f"{label}, {title.casefold()}: {test.method.value}.", test, material.statistics.alpha
+        )
+        yield Part(name.replace(" ", "-"), title, (table,), is_folded=True)
 
 
 def _assumptions(material: Material, measure: MeasureStatistics) -> Iterator[Block]:
@@ -161,25 +172,6 @@ def _hypothesis_table(material: Material) -> Table:
     )
     caption = "Hypotheses that were fixed before the experiment."
     return build_table("hypotheses", caption, material.statistics.hypotheses, fields)
-
-
-def _standing_table(material: Material) -> Table:
-    words = {None: "not known", True: "stands", False: "does not stand"}
-    fields = (
-        text("Measure", "measure"),
-        text("Conclusion about", "label"),
-        number("Runs left out", lambda each: len(each.left_out)),
-        p_value("p", "p_value"),
-        p_value("p without them", "p_value_without"),
-        field("Verdict", lambda each: Cell(each.stands, words[each.stands], _tone(each.stands))),
-    )
-    caption = "Whether conclusions stand when the runs are left out whose values are doubtful."
-    note = "p-values of hypotheses are adjusted; all other tables and figures are of all values."
-    return build_table("without doubtful", caption, material.statistics.standings, fields, note)
-
-
-def _tone(stands: bool | None) -> Tone:
-    return Tone.GOOD if stands else Tone.WARNING
 
 
 def _effect_table(name: str, caption: str, test: MeasureTest, alpha: float) -> Table:

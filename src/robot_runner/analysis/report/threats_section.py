@@ -10,6 +10,8 @@ from robot_runner.analysis.report.machine_threats import machine_threats
 from robot_runner.analysis.report.material import origin_badges
 from robot_runner.analysis.report.measure_figures import drift_figure
 from robot_runner.analysis.report.outcome_section import failures_in_words
+from robot_runner.analysis.statistics.disclosed import Beside
+from robot_runner.analysis.statistics.experiment_statistics import planned_warnings
 from robot_runner.analysis.wording import NUMBER, listed, sentence, shown_number
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID
 from robot_runner.core.events.measure import Quality
@@ -61,7 +63,7 @@ def threats_section(material: Material, threats: Sequence[Remark]) -> Section:
 def threats_of(material: Material) -> tuple[Remark, ...]:
     """Return all threats, those of one kind together."""
     kinds = {
-        "Conclusion validity": (_groups, _power, _plan, _registered, _doubtful),
+        "Conclusion validity": (_groups, _precision, _power, _plan, _registered, _planned_choices, _doubtful),
         "Internal validity": (
             _drifts,
             _order,
@@ -118,15 +120,29 @@ def _registered(material: Material) -> Threats:
         yield "Deviations from the registration", text, Tone.WARNING
 
 
+def _planned_choices(material: Material) -> Threats:
+    """Yield what covariates, and rules for values that are left out, leave doubtful."""
+    for measure in material.statistics.measures:
+        for text in planned_warnings(measure):
+            yield f"The planned analysis of {measure.name}", text, Tone.WARNING
+
+
 def _doubtful(material: Material) -> Threats:
     """Yield, for each measure with doubtful values, how many they are and what stands without them."""
     doubted = material.doubted[material.doubted["quality"].astype("str") == Quality.DOUBTFUL.value]
     for name, rows in doubted.groupby("measure", sort=False):
-        mine = [each for each in material.statistics.standings if each.measure == name]
+        standings = material.statistics.standings
+        mine = [each for each in standings if each.measure == name and each.beside is not Beside.WITHOUT_COVARIATES]
         told = " ".join(each.conclusion for each in mine)
         runs = counted(len(material.done), "run")
         text = f"{len(rows):,} of {runs}: {listed(rows['run_id'])}; Outcome of each run has the reasons. {told}".strip()
         yield f"{name} has doubtful values", text, Tone.WARNING if all(each.stands for each in mine) else Tone.BAD
+
+
+def _precision(material: Material) -> Threats:
+    for known in material.precisions.values():
+        if not known.is_reached:
+            yield f"{known.measure} is not as precise as planned", known.sentence, Tone.WARNING
 
 
 def _power(material: Material) -> Threats:

@@ -11,6 +11,7 @@ from scipy import stats
 
 from robot_runner.analysis.statistics.outcome import Description, Outlier
 from robot_runner.analysis.statistics.tested import Interval
+from robot_runner.core.design.repeated_intervals import CONFIDENCE, METHOD, half_width_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -51,7 +52,7 @@ _LEAST_FOR_SPREAD = 2
 _LEAST_FOR_OUTLIERS = 4
 
 
-def describe(group: Group, *, level: float = 0.95) -> Description:
+def describe(group: Group, *, level: float = 0.95, level_of_looks: float | None = None) -> Description:
     """Describe the values of one group.
 
     Quartiles are interpolated linearly (type 7 of Hyndman and Fan 1996, as R and numpy do by default).
@@ -59,6 +60,7 @@ def describe(group: Group, *, level: float = 0.95) -> Description:
     Args:
         group: the runs.
         level: the confidence of the mean's interval.
+        level_of_looks: the level of each interval, where runs were added until one was narrow; see `known_precision`.
 
     Example:
         >>> from robot_runner.analysis.statistics.design import Group
@@ -83,15 +85,18 @@ def describe(group: Group, *, level: float = 0.95) -> Description:
         third_quartile=third,
         minimum=float(np.min(values)),
         maximum=float(np.max(values)),
-        mean_interval=_mean_interval(values, level),
+        mean_interval=_mean_interval(values, level, level_of_looks),
         outliers=_outliers(group, first, third),
     )
 
 
-def _mean_interval(values: NDArray[np.float64], level: float) -> Interval | None:
+def _mean_interval(values: NDArray[np.float64], level: float, level_of_looks: float | None) -> Interval | None:
     """Return Student's interval; a bootstrap's is narrower than it claims (83 % at n = 5, normal or not)."""
     if len(values) < _LEAST_FOR_SPREAD or np.ptp(values) == 0:
         return None
+    if level_of_looks is not None:
+        mean, half_width = float(np.mean(values)), half_width_of(values.tolist(), level_of_looks)
+        return Interval(mean - half_width, mean + half_width, CONFIDENCE, METHOD)
     low, high = stats.t.interval(level, len(values) - 1, loc=np.mean(values), scale=stats.sem(values))
     return Interval(float(low), float(high), level, "t distribution")
 

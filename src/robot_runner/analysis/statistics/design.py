@@ -10,6 +10,7 @@ import pandas as pd
 
 from robot_runner.analysis.run_frame import treatment_texts
 from robot_runner.analysis.statistics.outcome import DesignSummary
+from robot_runner.core.design.analysis_plan import ELAPSED, ORDER
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import counted, enumerated
 
@@ -20,13 +21,19 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.results import Results
 
-__all__ = ["BATCH", "PLACE", "VALUE", "Design", "Group", "MeasureData", "design_of"]
+__all__ = ["BATCH", "PLACE", "VALUE", "Design", "Group", "MeasureData", "covariate_column", "design_of"]
 
 #: Columns of a measure's data beside the factors. Names of factors never begin with a blank.
 VALUE = " value"
 PLACE = " place"
 _BLOCK = " block"
 BATCH = " batch"
+_STAMP = "start_measurement_at"
+
+
+def covariate_column(name: str) -> str:
+    """Return the column that a covariate has in the data of each measure."""
+    return f" covariate {name}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +68,7 @@ class MeasureData:
         factors: those that have two and more treatments among the runs with a value.
         is_blocked: whether runs belong to blocks.
         is_extended: whether the runs with a value are of several batches.
+        covariates: what values are adjusted for; `frame` has a column of each, and only the runs that have all of them.
     """
 
     name: str
@@ -69,6 +77,7 @@ class MeasureData:
     factors: tuple[str, ...]
     is_blocked: bool
     is_extended: bool = False
+    covariates: tuple[str, ...] = ()
 
     @property
     def values(self) -> NDArray[np.float64]:
@@ -84,6 +93,20 @@ class MeasureData:
     def batches(self) -> NDArray[np.intp]:
         """The number of the batch of each run that has a value."""
         return np.asarray(self.frame[BATCH].astype(int), dtype=np.intp)
+
+    def covariate(self, name: str) -> NDArray[np.float64]:
+        """Return a covariate of each run that has a value."""
+        return np.asarray(self.frame[covariate_column(name)], dtype=np.float64)
+
+    @property
+    def lacking(self) -> dict[str, list[str]]:
+        """The covariates that runs with a value lack, by run; those that no run has are left out."""
+        every = self.every[self.every[VALUE].notna() & ~self.every[RUN_ID].isin(set(self.frame[RUN_ID]))]
+        found = {
+            run_id: [name for name in self.covariates if row[covariate_column(name)] != row[covariate_column(name)]]
+            for run_id, row in every.set_index(RUN_ID).iterrows()
+        }
+        return {str(run_id): names for run_id, names in found.items() if names}
 
     def levels(self, factor: str) -> list[str]:
         """Return the treatments of a factor that occur among runs with a value, in their order."""
@@ -117,17 +140,26 @@ class MeasureData:
         ]
 
     def residuals(self) -> NDArray[np.float64]:
-        """Return each value less the mean of its combination, and less what its batch adds where there are several."""
+        """Return each value less the mean of its combination, and less what its batch and covariates add, if any."""
+        if not (self.is_extended or self.covariates):
+            if not self.factors:
+                return np.asarray(self.values - np.mean(self.values), dtype=np.float64)
+            grouped = self.frame.groupby(list(self.factors), observed=True)[VALUE]
+            return np.asarray(self.frame[VALUE] - grouped.transform("mean"), dtype=np.float64)
+        cells = (
+            self.frame.groupby(list(self.factors), observed=True).ngroup()
+            if self.factors
+            else np.zeros(len(self.frame))
+        )
+        parts = [pd.get_dummies(pd.Series(cells)).to_numpy(dtype=np.float64)]
         if self.is_extended:
-            parts = [self.frame[BATCH].astype(str)]
-            if self.factors:
-                parts.append(self.frame.groupby(list(self.factors), observed=True).ngroup())
-            told = np.column_stack([pd.get_dummies(each).to_numpy(dtype=np.float64) for each in parts])
-            return np.asarray(self.values - told @ np.linalg.lstsq(told, self.values)[0], dtype=np.float64)
-        if not self.factors:
-            return np.asarray(self.values - np.mean(self.values), dtype=np.float64)
-        grouped = self.frame.groupby(list(self.factors), observed=True)[VALUE]
-        return np.asarray(self.frame[VALUE] - grouped.transform("mean"), dtype=np.float64)
+            parts.append(pd.get_dummies(self.frame[BATCH].astype(str)).to_numpy(dtype=np.float64))
+        for name in self.covariates:
+            values = self.covariate(name)
+            if np.isfinite(values).all() and np.ptp(values) > 0:
+                parts.append(((values - values.mean()) / np.ptp(values))[:, None])
+        told = np.column_stack(parts)
+        return np.asarray(self.values - told @ np.linalg.lstsq(told, self.values)[0], dtype=np.float64)
 
 
 def _group(treatments: dict[str, str], values: NDArray[np.float64], run_ids: NDArray[np.object_]) -> Group:
@@ -146,6 +178,7 @@ class Design:
         block: the column of the blocks, or None.
         left_out: how many runs of the table are not done.
         without: runs whose values are not used.
+        covariates: what the values of measures are adjusted for; of a covariate itself they are not.
     """
 
     results: Results
@@ -155,19 +188,40 @@ class Design:
     block: str | None
     left_out: int
     without: frozenset[str] = frozenset()
+    covariates: tuple[str, ...] = ()
 
     def data(self, measure: str) -> MeasureData | None:
         """Return the data of a measure, or None where its values are no numbers."""
+        values = self._numbers(measure)
+        if values is None:
+            return None
+        covariates = () if measure in self.covariates else self.covariates
+        told = {covariate_column(name): self._covariate(name) for name in covariates}
+        every = self.frame.assign(**{VALUE: values, **told})
+        if self.without:
+            every = every[~every[RUN_ID].isin(self.without)].reset_index(drop=True)
+        known = [column for column in told if every[column].notna().any()]
+        frame = every[every[[VALUE, *known]].notna().all(axis="columns")].reset_index(drop=True)
+        factors = tuple(name for name in self.factors if _distinct(frame[name]) > 1)
+        is_extended = BATCH in frame and _distinct(frame[BATCH]) > 1
+        return MeasureData(measure, frame, every, factors, self.block is not None, is_extended, covariates)
+
+    def _numbers(self, measure: str) -> NDArray[np.float64] | None:
+        """Return the values of a measure, NaN where there is none; None where they are no numbers."""
         values = self.results.done[measure]
         if isinstance(values.dtype, pd.StringDtype | pd.BooleanDtype) or values.dtype == object:
             return None
-        every = self.frame.assign(**{VALUE: values.to_numpy(dtype=np.float64, na_value=np.nan)})
-        if self.without:
-            every = every[~every[RUN_ID].isin(self.without)].reset_index(drop=True)
-        frame = every[every[VALUE].notna()].reset_index(drop=True)
-        factors = tuple(name for name in self.factors if _distinct(frame[name]) > 1)
-        is_extended = BATCH in frame and _distinct(frame[BATCH]) > 1
-        return MeasureData(measure, frame, every, factors, self.block is not None, is_extended)
+        return np.asarray(values.to_numpy(dtype=np.float64, na_value=np.nan))
+
+    def _covariate(self, name: str) -> NDArray[np.float64]:
+        """Return a covariate of each run; NaN everywhere where it has no numbers."""
+        done = self.results.done
+        found = self._numbers(name) if name in self.results.measures else None
+        if found is None and name == ORDER and name not in done:
+            found = self.frame[PLACE].to_numpy(dtype=np.float64)
+        if found is None and name == ELAPSED and name not in done and _STAMP in done:
+            found = (done[_STAMP] - done[_STAMP].min()).dt.total_seconds().to_numpy(dtype=np.float64, na_value=np.nan)
+        return np.full(len(done), np.nan) if found is None else found
 
     def summary(self) -> DesignSummary:
         """Return the design in figures and in a sentence."""
@@ -235,7 +289,6 @@ def _distinct(values: pd.Series) -> int:
 
 def _places(done: pd.DataFrame) -> NDArray[np.int64]:
     """Return the place of each run in the order of execution: by its time stamp, where all have one."""
-    stamp = "start_measurement_at"
-    if stamp in done and done[stamp].notna().all():
-        return np.asarray(done[stamp].rank(method="first"), dtype=np.int64)
+    if _STAMP in done and done[_STAMP].notna().all():
+        return np.asarray(done[_STAMP].rank(method="first"), dtype=np.int64)
     return np.arange(1, len(done) + 1, dtype=np.int64)

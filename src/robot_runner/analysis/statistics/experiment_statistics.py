@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
-from robot_runner.analysis.statistics.assumptions import equal_variances, normality, quantile_pairs
-from robot_runner.analysis.statistics.batch_strata import comparable
-from robot_runner.analysis.statistics.correlations import correlations_of, drift_of
-from robot_runner.analysis.statistics.descriptive import describe
+from robot_runner.analysis.statistics.correlations import correlations_of
 from robot_runner.analysis.statistics.design import design_of
+from robot_runner.analysis.statistics.disclosed import Beside, LeftOut, Reason
 from robot_runner.analysis.statistics.families import concluded
+from robot_runner.analysis.statistics.left_out import (
+    MOST_FALSE_POSITIVES,
+    doubtful_values,
+    left_out_of,
+    rate_in_words,
+)
+from robot_runner.analysis.statistics.measure_statistics import measure_statistics
 from robot_runner.analysis.statistics.outcome import ExperimentStatistics, MeasureStatistics
-from robot_runner.analysis.statistics.post_hoc import carry_out_contrast, compare_pairs, missing_intervals
-from robot_runner.analysis.statistics.power import power_of
-from robot_runner.analysis.statistics.robustness import doubtful_runs, standing_effects, standing_hypotheses
+from robot_runner.analysis.statistics.robustness import Otherwise, doubtful_runs, standing_effects, standing_hypotheses
 from robot_runner.analysis.statistics.tested import NotComputed
-from robot_runner.analysis.statistics.tests import Choices, carry_out, model_of
+from robot_runner.analysis.statistics.tests import Choices
+from robot_runner.analysis.wording import listed
 from robot_runner.core.design.analysis_plan import Correction
-from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.words import counted
 
@@ -28,128 +30,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from robot_runner.analysis.results import Results
-    from robot_runner.analysis.statistics.design import Design, MeasureData
-    from robot_runner.analysis.statistics.outcome import Description, Power
-    from robot_runner.analysis.statistics.tested import AssumptionCheck, ContrastTest
+    from robot_runner.analysis.statistics.design import Design
+    from robot_runner.analysis.statistics.outcome import Standing
     from robot_runner.core.design.analysis_plan import AnalysisPlan
-    from robot_runner.core.design.hypothesis import Hypothesis
 
-__all__ = ["analyse", "measure_statistics"]
-
-
-_Found = TypeVar("_Found")
-
-#: Groups are described one by one up to this number; the table would not be read, and the bootstrap takes its time.
-_MOST_DESCRIBED = 200
-
-#: The square of a larger value, summed up, comes near the end of floating-point numbers.
-_LARGEST = 1e100
-
-
-class _Gathered:
-    """What could not be computed, noted on the way."""
-
-    def __init__(self) -> None:
-        self.missing: list[NotComputed] = []
-
-    def take(self, result: _Found | NotComputed) -> _Found | None:
-        """Return a result, or None after noting why there is none."""
-        if isinstance(result, NotComputed):
-            self.missing.append(result)
-            return None
-        return result
-
-
-def measure_statistics(
-    design: Design, name: str, choices: Choices, *, plan: AnalysisPlan | None = None
-) -> MeasureStatistics:
-    """Compute the statistics of one measure from the runs that are done; p-values are not adjusted yet.
-
-    Args:
-        design: of the experiment.
-        name: the measure.
-        choices: what was chosen for the analysis beforehand.
-        plan: what was planned; None where nothing was, or where it is not kept.
-    """
-    gathered = _Gathered()
-    column = design.results.columns[name]
-    data = design.data(name)
-    is_primary = plan is not None and name in plan.measures
-    is_planned = plan is not None and name in (*plan.measures, *plan.secondary)
-    if data is None or not len(data.frame) or float(np.max(np.abs(data.values))) > _LARGEST:
-        why = "the measure is not a number." if data is None else "no run that is done has a value."
-        if data is not None and len(data.frame):
-            why = f"the measure has values beyond {_LARGEST:g}, too large to compute with."
-        missing = (NotComputed(f"statistics of {name}", why),)
-        return MeasureStatistics(name, column.unit, column.origin, is_planned, is_primary, not_computed=missing)
-    compared, note, apart = comparable(data)
-    gathered.missing += apart
-    found = model_of(compared, choices.estimand, choices.statistic)
-    if compared.factors or not apart:
-        gathered.take(found)
-    model = None if isinstance(found, NotComputed) else found
-    test = None if model is None else carry_out(compared, model, choices)
-    test = test if test is None or not note else replace(test, notes=(note, *test.notes))
-    post_hoc, missed = ((), ()) if model is None or test is None else compare_pairs(compared, model, test, choices)
-    gathered.missing += missed
-    if test is not None:
-        gathered.missing += missing_intervals(test, post_hoc)
-    claimed = [] if model is None or plan is None else [each for each in plan.hypotheses if _is_contrast(each, name)]
-    contrasts: list[ContrastTest | None] = [
-        gathered.take(carry_out_contrast(model, each, choices)) for each in claimed if model is not None
-    ]
-    return MeasureStatistics(
-        name,
-        column.unit,
-        column.origin,
-        is_planned,
-        is_primary,
-        overall=describe(data.described_groups([])[0]),
-        by_treatment=tuple(each for factor in data.factors for each in _described(gathered, data, (factor,))),
-        by_combination=_described(gathered, data, data.factors) if len(data.factors) > 1 else (),
-        assumptions=_assumptions(gathered, data, choices.alpha),
-        quantiles=quantile_pairs(data.residuals(), tuple(data.frame[RUN_ID])),
-        test=test,
-        post_hoc=post_hoc,
-        contrasts=tuple(each for each in contrasts if each is not None),
-        drift=gathered.take(drift_of(data, choices.alpha, column.unit)),
-        power=_power(gathered, data, choices.alpha),
-        not_computed=tuple(dict.fromkeys(gathered.missing)),
-    )
-
-
-def _is_contrast(hypothesis: Hypothesis, measure: str) -> bool:
-    return hypothesis.measure == measure and (hypothesis.contrast is not None or hypothesis.within is not None)
-
-
-def _described(gathered: _Gathered, data: MeasureData, factors: tuple[str, ...]) -> tuple[Description, ...]:
-    groups = data.described_groups(factors)
-    if len(groups) > _MOST_DESCRIBED:
-        why = f"there are {len(groups):,} groups, more than {_MOST_DESCRIBED}."
-        gathered.missing.append(NotComputed(f"descriptions by {' x '.join(factors)}", why))
-        return ()
-    return tuple(map(describe, groups))
-
-
-def _power(gathered: _Gathered, data: MeasureData, alpha: float) -> Power | None:
-    if len(data.factors) > 1:
-        why = f"power depends on the effects of all {len(data.factors)} factors; it is computed for one factor only."
-        return gathered.take(NotComputed("power", why))
-    if not data.factors:
-        return None
-    return gathered.take(power_of(data.groups(data.factors), alpha, is_blocked=data.is_blocked))
-
-
-def _assumptions(gathered: _Gathered, data: MeasureData, alpha: float) -> tuple[AssumptionCheck, ...]:
-    """Return how residuals are distributed, whether spreads differ, then how each group is distributed."""
-    groups = data.groups(data.factors) if data.factors else []
-    all_groups = [normality(data.residuals(), alpha), equal_variances(groups, alpha)] if groups else []
-    if len(groups) > _MOST_DESCRIBED:
-        groups = []
-    checks = [*all_groups, *(normality(group.values, alpha, group.treatments) for group in groups)]
-    found = [gathered.take(check) for check in checks]
-    return tuple(check for check in found if check is not None)
-
+__all__ = ["analyse", "measure_statistics", "planned_warnings"]
 
 _ALPHA = 0.05
 
@@ -194,24 +79,25 @@ def analyse(
     choices = Choices(chosen_alpha, chosen_correction)
     if kept is not None:
         choices = replace(choices, estimand=kept.estimand, statistic=kept.statistic)
+        design = replace(design, covariates=kept.covariates)
     names = _chosen(results, measures, planned)
     # Errors are controlled among all primary measures, whichever are asked for.
     others = [name for name in (kept.measures if kept else ()) if name in results.columns and name not in names]
-    computed = [measure_statistics(design, name, choices, plan=kept) for name in (*names, *others)]
     doubtful = doubtful_runs(results)
-    again = {
-        each.name: measure_statistics(
-            replace(design, without=frozenset(doubtful[each.name])), each.name, choices, plan=kept
-        )
-        for each in computed
-        if each.name in doubtful and each.test is not None
-    }
-    done, judged = concluded(computed, kept, chosen_alpha, chosen_correction)
-    redone, rejudged = concluded(
-        [again.get(each.name, each) for each in computed], kept, chosen_alpha, chosen_correction
-    )
+    analysed = [_analysed(design, name, choices, kept, doubtful.get(name, ())) for name in (*names, *others)]
+    done, judged = concluded([each.planned for each in analysed], kept, chosen_alpha, chosen_correction)
     told = done[: len(names)]
-    without = tuple(each for each in redone[: len(names)] if each.name in again)
+    beside: dict[Beside, tuple[MeasureStatistics, ...]] = {}
+    standings: list[Standing] = []
+    for which in Beside:
+        again = {each.planned.name: each.beside[which] for each in analysed if which in each.beside}
+        redone, rejudged = concluded(
+            [again.get(each.planned.name, each.planned) for each in analysed], kept, chosen_alpha, chosen_correction
+        )
+        beside[which] = tuple(each for each in redone[: len(names)] if each.name in again)
+        otherwise = Otherwise(which, {each.planned.name: each.runs[which] for each in analysed}, design.covariates)
+        standings += standing_effects(told, beside[which], otherwise)
+        standings += standing_hypotheses(judged, rejudged, otherwise, tuple(again))
     numeric = [data for each in told if each.overall and (data := design.data(each.name)) is not None]
     correlations, missing = correlations_of(numeric[:_MOST_CORRELATED], chosen_correction)
     return ExperimentStatistics(
@@ -224,12 +110,53 @@ def analyse(
         hypotheses=judged,
         warnings=tuple(_warnings(design, told)),
         not_computed=(*missing, *_not_correlated(numeric)),
-        without_doubtful=without,
-        standings=(
-            *standing_effects(told, without, doubtful),
-            *standing_hypotheses(judged, rejudged, {name: doubtful[name] for name in again}),
-        ),
+        without_doubtful=beside[Beside.WITHOUT_DOUBTFUL],
+        standings=tuple(standings),
+        with_all_runs=beside[Beside.ALL_RUNS],
+        without_covariates=beside[Beside.WITHOUT_COVARIATES],
     )
+
+
+class _Analysed(NamedTuple):
+    """The planned analysis of a measure, and those beside it, with the runs that each is without (or with)."""
+
+    planned: MeasureStatistics
+    beside: dict[Beside, MeasureStatistics]
+    runs: dict[Beside, tuple[str, ...]]
+
+
+def _analysed(
+    design: Design, name: str, choices: Choices, plan: AnalysisPlan | None, doubtful: Sequence[str]
+) -> _Analysed:
+    """Compute the planned analysis of a measure, and what differs from it in one choice."""
+    left_out = left_out_of(design, name, plan, doubtful)
+
+    def compute(design: Design, left_out: Sequence[LeftOut]) -> MeasureStatistics:
+        return measure_statistics(design, name, choices, plan=plan, left_out=left_out)
+
+    planned = compute(design, left_out)
+    gone = tuple(each.run_id for each in left_out)
+    doubted = tuple(run_id for run_id in doubtful if run_id not in gone)
+    runs = {Beside.WITHOUT_DOUBTFUL: doubted, Beside.ALL_RUNS: gone, Beside.WITHOUT_COVARIATES: ()}
+    beside = {}
+    if planned.test is not None or planned.left_out:
+        if doubted:
+            beside[Beside.WITHOUT_DOUBTFUL] = compute(design, (*left_out, *doubtful_values(design, name, doubted)))
+        if gone:
+            beside[Beside.ALL_RUNS] = compute(design, ())
+    if design.covariates and name not in design.covariates and planned.overall is not None:
+        beside[Beside.WITHOUT_COVARIATES] = compute(replace(design, covariates=()), left_out)
+    if plan is not None and plan.doubtful is Doubtful.REFUSE and doubted:
+        beside.setdefault(Beside.ALL_RUNS, planned)
+        planned = _refused(planned, doubted)
+    return _Analysed(planned, beside, runs)
+
+
+def _refused(measure: MeasureStatistics, doubtful: Sequence[str]) -> MeasureStatistics:
+    """Return a measure on which the plan draws no conclusion; what is described of it stays."""
+    why = f"the plan draws no conclusion on a measure with doubtful values ({listed(doubtful)})."
+    missing = (NotComputed("the test", why), *measure.not_computed)
+    return replace(measure, test=None, post_hoc=(), contrasts=(), adjustment=None, not_computed=missing)
 
 
 def _chosen(results: Results, measures: Sequence[str] | None, planned: Sequence[str]) -> list[str]:
@@ -256,6 +183,7 @@ def _warnings(design: Design, measures: Sequence[MeasureStatistics]) -> Iterator
     for measure in measures:
         if measure.drift is not None and measure.drift.warning:
             yield measure.drift.warning
+        yield from planned_warnings(measure)
     if summary.left_out:
         is_one = summary.left_out == 1
         yield f"{counted(summary.left_out, 'run')} of the table {'is' if is_one else 'are'} not done and left out."
@@ -268,3 +196,19 @@ def _warnings(design: Design, measures: Sequence[MeasureStatistics]) -> Iterator
         yield "The order of the runs was not randomised: whatever changes with time may pass for an effect."
     if design.results.manifest.get("analysis_changes"):
         yield "The analysis plan was changed after runs had been executed: only the first version counts as planned."
+
+
+def planned_warnings(measure: MeasureStatistics) -> Iterator[str]:
+    """Yield what the plan's covariates and rules for values leave doubtful."""
+    if measure.adjustment is not None:
+        yield from measure.adjustment.warnings
+    lacking = [each.run_id for each in measure.left_out if each.reason is Reason.COVARIATE]
+    if lacking:
+        yield (
+            f"{measure.name} is compared without {counted(len(lacking), 'run')} of which a covariate is missing "
+            f"({listed(lacking)})."
+        )
+    rate = measure.rule_false_positives
+    if rate is not None and rate > MOST_FALSE_POSITIVES:
+        outliers = [each.run_id for each in measure.left_out if each.reason is Reason.OUTLIER]
+        yield f"{measure.name} is analysed without {counted(len(outliers), 'outlier')}: {rate_in_words(rate)}"

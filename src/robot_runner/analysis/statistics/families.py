@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.analysis.statistics.outcome import HypothesisOutcome
 from robot_runner.analysis.statistics.post_hoc import adjusted
+from robot_runner.analysis.statistics.tested import TestMethod
 from robot_runner.analysis.wording import p_in_words, with_unit
 from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Estimand, Family
 from robot_runner.core.words import counted, enumerated
@@ -233,9 +234,10 @@ def _difference(measure: MeasureStatistics, test: MeasureTest, pairs: Sequence[C
     if test.estimand == Estimand.RANK.value:
         return f": values of {pair.first} rank {_more(pair)} than those of {pair.second}"
     amount = with_unit(abs(pair.difference), measure.unit)
+    estimate = f"adjusted {test.estimand}" if test.method is TestMethod.COVARIANCE else test.estimand
     if len(pairs) > 1:
-        return f": the largest difference of {test.estimand}s is {amount}, of {pair.first} and {pair.second}"
-    return f": the {test.estimand} of {pair.first} is {_more(pair)} than that of {pair.second} by {amount}"
+        return f": the largest difference of {estimate}s is {amount}, of {pair.first} and {pair.second}"
+    return f": the {estimate} of {pair.first} is {_more(pair)} than that of {pair.second} by {amount}"
 
 
 def _more(pair: Comparison) -> str:

@@ -9,9 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from robot_runner.analysis.statistics.disclosed import Beside
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from robot_runner.analysis.statistics.disclosed import Adjustment, LeftOut
     from robot_runner.analysis.statistics.tested import (
         AssumptionCheck,
         ContrastTest,
@@ -190,6 +193,10 @@ class MeasureStatistics:
         post_hoc: pairs of treatments of each factor; of combinations where factors interact.
         contrasts: of the hypotheses that name one.
         not_computed: what could not be computed and why.
+        left_out: the values that the plan leaves out; everything here is of the others.
+        rule_false_positives: how often two combinations of so many runs (the smallest and the largest) differ at 5 % by
+            chance alone where outliers are left out by the plan's rule, by simulation, percent; None where none was.
+        adjustment: how the tests were adjusted for covariates; descriptions are of values as measured.
     """
 
     name: str
@@ -208,6 +215,9 @@ class MeasureStatistics:
     drift: Drift | None = None
     power: Power | None = None
     not_computed: tuple[NotComputed, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+    rule_false_positives: float | None = None
+    adjustment: Adjustment | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,16 +271,17 @@ class HypothesisOutcome:
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """Whether a conclusion stands when the runs are left out whose values are doubtful.
+    """Whether a conclusion stands when one choice is made otherwise, as when doubtful values are left out.
 
     Attributes:
         factors: of the effect that it is about.
         statement: the hypothesis that it is about; empty for an effect by itself.
-        left_out: the runs that were left out.
-        p_value: of all runs; adjusted where it is about a hypothesis.
-        p_value_without: of the runs that are left; None where it could not be computed.
+        left_out: the runs that were left out, then or in the planned analysis.
+        p_value: of the planned analysis; adjusted where it is about a hypothesis.
+        p_value_without: of the other one; None where it could not be computed.
         stands: None where that could not be told.
         conclusion: one sentence.
+        beside: which other analysis it is.
     """
 
     measure: str
@@ -281,6 +292,7 @@ class Standing:
     p_value_without: float | None
     stands: bool | None
     conclusion: str
+    beside: Beside = Beside.WITHOUT_DOUBTFUL
 
     @property
     def label(self) -> str:
@@ -299,7 +311,9 @@ class ExperimentStatistics:
         measures: one each, planned ones first.
         warnings: threats to validity that the statistics themselves noticed: drift, imbalance, runs left out.
         without_doubtful: the measures that have doubtful values, once more without these.
-        standings: whether conclusions about those stand.
+        standings: whether conclusions about measures that were computed once more stand.
+        with_all_runs: the measures of which the plan leaves out values, once more with these.
+        without_covariates: the measures that are adjusted for covariates, once more without.
     """
 
     alpha: float
@@ -313,6 +327,16 @@ class ExperimentStatistics:
     not_computed: tuple[NotComputed, ...] = field(default=())
     without_doubtful: tuple[MeasureStatistics, ...] = ()
     standings: tuple[Standing, ...] = ()
+    with_all_runs: tuple[MeasureStatistics, ...] = ()
+    without_covariates: tuple[MeasureStatistics, ...] = ()
+
+    def beside(self, which: Beside) -> tuple[MeasureStatistics, ...]:
+        """Return the measures that were computed once more, with one choice made otherwise."""
+        return {
+            Beside.WITHOUT_DOUBTFUL: self.without_doubtful,
+            Beside.ALL_RUNS: self.with_all_runs,
+            Beside.WITHOUT_COVARIATES: self.without_covariates,
+        }[which]
 
     def measure(self, name: str) -> MeasureStatistics:
         """Return the statistics of one measure.

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import stats
 
+from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.design import BATCH, VALUE
 from robot_runner.analysis.statistics.effect_sizes import cliffs_delta, cohens_d, paired_rank_biserial, vargha_delaney
 from robot_runner.analysis.statistics.linear_model import FittedModel
 from robot_runner.analysis.statistics.tested import Comparison, ContrastTest, Interval, NotComputed, PostHoc, TestMethod
-from robot_runner.analysis.statistics.tests import check_estimand, model_of
+from robot_runner.analysis.statistics.tests import check_estimand, planned_model_of
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.analysis_plan import Correction, Estimand
 
@@ -61,14 +62,15 @@ _PAIRED = {
     TestMethod.BLOCKS: "t-tests of differences within blocks, between them where factors do not differ within",
     TestMethod.LINEAR_MODEL: "t-tests of the model's marginal means",
     TestMethod.MIXED_MODEL: "t-tests of the model's marginal means",
+    TestMethod.COVARIANCE: "t-tests of adjusted means",
 }
 
 
 def compare_pairs(
-    data: MeasureData, model: CellMeans | FittedModel, test: MeasureTest, choices: Choices
+    data: MeasureData, model: CellMeans | FittedModel | AdjustedMeans, test: MeasureTest, choices: Choices
 ) -> tuple[tuple[PostHoc, ...], tuple[NotComputed, ...]]:
     """Compare the treatments of each factor pair by pair; the combinations too, of factors that seem to interact."""
-    beside = model_of(data, check_estimand(choices.estimand), choices.statistic)
+    beside = planned_model_of(data, check_estimand(choices.estimand), choices.statistic)
     found: list[PostHoc] = []
     missing: list[NotComputed] = []
     for factors in _compared(test, choices.alpha):
@@ -128,7 +130,7 @@ def adjusted(p_values: Sequence[float], correction: Correction) -> list[float]:
 
 
 def carry_out_contrast(
-    model: CellMeans | FittedModel, hypothesis: Hypothesis, choices: Choices
+    model: CellMeans | FittedModel | AdjustedMeans, hypothesis: Hypothesis, choices: Choices
 ) -> ContrastTest | NotComputed:
     """Test the contrast of a hypothesis, or that a difference is within its bound (two one-sided tests)."""
     found = contrast_of(model, hypothesis)
@@ -144,9 +146,9 @@ def carry_out_contrast(
     return ContrastTest(hypothesis.statement, estimate, interval, estimate / error, freedom, p_value)
 
 
-def contrast_of(model: CellMeans | FittedModel, hypothesis: Hypothesis) -> Contrast | NotComputed:
+def contrast_of(model: CellMeans | FittedModel | AdjustedMeans, hypothesis: Hypothesis) -> Contrast | NotComputed:
     """Estimate the contrast of a hypothesis; of many experiments at once where the model is."""
-    levels = dict(model.factors if isinstance(model, FittedModel) else model.layout.factors)
+    levels = dict(model.factors if isinstance(model, FittedModel | AdjustedMeans) else model.layout.factors)
     (factor,) = hypothesis.factors
     weights = hypothesis.contrast
     if factor in levels and weights is None and len(levels[factor]) == 2:  # noqa: PLR2004
@@ -184,8 +186,8 @@ def _with_adjusted(pair: Comparison, adjusted_p_value: float, alpha: float) -> C
 
 def _comparison(
     data: MeasureData,
-    model: CellMeans | FittedModel,
-    beside: CellMeans | FittedModel | NotComputed,
+    model: CellMeans | FittedModel | AdjustedMeans,
+    beside: CellMeans | FittedModel | AdjustedMeans | NotComputed,
     pair: tuple[Mapping[str, str], Mapping[str, str]],
     choices: Choices,
 ) -> Comparison:
@@ -221,7 +223,7 @@ def _p_value(found: Contrast) -> float | None:
 
 def _sizes(
     data: MeasureData,
-    model: CellMeans | FittedModel,
+    model: CellMeans | FittedModel | AdjustedMeans,
     pair: tuple[Mapping[str, str], Mapping[str, str]],
     found: tuple[float, float, float],
     choices: Choices,
@@ -232,6 +234,7 @@ def _sizes(
         size = cohens_d(*found, float(model.spread), level=1 - choices.alpha, name=name)
         if size is not None:
             yield size
+    data = model.adjusted_data(data) if isinstance(model, AdjustedMeans) else data
     if data.is_blocked:
         differences = None if isinstance(model, FittedModel) else _within_blocks(data, pair)
         size = None if differences is None else paired_rank_biserial(differences)

@@ -1,4 +1,7 @@
-"""Statistical power: what the number of runs suffices for, and how many would be needed."""
+"""What the number of runs suffices for, whatever their values: the power of the observed effect is not among it.
+
+`analysis.planning` answers how many runs a study needs, by the report's own tests.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ _COHEN_F = {"small": 0.1, "medium": 0.25, "large": 0.4}
 
 _NOTE = (
     "Figures are for a test of independent groups with equal spreads, with as many runs in each as in the groups on "
-    "average (harmonic mean). Plan with the effect that matters to you."
+    "average (harmonic mean). Plan the next study by its own tests, with the effect that matters: robot-runner power."
 )
 _NOTE_ON_BLOCKS = "Blocks are left out of account: where they differ from each other, the power is higher than this."
 

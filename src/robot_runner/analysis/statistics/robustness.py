@@ -1,13 +1,14 @@
-"""Whether conclusions stand when the runs are left out whose values are doubtful."""
+"""Whether conclusions stand when one choice of the analysis is made otherwise, as without doubtful values."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
+from robot_runner.analysis.statistics.disclosed import Beside
 from robot_runner.analysis.statistics.outcome import Standing
 from robot_runner.analysis.wording import listed, p_in_words
 from robot_runner.core.events.measure import Quality
-from robot_runner.core.words import counted
+from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -16,10 +17,30 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.outcome import HypothesisOutcome, MeasureStatistics
     from robot_runner.analysis.statistics.tested import Effect
 
-__all__ = ["doubtful_runs", "standing_effects", "standing_hypotheses"]
+__all__ = ["Otherwise", "doubtful_runs", "standing_effects", "standing_hypotheses"]
 
-#: Only of two treatments it can be said which way an effect goes.
-_TWO = 2
+
+class Otherwise(NamedTuple):
+    """What differs from the planned analysis in the one beside it.
+
+    Attributes:
+        beside: which analysis it is.
+        left_out: the runs that it leaves out, or that the planned one does, by measure.
+        covariates: those of the plan.
+    """
+
+    beside: Beside
+    left_out: Mapping[str, Sequence[str]]
+    covariates: Sequence[str] = ()
+
+    def in_words(self, measure: str) -> str:
+        """Return how the sentence on a measure begins."""
+        runs = self.left_out.get(measure, ())
+        if self.beside is Beside.WITHOUT_DOUBTFUL:
+            return f"Without the {counted(len(runs), 'run')} whose {measure} is doubtful ({listed(runs)}),"
+        if self.beside is Beside.ALL_RUNS:
+            return f"With the {counted(len(runs), 'run')} that the plan leaves out of {measure} ({listed(runs)}),"
+        return f"Not adjusted for {enumerated(self.covariates)},"
 
 
 def doubtful_runs(results: Results) -> dict[str, tuple[str, ...]]:
@@ -32,31 +53,32 @@ def doubtful_runs(results: Results) -> dict[str, tuple[str, ...]]:
 def standing_effects(
     measures: Sequence[MeasureStatistics],
     without: Sequence[MeasureStatistics],
-    left_out: Mapping[str, Sequence[str]],
+    otherwise: Otherwise,
 ) -> Iterator[Standing]:
-    """Yield, for each effect on a measure that has doubtful values, whether what was concluded stands without them.
+    """Yield, for each effect on a measure that was computed once more, whether what was concluded stands.
 
     Args:
-        measures: the statistics of all values.
-        without: those of the measures that have doubtful values, computed without these.
-        left_out: the runs whose values are doubtful, by measure.
+        measures: the statistics as they were planned.
+        without: those of the measures that were computed once more.
+        otherwise: what differs in these.
     """
     by_name = {measure.name: measure for measure in without}
     for measure in measures:
         if measure.name in by_name and measure.test is not None:
             for effect in measure.test.effects:
-                yield _standing_effect(measure, effect, by_name[measure.name], left_out[measure.name])
+                yield _standing_effect(measure, effect, by_name[measure.name], otherwise)
 
 
 def standing_hypotheses(
     outcomes: Sequence[HypothesisOutcome],
     without: Sequence[HypothesisOutcome],
-    left_out: Mapping[str, Sequence[str]],
+    otherwise: Otherwise,
+    measures: Sequence[str],
 ) -> Iterator[Standing]:
-    """Yield, for each hypothesis about a measure that has doubtful values, whether its outcome stands without them."""
+    """Yield, for each hypothesis about one of these measures, whether its outcome stands."""
     for now, then in zip(outcomes, without, strict=True):
         measure = now.hypothesis.measure
-        if measure not in left_out or now.is_supported is None:
+        if measure not in measures or now.is_supported is None:
             continue
         p_value = then.adjusted_p_value
         if p_value is None:
@@ -69,29 +91,33 @@ def standing_hypotheses(
             measure,
             tuple(now.hypothesis.factors),
             now.hypothesis.statement,
-            tuple(left_out[measure]),
+            tuple(otherwise.left_out.get(measure, ())),
             now.adjusted_p_value,
             p_value,
             stands,
-            f"{_without(measure, left_out[measure])} {text}{_verdict(stands)}",
+            f"{otherwise.in_words(measure)} {text}{_verdict(stands)}",
+            otherwise.beside,
         )
 
 
 def _standing_effect(
-    measure: MeasureStatistics, effect: Effect, without: MeasureStatistics, runs: Sequence[str]
+    measure: MeasureStatistics, effect: Effect, without: MeasureStatistics, otherwise: Otherwise
 ) -> Standing:
     then = _same_effect(effect, without)
     p_value = None if then is None else then.p_value
     what = f"effect of {effect.label} on {measure.name}"
     if then is None or p_value is None or effect.is_significant is None:
-        why = without.not_computed[0].why if without.not_computed else "no test fits the runs that are left."
+        why = without.not_computed[0].why if without.not_computed else "no test fits."
         text, stands = f"the {what} cannot be tested: {why.rstrip('.')}", None
     else:
         turned = _turned(measure, without, effect)
         stands = effect.is_significant == then.is_significant and not (then.is_significant and turned)
         text = f"the {what} is {_changed(effect, then, turned=turned)} ({p_in_words(p_value)})"
-    conclusion = f"{_without(measure.name, runs)} {text}{_verdict(stands)}"
-    return Standing(measure.name, effect.factors, "", tuple(runs), effect.p_value, p_value, stands, conclusion)
+    runs = tuple(otherwise.left_out.get(measure.name, ()))
+    conclusion = f"{otherwise.in_words(measure.name)} {text}{_verdict(stands)}"
+    return Standing(
+        measure.name, effect.factors, "", runs, effect.p_value, p_value, stands, conclusion, otherwise.beside
+    )
 
 
 def _same_effect(effect: Effect, without: MeasureStatistics) -> Effect | None:
@@ -109,21 +135,11 @@ def _changed(effect: Effect, then: Effect, *, turned: bool) -> str:
 
 def _turned(measure: MeasureStatistics, without: MeasureStatistics, effect: Effect) -> bool:
     """Return whether the larger of two treatments is the other one now."""
-    largest = [_largest(each, effect.factors) for each in (measure, without)]
-    return None not in largest and largest[0] != largest[1]
-
-
-def _largest(measure: MeasureStatistics, factors: Sequence[str]) -> str | None:
-    means = {
-        each.treatments[factors[0]]: each.mean
-        for each in measure.by_treatment
-        if set(each.treatments) == set(factors) and each.mean is not None
-    }
-    return max(means, key=lambda name: means[name]) if len(means) == _TWO else None
-
-
-def _without(measure: str, runs: Sequence[str]) -> str:
-    return f"Without the {counted(len(runs), 'run')} whose {measure} is doubtful ({listed(runs)}),"
+    now, then = (
+        [pair.difference for each in of.post_hoc if each.factors == effect.factors for pair in each.comparisons]
+        for of in (measure, without)
+    )
+    return len(now) == len(then) == 1 and now[0] * then[0] < 0
 
 
 def _verdict(stands: bool | None) -> str:

@@ -82,6 +82,7 @@ class TestMethod(Enum):
     BLOCKS = "tests of contrasts within blocks"
     LINEAR_MODEL = "linear model with one variance"
     MIXED_MODEL = "linear mixed model"
+    COVARIANCE = "analysis of covariance"
 
 
 class EffectTest(NamedTuple):

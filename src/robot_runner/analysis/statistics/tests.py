@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from scipy import stats
 
+from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans, fit_adjusted
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS, layout_of, relative_ranks
 from robot_runner.analysis.statistics.cell_means import BOOTSTRAP, CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.design import MeasureData
     from robot_runner.analysis.statistics.tested import EffectTest
 
-__all__ = ["Choices", "Model", "carry_out", "check_estimand", "model_of"]
+__all__ = ["Choices", "Model", "carry_out", "check_estimand", "model_of", "planned_model_of"]
 
 _PAIR = 2
 
@@ -71,7 +72,7 @@ def check_estimand(estimand: Estimand) -> Estimand:
 def model_of(
     data: MeasureData, estimand: Estimand, statistic: Statistic = Statistic.COMBINED
 ) -> CellMeans | FittedModel | NotComputed:
-    """Return the estimates of a measure, or why there are none.
+    """Return the estimates of a measure as it is, whatever its covariates, or why there are none.
 
     Args:
         data: the measure.
@@ -96,13 +97,22 @@ def model_of(
     return found
 
 
+def planned_model_of(
+    data: MeasureData, estimand: Estimand, statistic: Statistic = Statistic.WELCH_JAMES
+) -> CellMeans | FittedModel | AdjustedMeans | NotComputed:
+    """Return the estimates of a measure, adjusted for its covariates where it has any, or why there are none."""
+    if not data.covariates or _problem(data):
+        return model_of(data, estimand, statistic)
+    return fit_adjusted(data, estimand, statistic)
+
+
 def _ranks(data: MeasureData) -> NDArray[np.float64]:
     return relative_ranks(data.values, data.batches if data.is_extended else None)
 
 
-def carry_out(data: MeasureData, model: CellMeans | FittedModel, choices: Choices) -> MeasureTest:
+def carry_out(data: MeasureData, model: CellMeans | FittedModel | AdjustedMeans, choices: Choices) -> MeasureTest:
     """Return the tests of all effects, before p-values are adjusted and conclusions are drawn."""
-    beside = model_of(data, check_estimand(choices.estimand), choices.statistic)
+    beside = planned_model_of(data, check_estimand(choices.estimand), choices.statistic)
     with quiet():
         checks = {} if isinstance(beside, NotComputed) else {each.factors: each for each in beside.effects()}
         effects = tuple(_effect(model, each, checks.get(each.factors), choices) for each in model.effects())
@@ -120,7 +130,9 @@ def carry_out(data: MeasureData, model: CellMeans | FittedModel, choices: Choice
     )
 
 
-def _effect(model: CellMeans | FittedModel, found: EffectTest, beside: EffectTest | None, choices: Choices) -> Effect:
+def _effect(
+    model: CellMeans | FittedModel | AdjustedMeans, found: EffectTest, beside: EffectTest | None, choices: Choices
+) -> Effect:
     statistic, p_value, variance = float(found.statistic), float(found.p_value), float(found.variance)
     freedom = tuple(map(float, found.freedom))
     is_known = all(map(math.isfinite, (statistic, p_value, *freedom)))
@@ -154,8 +166,8 @@ def _part(name: str, statistic: float, freedom: Sequence[float], p_value: float)
     return TestPart(name, float(statistic), tuple(map(float, freedom)), float(p_value))
 
 
-def _factors(model: CellMeans | FittedModel) -> Sequence[str]:
-    return tuple(model.factors if isinstance(model, FittedModel) else model.layout.factors)
+def _factors(model: CellMeans | FittedModel | AdjustedMeans) -> Sequence[str]:
+    return tuple(model.layout.factors if isinstance(model, CellMeans) else model.factors)
 
 
 def _check(beside: EffectTest, p_value: float | None, choices: Choices) -> Check:
@@ -183,12 +195,15 @@ def _problem(data: MeasureData) -> str:
 _COMPARED = {Estimand.MEAN: "means", Estimand.TRIMMED_MEAN: "trimmed means", Estimand.RANK: "relative ranks"}
 
 
-def _reason(data: MeasureData, model: CellMeans | FittedModel, estimand: Estimand) -> str:
+def _reason(data: MeasureData, model: CellMeans | FittedModel | AdjustedMeans, estimand: Estimand) -> str:
     compared = _COMPARED[estimand]
     count = len(data.factors)
     of = f"{count} factors and their interactions" if count > 1 else "One factor"
     if count == 1:
         of += f" with {counted(len(data.levels(data.factors[0])), 'treatment')}"
+    if isinstance(model, AdjustedMeans):
+        where = "within blocks" if model.is_within else "of blocks" if data.is_blocked else "of runs by themselves"
+        return f"{of}: {compared} {where} are compared at the mean of {listed(data.covariates)}."
     if isinstance(model, FittedModel):
         if model.blocks is None:
             return f"{of}: {compared} are compared; {_TOO_FEW[data.is_extended]}, so that one variance serves all."
@@ -215,9 +230,11 @@ _CONTAINMENT = (
 )
 
 
-def _notes(data: MeasureData, model: CellMeans | FittedModel) -> Iterator[str]:
+def _notes(data: MeasureData, model: CellMeans | FittedModel | AdjustedMeans) -> Iterator[str]:
     """Yield what a reader has to know besides."""
-    if isinstance(model, FittedModel):
+    if isinstance(model, AdjustedMeans):
+        yield from filter(None, (model.note,))
+    elif isinstance(model, FittedModel):
         yield from filter(None, (model.note, _CONTAINMENT if model.blocks is not None else ""))
     else:
         layout = model.layout

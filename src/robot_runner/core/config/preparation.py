@@ -122,7 +122,7 @@ def prepare(
     columns = _columns(model, plugins, parameters if not step_findings else None, findings)
     if parameters is not None:
         findings += [*check_analysis(parameters, complete, columns), *check_threads(loaded, parameters)]
-        findings += check_registration(loaded, model, parameters.analysis, columns) if is_for_here else ()
+        findings += check_registration(loaded, model, parameters, columns) if is_for_here else ()
         findings += check_repeat_until(loaded, parameters, model, columns)
     if is_for_here:
         findings += _check_machine(loaded, parameters, plugins, complete)

@@ -7,9 +7,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.batches import GrownRunTableModel
+from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.design_facts import described_design
 from robot_runner.core.design.factor import full_factorial
+from robot_runner.core.design.precision import rules_as_mapping
 from robot_runner.core.errors import Finding, StorageError
 from robot_runner.core.storage.registration import Registration, differences, read_registration
 from robot_runner.core.words import listed
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from robot_runner.core.config.loader import LoadedConfig
-    from robot_runner.core.design.analysis_plan import AnalysisPlan
+    from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.events.measure import MeasureColumns
 
@@ -53,13 +54,13 @@ def take_registered_seed(loaded: LoadedConfig, model: RunTableModel) -> None:
 
 
 def registration_content(
-    loaded: LoadedConfig, model: RunTableModel, plan: AnalysisPlan | None, columns: MeasureColumns
+    loaded: LoadedConfig, model: RunTableModel, parameters: Parameters, columns: MeasureColumns
 ) -> dict[str, Any]:
     """Return what is registered of a study, but for the date and its power.
 
     Of an experiment that was extended it is what the config planned.
     """
-    own = model.as_configured if isinstance(model, GrownRunTableModel) else model
+    own, plan = as_configured(model), parameters.analysis
     kept = set(map(_texts, own.combinations_of(own.factors)))
     left_out = [list(texts) for each in full_factorial(own.factors) if (texts := _texts(each)) not in kept]
     path = loaded.source.path
@@ -79,6 +80,7 @@ def registration_content(
         "seed_is_given": own.seed_is_given,
         "measures": [{"name": each.name, "unit": each.measure.unit} for each in columns.in_table if not each.tells_of],
         "analysis": None if plan is None else plan.as_mapping(),
+        "repeat_until": rules_as_mapping(parameters.repeat_until, own.repetitions),
     }
 
 
@@ -91,7 +93,7 @@ def _digest(path: Path) -> str:
 
 
 def check_registration(
-    loaded: LoadedConfig, model: RunTableModel | None, plan: AnalysisPlan | None, columns: MeasureColumns
+    loaded: LoadedConfig, model: RunTableModel | None, parameters: Parameters, columns: MeasureColumns
 ) -> list[Finding]:
     """Return what stands against the registration of a config: damaged, missing though it is named, or not followed."""
     path = registration_path(loaded)
@@ -108,7 +110,9 @@ def check_registration(
         return [Finding.error(str(path), problem, fix)]
     if model is None or model.is_too_large:
         return []
-    differing: Sequence[str] = list(differences(found.content, registration_content(loaded, model, plan, columns)))
+    differing: Sequence[str] = list(
+        differences(found.content, registration_content(loaded, model, parameters, columns))
+    )
     if not differing:
         return []
     problem = f"the config differs from what was registered on {found.registered_at[:10]}: {listed(differing)}"

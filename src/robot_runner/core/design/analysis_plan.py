@@ -1,4 +1,4 @@
-"""What is fixed for the analysis before the experiment: measures, what is estimated, and the tests."""
+"""What is fixed for the analysis before the experiment: measures, what is estimated, the tests, what is left out."""
 
 from __future__ import annotations
 
@@ -9,16 +9,22 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.hypothesis import Hypothesis, names_findings, names_of
+from robot_runner.core.design.outliers import Doubtful, Outliers
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from typing import Self
 
-__all__ = ["AnalysisPlan", "Correction", "Estimand", "Family", "Statistic"]
+__all__ = ["ELAPSED", "ORDER", "AnalysisPlan", "Correction", "Estimand", "Family", "Statistic"]
+
+#: Covariates that are no measures: the place in the order of execution (from 1), and the seconds since the first run.
+ORDER, ELAPSED = "order", "elapsed"
 
 _DEFAULT_ALPHA = 0.05
 _KEYS = ("measures", "secondary", "alpha", "correction", "family", "estimand", "statistic", "blocks", "hypotheses")
+#: Choices that are left out of plain data where nothing was chosen, so that plans of earlier versions stay the same.
+_LATER_KEYS = ("outliers", "doubtful", "covariates")
 
 
 class Correction(Enum):
@@ -87,6 +93,10 @@ class AnalysisPlan:
         statistic: what tests an effect of several degrees of freedom.
         blocks: a factor, or the repetition, whose values are blocks; None for those that the order was randomised in.
         hypotheses: what the experiment is to test.
+        outliers: by which rule values are left out; None for none.
+        doubtful: what becomes of values that are doubtful.
+        covariates: what else differs between runs, and is taken out of the comparison: measures, or `order` (the place
+            in the order of execution) and `elapsed` (seconds since the first run).
 
     Raises:
         DesignError: a choice cannot be; `findings` lists everything that was found.
@@ -109,6 +119,9 @@ class AnalysisPlan:
     statistic: Statistic
     blocks: str | None
     hypotheses: tuple[Hypothesis, ...]
+    outliers: Outliers | None
+    doubtful: Doubtful
+    covariates: tuple[str, ...]
 
     def __init__(  # noqa: PLR0913 - keywords, of which a plan gives two or three
         self,
@@ -122,11 +135,24 @@ class AnalysisPlan:
         statistic: Statistic = Statistic.COMBINED,
         blocks: str | None = None,
         hypotheses: Sequence[Hypothesis] = (),
+        outliers: Outliers | None = None,
+        doubtful: Doubtful = Doubtful.KEEP,
+        covariates: str | Sequence[str] = (),
     ) -> None:
-        choices = {"correction": correction, "family": family, "estimand": estimand, "statistic": statistic}
+        choices = {
+            "correction": correction,
+            "family": family,
+            "estimand": estimand,
+            "statistic": statistic,
+            "doubtful": doubtful,
+        }
         findings = [*_choice_findings(alpha, choices, blocks), *_hypotheses_findings(hypotheses)]
         findings += names_findings("analysis", "measures", names_of(measures))
         findings += names_findings("analysis", "secondary", names_of(secondary))
+        findings += names_findings("analysis", "covariates", names_of(covariates))
+        if outliers is not None and not isinstance(outliers, Outliers):
+            fix = "Write Outliers(interquartile_ranges=3), or another rule."
+            findings.append(Finding.error("analysis", f"outliers is {outliers!r}", fix))
         if not findings and not (measures or hypotheses):
             findings.append(Finding.error("analysis", "the plan names no measure", "Give measures=[...]."))
         if not findings and family is Family.HYPOTHESES and not hypotheses:
@@ -135,6 +161,9 @@ class AnalysisPlan:
         if findings:
             raise DesignError.of_findings(findings)
         primary = tuple(dict.fromkeys((*names_of(measures), *(hypothesis.measure for hypothesis in hypotheses))))
+        findings += _covariate_findings(names_of(covariates), primary, estimand)
+        if findings:
+            raise DesignError.of_findings(findings)
         object.__setattr__(self, "measures", primary)
         object.__setattr__(self, "secondary", tuple(name for name in names_of(secondary) if name not in primary))
         object.__setattr__(self, "alpha", float(alpha))
@@ -142,6 +171,8 @@ class AnalysisPlan:
             object.__setattr__(self, name, choice)
         object.__setattr__(self, "blocks", blocks)
         object.__setattr__(self, "hypotheses", tuple(hypotheses))
+        object.__setattr__(self, "outliers", outliers)
+        object.__setattr__(self, "covariates", tuple(dict.fromkeys(names_of(covariates))))
 
     def findings(self, factors: Sequence[str], measures: Sequence[str]) -> Iterator[Finding]:
         """Say which names of the plan a design does not have.
@@ -159,14 +190,33 @@ class AnalysisPlan:
         if self.blocks is not None and self.blocks not in (*factors, REPETITION):
             problem = f"there is no factor {self.blocks!r} whose treatments could be blocks"
             yield Finding.error("analysis", problem, did_you_mean(self.blocks, (*factors, REPETITION)))
+        yield from self._unknown_of_runs(factors, measures)
         for hypothesis in self.hypotheses:
             for name in hypothesis.factors:
                 if name not in factors:
                     where = f"analysis, hypothesis {hypothesis.statement!r}"
                     yield Finding.error(where, f"there is no factor {name!r}", did_you_mean(name, factors))
 
+    def _unknown_of_runs(self, factors: Sequence[str], measures: Sequence[str]) -> Iterator[Finding]:
+        for name in self.covariates:
+            if name in factors:
+                fix = "Name a measure, 'order' or 'elapsed': factors are compared anyway."
+                yield Finding.error("analysis", f"the covariate {name!r} is a factor", fix)
+            elif name not in (*measures, ORDER, ELAPSED):
+                fix = did_you_mean(name, (*measures, ORDER, ELAPSED))
+                yield Finding.error("analysis", f"there is no measure {name!r} that could be a covariate", fix)
+        for name in self.outliers.bounds if self.outliers is not None else ():
+            if name not in measures:
+                problem = f"there is no measure {name!r} that could have bounds"
+                yield Finding.error("analysis, outliers", problem, did_you_mean(name, measures))
+
     def as_mapping(self) -> dict[str, Any]:
         """Return the plan as plain data, for the manifest."""
+        later = {
+            "outliers": None if self.outliers is None else self.outliers.as_mapping(),
+            "doubtful": None if self.doubtful is Doubtful.KEEP else self.doubtful.value,
+            "covariates": list(self.covariates),
+        }
         return {
             "measures": list(self.measures),
             "secondary": list(self.secondary),
@@ -177,6 +227,7 @@ class AnalysisPlan:
             "statistic": self.statistic.value,
             "blocks": self.blocks,
             "hypotheses": [each.as_mapping() for each in self.hypotheses],
+            **{name: value for name, value in later.items() if value},
         }
 
     @classmethod
@@ -186,10 +237,11 @@ class AnalysisPlan:
         Raises:
             DesignError: it is no such plan.
         """
-        unknown = [str(key) for key in plain if key not in _KEYS]
+        keys = (*_KEYS, *_LATER_KEYS)
+        unknown = [str(key) for key in plain if key not in keys]
         if unknown:
             problem = f"there is no choice {unknown[0]!r}"
-            raise DesignError(problem, where="analysis", fix=did_you_mean(unknown[0], _KEYS))
+            raise DesignError(problem, where="analysis", fix=did_you_mean(unknown[0], keys))
         try:
             return cls(
                 plain.get("measures", ()),
@@ -201,6 +253,9 @@ class AnalysisPlan:
                 statistic=Statistic(plain.get("statistic", Statistic.COMBINED.value)),
                 blocks=plain.get("blocks"),
                 hypotheses=[Hypothesis(**each) for each in plain.get("hypotheses", ())],
+                outliers=None if plain.get("outliers") is None else Outliers(**plain["outliers"]),
+                doubtful=Doubtful(plain.get("doubtful", Doubtful.KEEP.value)),
+                covariates=plain.get("covariates", ()),
             )
         except (TypeError, ValueError) as error:
             raise DesignError(f"the text is no analysis plan: {error}", where="analysis", fix="Mend it.") from error
@@ -209,7 +264,7 @@ class AnalysisPlan:
 def _choice_findings(alpha: object, choices: Mapping[str, object], blocks: object) -> Iterator[Finding]:
     if not isinstance(alpha, int | float) or not 0 < alpha < 1:
         yield Finding.error("analysis", f"alpha is {alpha!r}", "Give a number between 0 and 1, such as 0.05.")
-    for kind in (Correction, Family, Estimand, Statistic):
+    for kind in (Correction, Family, Estimand, Statistic, Doubtful):
         given = choices[kind.__name__.lower()]
         if not isinstance(given, kind):
             names = ", ".join(f"{kind.__name__}.{each.name}" for each in kind)
@@ -226,3 +281,13 @@ def _hypotheses_findings(hypotheses: object) -> Iterator[Finding]:
         if not isinstance(each, Hypothesis):
             fix = "Write Hypothesis(statement, measure=..., factors=...)."
             yield Finding.error("analysis", f"{each!r} is no hypothesis", fix)
+
+
+def _covariate_findings(covariates: Sequence[str], primary: Sequence[str], estimand: Estimand) -> Iterator[Finding]:
+    for name in covariates:
+        if name in primary:
+            fix = "Name it in `secondary` where it is of interest itself."
+            yield Finding.error("analysis", f"{name!r} is a primary measure and a covariate", fix)
+    if covariates and estimand is Estimand.TRIMMED_MEAN:
+        fix = "Take Estimand.MEAN or Estimand.RANK."
+        yield Finding.error("analysis", "trimmed means are not adjusted for covariates", fix)

@@ -14,7 +14,15 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from typing import Self
 
-__all__ = ["LEAST_REPETITIONS", "PreciseOf", "Precision", "most_repetitions", "precision_findings", "rule_in_words"]
+__all__ = [
+    "LEAST_REPETITIONS",
+    "PreciseOf",
+    "Precision",
+    "most_repetitions",
+    "precision_findings",
+    "rule_in_words",
+    "rules_as_mapping",
+]
 
 #: Two values have a spread, and nobody would trust it.
 LEAST_REPETITIONS = 3
@@ -130,6 +138,11 @@ def rule_in_words(rules: Sequence[Precision], least: int) -> str:
         return ""
     until = " and ".join(dict.fromkeys(map(str, rules)))
     return f"until {until}; at least {least:,}, at most {most_repetitions(rules):,} repetitions"
+
+
+def rules_as_mapping(rules: Sequence[Precision], least: int) -> dict[str, Any] | None:
+    """Return the rules and how often combinations are executed at least, as plain data; None without rules."""
+    return {"least": least, "rules": [rule.as_mapping() for rule in rules]} if rules else None
 
 
 def precision_findings(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.design_facts import described_design
+from robot_runner.core.design.precision import rules_as_mapping
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.execution.recovery import config_files
 from robot_runner.core.plugin import described_circumstances, installed_plugins
@@ -212,10 +213,7 @@ def _analysis(experiment: Experiment) -> dict[str, Any] | None:
 
 
 def _repeat_until(experiment: Experiment) -> dict[str, Any] | None:
-    """Return until when, how often at least, and how often at most combinations are repeated."""
-    rules = experiment.parameters.repeat_until
-    least = as_configured(experiment.model).repetitions
-    return {"least": least, "rules": [rule.as_mapping() for rule in rules]} if rules else None
+    return rules_as_mapping(experiment.parameters.repeat_until, as_configured(experiment.model).repetitions)
 
 
 def _execution(experiment: Experiment) -> dict[str, Any]:

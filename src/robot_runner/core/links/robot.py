@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Caller",
     "Encoding",
+    "GraphEndpoint",
     "GraphListing",
     "Message",
     "Offerer",
@@ -70,6 +71,30 @@ class RawMessage:
 
     data: bytes
     received_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class GraphEndpoint:
+    """Who publishes or subscribes a topic.
+
+    Attributes:
+        node: the full name of its node; empty where the graph does not tell.
+        message_type: the type that it publishes or subscribes, such as `nav_msgs/Odometry`; empty likewise.
+        is_own: whether it is this link's. All that one rosbridge server publishes for anybody counts as this link's.
+    """
+
+    node: str
+    message_type: str
+    is_own: bool = False
+
+    def __str__(self) -> str:
+        """Return what to call it.
+
+        Example:
+            >>> str(GraphEndpoint("/teleop", "geometry_msgs/Twist")), str(GraphEndpoint("", "geometry_msgs/Twist"))
+            ('/teleop', 'a node whose name is not known')
+        """
+        return self.node or "a node whose name is not known"
 
 
 @runtime_checkable
@@ -181,6 +206,14 @@ class GraphListing(Protocol):
 
     def nodes(self) -> Sequence[str]:
         """Return the full names of the nodes on the graph, sorted."""
+        ...
+
+    def publishers(self, topic: str) -> Sequence[GraphEndpoint]:
+        """Return who publishes a topic, this link included; nobody where there is no such topic."""
+        ...
+
+    def subscribers(self, topic: str) -> Sequence[GraphEndpoint]:
+        """Return who subscribes a topic, this link included; nobody where there is no such topic."""
         ...
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.analysis_plan import AnalysisPlan
+from robot_runner.core.design.precision import Precision, rule_in_words
 from robot_runner.core.errors import DesignError, StorageError
 from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
 from robot_runner.core.words import enumerated
@@ -16,7 +17,15 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-__all__ = ["FORMAT", "Registration", "checksum_of", "differences", "read_registration", "write_registration"]
+__all__ = [
+    "FORMAT",
+    "Registration",
+    "checksum_of",
+    "differences",
+    "read_registration",
+    "repeated_in_words",
+    "write_registration",
+]
 
 #: Version of the file's format; readers refuse a newer one.
 FORMAT = 1
@@ -129,7 +138,21 @@ def read_registration(path: Path) -> Registration:
             f"this is no registration: {enumerated(wrong)} {'is' if len(wrong) == 1 else 'are'} not as it has them"
         )
         raise StorageError(problem, where=where, fix=_FIX)
+    if not _is_comparable(content):
+        raise StorageError("this is no registration: parts of it are not as it has them", where=where, fix=_FIX)
     return Registration(path, content, checksum_of(content) == content[_SUM])
+
+
+def _is_comparable(content: Mapping[str, Any]) -> bool:
+    """Return whether everything in a registration that is compared has the shape that comparing takes."""
+    nothing: dict[str, Any] = {"design": {}, "analysis": None, "repeat_until": None, "measures": []}
+    try:
+        for now in (content, nothing):
+            list(differences(content, now))
+            list(differences({**content, **nothing}, now))
+        return all(isinstance(each.get("name"), str) for each in content["measures"])
+    except (KeyError, TypeError, AttributeError, ValueError, DesignError):
+        return False
 
 
 _FIX = "Restore the file from where it was deposited, or register again before the first run."
@@ -143,7 +166,7 @@ def differences(registered: Mapping[str, Any], now: Mapping[str, Any]) -> Iterat
 
     Args:
         registered: the content of the registration.
-        now: `design`, `seed`, `analysis` and `measures` in the same shape; what it lacks is not compared.
+        now: `design`, `seed`, `analysis`, `repeat_until` and `measures` likewise; what it lacks is not compared.
     """
     if "design" in now:
         yield from _design_differences(registered["design"], now["design"])
@@ -151,8 +174,17 @@ def differences(registered: Mapping[str, Any], now: Mapping[str, Any]) -> Iterat
         yield f"the seed of the order is {now['seed']}, and {registered['seed']} was registered"
     if "analysis" in now:
         yield from _plan_differences(registered["analysis"], now["analysis"])
+    if "repeat_until" in now and now["repeat_until"] != registered.get("repeat_until"):
+        before, after = map(repeated_in_words, (registered.get("repeat_until"), now["repeat_until"]))
+        yield f"combinations are repeated {after}, and {before} was registered"
     if "measures" in now:
         yield from _measure_differences(registered["measures"], now["measures"])
+
+
+def repeated_in_words(recorded: Mapping[str, Any] | None) -> str:
+    """Return how often combinations are repeated, from what is recorded of `repeat_until`."""
+    rules = [Precision.of_mapping(rule) for rule in recorded["rules"]] if recorded else []
+    return rule_in_words(rules, recorded["least"]) if recorded else "as often as is planned"
 
 
 def _design_differences(registered: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:
@@ -183,7 +215,7 @@ def _plan_differences(registered: Mapping[str, Any] | None, now: Mapping[str, An
     before, after = _full(registered), _full(now)
     if before is None or after is None:
         if (before is None) is not (after is None):
-            yield f"the analysis plan is {'gone' if after is None else 'there'}, and {_one(registered)} was registered"
+            yield f"the analysis plan is {'gone' if after is None else 'there'}, and {_one(before)} was registered"
         return
     for name in [*before, *(name for name in after if name not in before)]:
         if name != "hypotheses" and after.get(name) != before.get(name):

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
-from robot_runner.core.errors import Finding, PluginError, did_you_mean
+from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot
 from robot_runner.core.plugin import System
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
+    from robot_runner.ros.sole_control import SoleControl
     from robot_runner.ros.turtlebot3.mission import Performance, Phase
 
 __all__ = ["BasicTurtlebot3"]
@@ -28,7 +30,7 @@ __all__ = ["BasicTurtlebot3"]
 _KNOWN_TASKS = tuple(task.value.capitalize() for task in Task)
 #: How far from its beginning, m, a mission may end before the run is warned of.
 _NEAR = 0.1
-#: Share of the planned way below which the robot was blocked or its wheels slipped.
+#: Share of the planned way below which the robot was blocked or its wheels slipped; as much above it, it was pushed.
 _MOST = 0.9
 
 
@@ -50,6 +52,8 @@ class BasicTurtlebot3(System):
         speed: the speed to cruise at, m/s; 0.22 at most.
         connect_timeout_s: how long to wait for the robot's first odometry, s.
         odometry_timeout_s: how long the odometry may be silent before the mission is broken off, s.
+        sole_control: whether a run fails where somebody else commands the robot, or more than one node tells its
+            odometry; where it is False, the run's values are doubtful then.
 
     Raises:
         PluginError: a parameter is out of its range.
@@ -84,6 +88,7 @@ class BasicTurtlebot3(System):
         speed: float = 0.2,
         connect_timeout_s: float = 5.0,
         odometry_timeout_s: float = 1.0,
+        sole_control: bool = True,
     ) -> None:
         super().__init__(name=name)
         self.namespace = namespace
@@ -91,6 +96,7 @@ class BasicTurtlebot3(System):
         self.task = task
         self.connect_timeout_s = connect_timeout_s
         self.odometry_timeout_s = odometry_timeout_s
+        self.sole_control = sole_control
         self.mission = CircularMission(sleep_s=sleep_s, drive_s=drive_s, task_s=task_s, rotate_s=rotate_s, speed=speed)
         self._robot: Robot | None = None
         self._performance: Performance | None = None
@@ -116,9 +122,23 @@ class BasicTurtlebot3(System):
         self._robot = self._performance = None
         link = connect_robot(context, namespace=self.namespace)
         odometer = Odometer(context.clock, timeout=self.odometry_timeout_s, where=self.name)
-        self._robot = Robot(link, odometer, context.clock, namespace=self.namespace)
+        self._robot = Robot(link, odometer, context.clock, namespace=self.namespace, where=self.name)
         odometer.wait(self.connect_timeout_s)
         self._robot.check_commands_subscribed(where=self.name)
+        self._robot.tasks.check(self._task_of(context), where=self.name)
+        if not link.is_simulated:  # the embedded robot is alone in its world
+            self._take_control(self._robot.control, context)
+
+    def _take_control(self, control: SoleControl, context: RobotRunnerContext) -> None:
+        findings = control.check()
+        errors = [finding for finding in findings if finding.is_error]
+        if errors and self.sole_control:
+            raise LinkError.of_findings(errors)
+        for finding in findings:
+            tell = context.doubt if finding.is_error else context.warn
+            tell(finding.problem, fix=finding.fix)
+        fix = "End what else commands or is this robot, and execute the run again."
+        control.begin(context.fail if self.sole_control else partial(context.doubt, fix=fix))
 
     def launch_mission(self, context: RobotRunnerContext) -> None:
         """Execute the mission.
@@ -236,5 +256,5 @@ def _unknown_tasks(where: str, treatments: Iterable[object]) -> Iterator[Finding
 def _doubts(performance: Performance) -> Iterator[str]:
     if performance.pose_error > _NEAR:
         yield f"the mission ended {performance.pose_error:.2f} m from where it began"
-    if performance.distance < _MOST * performance.planned_distance:
+    if not _MOST <= performance.distance / performance.planned_distance <= 2 - _MOST:
         yield f"the robot covered {performance.distance:.2f} m of {performance.planned_distance:.2f} m"

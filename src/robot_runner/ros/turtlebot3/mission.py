@@ -115,6 +115,11 @@ def _refusal(parameter: str, value: float, fix: str) -> PluginError:
 
 #: How often a robot that stands still is asked whether it is still there, s.
 _LOOK_PERIOD = 0.5
+#: How long a robot may take to come to rest, s, and how far it may move from then on, m: the odometry of one that
+#: stands still does not drift.
+_SETTLING, _MOST_DRIFT = 2.0, 0.1
+#: The share of the planned way below which the robot did not move at all.
+_LEAST = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +193,8 @@ class Performer:
             mark: returns what to carry out a phase of a kind in, such as `context.phase`.
 
         Raises:
-            LinkError: the odometry fell silent or the robot cannot be reached.
+            LinkError: the odometry fell silent, or the robot cannot be reached, does not move as it is commanded, or
+                moves where it is to stand still.
         """
         try:
             performance = self._perform(announce, mark)
@@ -219,12 +225,14 @@ class Performer:
                 self._carry_out(phase, due)
             task = self._task if phase.kind is PhaseKind.TASK else None
             self._log.add(phase, task, start, self._clock.now(), odometer.pose())
-        return Performance(
+        performance = Performance(
             duration=self._clock.now() - begun,
             distance=odometer.travelled - way_before,
             pose_error=home.distance_to(odometer.pose()),
             planned_distance=2 * self._mission.way_out.way,
         )
+        self._check_moved(performance)
+        return performance
 
     def _carry_out(self, phase: Phase, due: float) -> None:
         """Carry out one phase. Movements take their full time; what they were late by comes off the sleeps."""
@@ -243,6 +251,27 @@ class Performer:
                 self._aim = self._aim.turned(self._mission.turn.way)
 
     def _rest(self, due: float) -> None:
+        settled, resting = self._clock.now() + _SETTLING, None
         while (left := due - self._clock.now()) > TICK:
             self._clock.sleep(min(left, _LOOK_PERIOD))
-            self._robot.odometer.pose()
+            pose = self._robot.odometer.pose()
+            if self._clock.now() >= settled:
+                resting = resting or pose
+                self._check_resting(resting.distance_to(pose))
+
+    def _check_resting(self, drift: float) -> None:
+        # A simulation's time may go by much faster than messages do.
+        if drift > _MOST_DRIFT and not getattr(self._clock, "is_simulated", False):
+            raise LinkError(
+                f"the robot moved by {drift:.2f} m while it was to stand still",
+                where="mission",
+                fix="See that nobody pushes it, and that nothing else commands it.",
+            )
+
+    def _check_moved(self, performance: Performance) -> None:
+        if performance.distance < _LEAST * performance.planned_distance:
+            raise LinkError(
+                f"the robot covered {performance.distance:.3f} m of {performance.planned_distance:.2f} m",
+                where="mission",
+                fix="Look whether its way is free, its motors are on, and its driver obeys the commands.",
+            )

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from robot_runner.core.errors import LinkError
 from robot_runner.ros.graph_links import full_name
 from robot_runner.ros.turtlebot3.odometry import Odometer, Pose, wrapped
 from robot_runner.ros.watchdog import TWIST, VELOCITY_COMMANDS, velocity_command
@@ -77,6 +78,8 @@ TICK = 0.001
 #: together take about 0.15 s.
 _ALONG_GAIN = 2.0
 _HEADING_GAIN = 2.0
+#: How long a robot may be behind its way before it counts as blocked, s: a busy laptop makes it late by tenths.
+_LONGEST_LAG = 5.0
 #: How far ahead on its line the robot looks to get back to it, m.
 _LOOK_AHEAD = 0.4
 
@@ -133,7 +136,8 @@ def _moving_time(seconds: float) -> float:
 class Pilot:
     """Moves one robot. Who uses it must call `stop` in the end, whatever happened."""
 
-    def __init__(self, wheels: Wheels, odometer: Odometer, clock: Clock) -> None:
+    def __init__(self, wheels: Wheels, odometer: Odometer, clock: Clock, *, where: str = "robot") -> None:
+        self._where = where
         self._wheels = wheels
         self._odometer = odometer
         self._clock = clock
@@ -145,12 +149,13 @@ class Pilot:
         before are mended on the way.
 
         Raises:
-            LinkError: the odometry fell silent or the robot cannot be reached.
+            LinkError: the odometry fell silent, the robot cannot be reached, or it does not move.
         """
 
         def steer(time: float) -> tuple[float, float]:
             pose, (way, speed) = self._odometer.pose(), ramp.at(time)
             along, across = _beside(start, pose)
+            self._check_moving(way - along, ramp, f"{along:.2f} m", f"{way:.2f} m")
             heading = start.heading - math.atan2(across, _LOOK_AHEAD)
             return speed + _ALONG_GAIN * (way - along), _HEADING_GAIN * wrapped(heading - pose.heading)
 
@@ -165,7 +170,9 @@ class Pilot:
 
         def steer(time: float) -> tuple[float, float]:
             pose, (way, rate) = self._odometer.pose(), ramp.at(time)
-            return 0.0, rate + _HEADING_GAIN * wrapped(start.heading + way - pose.heading)
+            left = wrapped(start.heading + way - pose.heading)
+            self._check_moving(abs(left), ramp, f"{way - left:.2f} rad", f"{way:.2f} rad")
+            return 0.0, rate + _HEADING_GAIN * left
 
         self._follow(steer, begun, ramp.seconds)
 
@@ -176,6 +183,16 @@ class Pilot:
             LinkError: the robot cannot be reached.
         """
         self._wheels.command(0.0, 0.0)
+
+    def _check_moving(self, lag: float, ramp: Ramp, covered: str, due: str) -> None:
+        # A simulation's time may go by much faster than messages do.
+        is_simulated = getattr(self._clock, "is_simulated", False)
+        if lag > _LONGEST_LAG * abs(ramp.cruise) and not is_simulated:
+            raise LinkError(
+                f"the robot does not move as it is commanded: it covered {covered} where {due} are due",
+                where=self._where,
+                fix="Look whether its way is free, its motors are on, and its driver obeys the commands.",
+            )
 
     def _follow(self, steer: Callable[[float], tuple[float, float]], begun: float, seconds: float) -> None:
         while (left := begun + seconds - self._clock.now()) > TICK:

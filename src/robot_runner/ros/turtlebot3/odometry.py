@@ -16,11 +16,18 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import Clock
     from robot_runner.core.links.robot import Message
 
-__all__ = ["Odometer", "Pose", "Trajectory", "wrapped"]
+__all__ = ["POSE_TOPIC", "Odometer", "Pose", "Trajectory", "wrapped"]
 
 
+#: The topic of the robot's odometry.
+POSE_TOPIC = "odom"
 #: How often the first pose is looked for, s.
 _POLL = 0.02
+#: How fast a pose may change, m/s: what a TurtleBot3 can do, five times over; odometry comes in bursts where a network
+#: has to send again, so that the stamps of the robot count, not their arrival.
+_FASTEST = 5 * 0.26
+#: A change that is too small to be a jump, m: more than five messages of a robot at top speed may be lost for it.
+_ROOM = 0.1
 #: A clock that is set, or a message that is overtaken, steps back now and then; two robots on one topic do always.
 _MOST_STEPS_BACK = 5
 
@@ -83,16 +90,20 @@ class Odometer:
         self._pose: Pose | None = None
         self._received_at = clock.now()
         self._travelled = 0.0
+        self._jump: tuple[float, float] | None = None
         self._stamp = (0, 0)
         self._steps_back = 0
 
     def take(self, message: Message) -> None:
         """Take one message."""
         pose = _pose_in(message)
-        if self._pose is not None:
-            self._travelled += self._pose.distance_to(pose)
-        self._pose, self._received_at = pose, self._clock.now()
         stamp = _stamp_in(message)
+        if self._pose is not None:
+            step, seconds = self._pose.distance_to(pose), _seconds_between(self._stamp, stamp)
+            self._travelled += step
+            if self._jump is None and step > _ROOM + _FASTEST * max(0.0, seconds):
+                self._jump = step, seconds
+        self._pose, self._received_at = pose, self._clock.now()
         self._steps_back += stamp < self._stamp
         self._stamp = stamp
         if self.on_pose is not None:
@@ -107,8 +118,16 @@ class Odometer:
         """Return the robot's pose.
 
         Raises:
-            LinkError: the odometry has been silent for longer than it may, or two robots tell theirs on one topic.
+            LinkError: the odometry has been silent for longer than it may, jumped, or two robots tell theirs on one
+                topic.
         """
+        if self._jump is not None:
+            step, seconds = self._jump
+            raise LinkError(
+                f"the odometry jumped by {step:.2f} m within {seconds:.2f} s, which the robot cannot drive",
+                where=self._where,
+                fix="See that one robot only publishes it, and that nothing sets it anew while a run goes on.",
+            )
         if self._steps_back > _MOST_STEPS_BACK:
             raise LinkError(
                 f"the time stamps of the odometry went back {self._steps_back} times",
@@ -142,6 +161,10 @@ class Odometer:
 def _stamp_in(message: Message) -> tuple[int, int]:
     stamp = message["header"]["stamp"]
     return stamp["sec"], stamp["nanosec"]
+
+
+def _seconds_between(earlier: tuple[int, int], later: tuple[int, int]) -> float:
+    return later[0] - earlier[0] + (later[1] - earlier[1]) * 1e-9
 
 
 def _pose_in(message: Message) -> Pose:

@@ -12,7 +12,9 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.events.unhandled import raised_in_thread
 from robot_runner.core.links.connect import is_simulation
 from robot_runner.ros.graph_links import full_name, missing
+from robot_runner.ros.sole_control import SoleControl
 from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, Pilot, Wheels
+from robot_runner.ros.turtlebot3.odometry import POSE_TOPIC
 from robot_runner.ros.watchdog import HEARTBEAT_TOPIC, HEARTBEAT_TYPE
 
 if TYPE_CHECKING:
@@ -112,8 +114,22 @@ _TRIGGER = "std_srvs/Trigger"
 class TaskServices:
     """Calls `task/<task>/start`, `task/<task>/stop` and `task/stop`, which stops whichever is going on."""
 
-    def __init__(self, link: RobotLink) -> None:
+    def __init__(self, link: RobotLink, namespace: str = "") -> None:
         self._link = link
+        self._namespace = namespace
+
+    def check(self, task: Task, *, where: str) -> None:
+        """See that the robot offers the services of a task, before it has driven to where the task begins.
+
+        Raises:
+            LinkError: it does not; nothing is raised where the graph does not tell its services.
+        """
+        offered = self._link.services()
+        for name in (f"task/{task.value}/start", f"task/{task.value}/stop", "task/stop"):
+            service = full_name(self._namespace, name)
+            if offered and service not in offered:
+                fix = "Start the robot's task node, which is in the repository's robot/ folder."
+                raise missing("service", service, offered, where=where, fix=fix)
 
     def start(self, task: Task) -> None:
         """Start a task.
@@ -161,18 +177,28 @@ class Robot:
         odometer: takes the robot's odometry until the robot is closed.
         pilot: moves it.
         tasks: starts and stops its tasks.
+        control: sees that nobody else commands it or tells its pose.
         is_simulated: whether it is a simulated one.
     """
 
-    def __init__(self, link: RobotLink, odometer: Odometer, clock: Clock, *, namespace: str = "") -> None:
+    def __init__(
+        self, link: RobotLink, odometer: Odometer, clock: Clock, *, namespace: str = "", where: str = "robot"
+    ) -> None:
         self._link = link
         self._clock = clock
         self._command_topic = full_name(namespace, COMMAND_TOPIC)
         self.odometer = odometer
-        self.pilot = Pilot(Wheels(link, namespace=namespace), odometer, clock)
-        self.tasks = TaskServices(link)
+        self.pilot = Pilot(Wheels(link, namespace=namespace), odometer, clock, where=where)
+        self.control = SoleControl(
+            link,
+            namespace=namespace,
+            pose_topic=POSE_TOPIC,
+            command_topic=COMMAND_TOPIC,
+            where=where,
+        )
+        self.tasks = TaskServices(link, namespace)
         self.is_simulated = is_simulation(link, namespace)
-        self._subscription = link.subscribe("odom", "nav_msgs/Odometry", odometer.take)
+        self._subscription = link.subscribe(POSE_TOPIC, "nav_msgs/Odometry", odometer.take)
         self._heartbeat = Heartbeat(link)
 
     def check_commands_subscribed(self, *, where: str) -> None:
@@ -209,6 +235,7 @@ class Robot:
         with ExitStack() as closing:
             closing.callback(self._subscription.close)
             closing.callback(self._heartbeat.end)
+            self.control.end()
             self.make_safe()
             self._heartbeat.end()
             self._heartbeat.say_farewell()

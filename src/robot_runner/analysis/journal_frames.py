@@ -1,0 +1,217 @@
+"""The journal of an experiment as typed data frames."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from robot_runner.core.events.manager import ORCHESTRATED_EVENTS, RobotRunnerEvents
+from robot_runner.core.storage.journal import read_journal
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+    from pathlib import Path
+
+__all__ = ["EVENTS", "START", "History", "read_history"]
+
+
+#: The events of a run, in their order (paper, Fig. 2).
+EVENTS = tuple(event.value for event in RobotRunnerEvents if event.belongs_to_run)
+
+#: The event from which times of a run are counted.
+START = RobotRunnerEvents.START_MEASUREMENT.value
+
+#: The callbacks of these are executed in the orchestrating process, whose clock is another than the run's.
+_OF_ANOTHER_CLOCK = frozenset(event.value for event in ORCHESTRATED_EVENTS)
+
+
+#: An attempt: the run's id, and which attempt at it.
+Attempt = tuple[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """The journal, sorted by what its records are about.
+
+    Attributes:
+        attempts: `run_id`, `attempt`, `status` (done, failed, unfinished), `started_at`, `seconds`, `failure`.
+        events: `run_id`, `event`, `at`, `clock_s`, `since_start_s`; of the last attempt at each run.
+        published: `run_id`, `measure`, `value`, `owner`, `origin`; of the last attempt at each run.
+        doubts: what makes values doubtful or missing: reasons by measure, by run, of the last attempt at each run that
+            ended; measures without any are left out.
+        odd: `run_id`, `attempt`, `owner`, `problem`, `fix`.
+        windows: when each run's measured window (its mission) began and ended, s on the run's clock.
+        starts: when that began; where it is not known, when the run's measurement did.
+        uncertainties: how far the times of a plugin's samples may be wrong because another computer stamped them, s; by
+            plugin, by run, of the last attempt at each.
+        readers: who read the treatment of each factor in runs that were done; None where that was not recorded.
+    """
+
+    attempts: pd.DataFrame
+    events: pd.DataFrame
+    published: pd.DataFrame
+    odd: pd.DataFrame
+    windows: Mapping[str, tuple[float, float]]
+    starts: Mapping[str, float]
+    doubts: Mapping[str, Mapping[str, tuple[str, ...]]]
+    uncertainties: Mapping[str, Mapping[str, float]]
+    readers: Mapping[str, tuple[str, ...]] | None = None
+
+    def without(self, runs: Collection[str]) -> History:
+        """Return the history without what it has of these runs."""
+        if not runs:
+            return self
+        frames = {
+            name: frame[~frame["run_id"].isin(runs)].reset_index(drop=True)
+            for name in ("attempts", "events", "published", "odd")
+            for frame in [getattr(self, name)]
+        }
+        return replace(self, **frames)
+
+
+def read_history(journal: Path) -> History:
+    """Read the journal of an experiment; one that does not exist tells nothing.
+
+    Raises:
+        StorageError: it cannot be read.
+    """
+    told = _Told()
+    readers: dict[str, Callable[[Mapping[str, Any]], None]] = {
+        "attempt_started": told.take_start,
+        "attempt_finished": told.take_end,
+        "clock": told.take_clock,
+        "event": told.take_event,
+        "finding": told.odd.append,
+        "window": told.take_window,
+    }
+    for record in read_journal(journal, kinds=readers):
+        readers[record["kind"]](record)
+    return told.history()
+
+
+class _Told:
+    """What the journal has told so far: no more than is needed of each record, or a long journal fills the memory."""
+
+    def __init__(self) -> None:
+        # Where the table was edited, attempts may be counted anew: the later record of a number counts.
+        self.begun: dict[Attempt, str] = {}
+        self.ends: dict[Attempt, tuple[str, float | None, str | None]] = {}
+        self.measures: dict[Attempt, list[tuple[str, Any, str, str]]] = {}
+        self.doubts: dict[Attempt, dict[str, tuple[str, ...]]] = {}
+        self.events: dict[Attempt, list[tuple[str, str, float | None]]] = defaultdict(list)
+        self.windows: dict[Attempt, tuple[float, float]] = {}
+        self.uncertainties: dict[Attempt, dict[str, float]] = defaultdict(dict)
+        self.readers: dict[str, dict[str, None]] | None = {}
+        self.is_any_done = False
+        self.odd: list[Mapping[str, Any]] = []
+        self._known: dict[Any, Any] = {}
+
+    def _once(self, text: Any) -> Any:
+        """Return the first text that was equal to this: names come in every record, and are held once."""
+        return self._known.setdefault(text, text)
+
+    def _attempt(self, record: Mapping[str, Any]) -> Attempt:
+        return self._once(record["run"]), record["attempt"]
+
+    def take_start(self, record: Mapping[str, Any]) -> None:
+        self.begun[self._attempt(record)] = record["at"]
+
+    def take_end(self, record: Mapping[str, Any]) -> None:
+        attempt, measures = self._attempt(record), record["measures"]
+        self.ends[attempt] = self._once(record["status"]), record["seconds"], record["failure"]
+        # Of an attempt that has two ends, what was published after the run is in the later one.
+        self.measures[attempt] = [
+            (self._once(name), each["value"], self._once(each["owner"]), self._once(each["origin"]))
+            for name, each in measures.items()
+        ]
+        self.doubts[attempt] = {
+            self._once(name): tuple(doubts) for name, each in measures.items() if (doubts := each.get("doubts"))
+        }
+        if record["status"] == "done":
+            self._take_readers(record.get("readers"))
+
+    def _take_readers(self, told: object) -> None:
+        self.is_any_done = True
+        if not isinstance(told, dict) or self.readers is None:
+            self.readers = None
+            return
+        for factor, owners in told.items():
+            self.readers.setdefault(factor, {}).update(dict.fromkeys(owners))
+
+    def take_event(self, record: Mapping[str, Any]) -> None:
+        if "run" in record:
+            # These take place in the orchestrating process, whose clock is another than the run's.
+            clock = None if record["event"] in _OF_ANOTHER_CLOCK else record.get("clock")
+            self.events[self._attempt(record)].append((self._once(record["event"]), record["at"], clock))
+
+    def take_window(self, record: Mapping[str, Any]) -> None:
+        self.windows[self._attempt(record)] = float(record["start"]), float(record["end"])
+
+    def take_clock(self, record: Mapping[str, Any]) -> None:
+        if isinstance(record.get("uncertainty"), int | float):
+            self.uncertainties[self._attempt(record)][self._once(record["owner"])] = float(record["uncertainty"])
+
+    def history(self) -> History:
+        last = {run: (run, attempt) for run, attempt in self.begun}
+        windows = {run: self.windows[each] for run, each in last.items() if each in self.windows}
+        starts = {**self._measured(last.values()), **{run: start for run, (start, _) in windows.items()}}
+        ended = {run: each for run, each in last.items() if each in self.ends}
+        readers = {factor: tuple(owners) for factor, owners in (self.readers or {}).items()}
+        return History(
+            self._attempts(),
+            self._events(last.values(), starts),
+            _published((run, *each) for run, attempt in ended.items() for each in self.measures[attempt]),
+            _odd(self.odd),
+            windows,
+            starts,
+            {run: self.doubts[attempt] for run, attempt in ended.items()},
+            {run: self.uncertainties[each] for run, each in last.items() if each in self.uncertainties},
+            readers if self.is_any_done and self.readers is not None else None,
+        )
+
+    def _measured(self, attempts: Iterable[Attempt]) -> dict[str, float]:
+        """Return when the measurement of each run began, s on the run's clock."""
+        return {
+            attempt[0]: float(clock)
+            for attempt in attempts
+            for event, _, clock in self.events.get(attempt, ())
+            if event == START and clock is not None
+        }
+
+    def _attempts(self) -> pd.DataFrame:
+        rows = []
+        for (run, attempt), at in self.begun.items():
+            status, seconds, failure = self.ends.get((run, attempt), ("unfinished", None, None))
+            # Of runs that were imported without any times, only the record has one.
+            is_timed = status == "unfinished" or seconds is not None
+            rows.append((run, attempt, status, at if is_timed else None, seconds, failure))
+        columns = ["run_id", "attempt", "status", "started_at", "seconds", "failure"]
+        frame = pd.DataFrame(rows, columns=columns).astype({"run_id": "str", "attempt": "int64", "seconds": "float64"})
+        frame["started_at"] = pd.to_datetime(frame["started_at"], utc=True, format="ISO8601")
+        frame["status"] = pd.Categorical(frame["status"], ["done", "failed", "unfinished"])
+        return frame
+
+    def _events(self, attempts: Iterable[Attempt], starts: Mapping[str, float]) -> pd.DataFrame:
+        rows = [(attempt[0], *each) for attempt in attempts for each in self.events.get(attempt, ())]
+        frame = pd.DataFrame(rows, columns=["run_id", "event", "at", "clock_s"])
+        frame = frame.astype({"run_id": "str", "clock_s": "float64"})
+        frame["event"] = pd.Categorical(frame["event"], EVENTS, ordered=True)
+        frame["at"] = pd.to_datetime(frame["at"], utc=True, format="ISO8601")
+        frame["since_start_s"] = frame["clock_s"] - frame["run_id"].map(starts).astype("float64")
+        return frame
+
+
+def _published(rows: Iterable[tuple[str, str, Any, str, str]]) -> pd.DataFrame:
+    frame = pd.DataFrame(list(rows), columns=["run_id", "measure", "value", "owner", "origin"])
+    return frame.astype({"run_id": "str", "value": "object"})
+
+
+def _odd(findings: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    columns = ["run_id", "attempt", "owner", "problem", "fix"]
+    rows = [
+        (each.get("run"), each.get("attempt"), each.get("owner"), each["problem"], each.get("fix")) for each in findings
+    ]
+    return pd.DataFrame(rows, columns=columns)

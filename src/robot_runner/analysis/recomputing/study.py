@@ -1,0 +1,210 @@
+"""What a recomputation has to know of a study, from its results and the statistics of its report."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+from robot_runner.analysis.recomputing.measure_facts import facts_of_measure
+from robot_runner.analysis.recomputing.study_facts import Adjustment, Reported, StudyFacts
+from robot_runner.analysis.recomputing.table_source import Cells, factor_columns, source_of
+from robot_runner.analysis.statistics.design import BATCH, design_of
+from robot_runner.analysis.statistics.experiment_statistics import analyse
+from robot_runner.analysis.statistics.families import contrast_key, effect_key, families_of
+from robot_runner.analysis.statistics.robustness import doubtful_runs
+from robot_runner.analysis.statistics.tests import Choices
+from robot_runner.core.storage.layout import ExperimentFolder
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.analysis.recomputing.study_facts import MeasureFacts, Number
+    from robot_runner.analysis.results import Results
+    from robot_runner.analysis.statistics.design import Design
+    from robot_runner.analysis.statistics.families import Key
+    from robot_runner.analysis.statistics.outcome import ExperimentStatistics, MeasureStatistics
+    from robot_runner.core.design.analysis_plan import AnalysisPlan
+
+__all__ = ["facts_of_study"]
+
+
+def facts_of_study(
+    results: Results,
+    folder: Path,
+    *,
+    measures: Sequence[str] | None = None,
+    alpha: float | None = None,
+    made: str = "",
+) -> StudyFacts:
+    """Return what a recomputation has to know of a study.
+
+    Args:
+        results: the experiment.
+        folder: where the script will be.
+        measures: which measures the report is of; None for all. Primary measures of the plan come in addition, as
+            errors are controlled among these.
+        alpha: the level of significance; None for the one that was fixed beforehand, or 0.05.
+        made: when and by what.
+
+    Raises:
+        StorageError: the run table cannot be read.
+        AnalysisError: there is no such measure, or alpha is no probability.
+    """
+    planned = results.plan.measures if results.plan is not None else ()
+    primary = [name for name in planned if name in results.columns]
+    names = None if measures is None else list(dict.fromkeys([*measures, *primary]))
+    statistics = analyse(results, measures=names, alpha=alpha)
+    shown = statistics if names in (None, measures) else analyse(results, measures=measures, alpha=alpha)
+    plan = results.plan if statistics.is_planned else None
+    design = design_of(results, blocks=plan.blocks if plan is not None else None)
+    facts = dict(_measures(design, statistics, plan))
+    cells = Cells(ExperimentFolder.found_at(results.folder).run_table, results)
+    tested = [each for each in statistics.measures if each.overall is not None]
+    block = design.block or ""
+    return StudyFacts(
+        name=results.name,
+        made=made,
+        alpha=statistics.alpha,
+        correction="holm" if statistics.correction.value == "holm" else "BH",
+        source=source_of(results, design, cells, folder),
+        factors=factor_columns(design, cells),
+        varied=design.factors,
+        numbers=tuple(each.name for each in tested),
+        block=block,
+        blocks_are_of_batches=bool(block) and BATCH in design.frame and block == results.repetition,
+        batch=(results.batch or "") if BATCH in design.frame else "",
+        design=_design(statistics),
+        measures=tuple(facts.values()),
+        families=tuple(_families(statistics, plan, facts)),
+        adjusted=_adjusted(statistics, facts),
+        correlated=_correlated(shown, facts),
+        correlations=_correlations(shown),
+    )
+
+
+def _measures(
+    design: Design, statistics: ExperimentStatistics, plan: AnalysisPlan | None
+) -> Iterator[tuple[tuple[str, bool], MeasureFacts]]:
+    """Yield the facts of each measure, and once more of those that are computed without doubtful runs as well."""
+    choices = Choices(statistics.alpha, statistics.correction)
+    if plan is not None:
+        choices = replace(choices, estimand=plan.estimand, statistic=plan.statistic)
+    hypotheses = plan.hypotheses if plan is not None else ()
+    doubtful = doubtful_runs(design.results)
+    key_of = _unique_names()
+    for measure in statistics.measures:
+        if measure.overall is not None:
+            yield (measure.name, False), facts_of_measure(design, measure, choices, hypotheses, key_of)
+    for measure in statistics.without_doubtful:
+        if measure.overall is not None:
+            rest = replace(design, without=frozenset(doubtful[measure.name]))
+            yield (measure.name, True), facts_of_measure(rest, measure, choices, hypotheses, key_of)
+
+
+def _unique_names() -> Callable[[str], str]:
+    """Return what makes each text its own, by a number where two are the same."""
+    taken: set[str] = set()
+
+    def unique(text: str) -> str:
+        name, number = text, 1
+        while name in taken:
+            number += 1
+            name = f"{text} ({number})"
+        taken.add(name)
+        return name
+
+    return unique
+
+
+def _design(statistics: ExperimentStatistics) -> Reported:
+    of = statistics.design
+    row: dict[str, Number] = {
+        "runs": of.used,
+        "not done": of.left_out,
+        "combinations": of.combinations,
+        "without runs": of.empty_combinations,
+        "fewest runs": of.smallest_group,
+        "most runs": of.largest_group,
+    }
+    return Reported.of([("design", row)])
+
+
+def _families(
+    statistics: ExperimentStatistics, plan: AnalysisPlan | None, facts: Mapping[tuple[str, bool], MeasureFacts]
+) -> Iterator[Adjustment]:
+    """Yield the families of the report, and those of the statistics without doubtful runs that it shows."""
+    again = {each.name: each for each in statistics.without_doubtful}
+    sets: list[tuple[Sequence[MeasureStatistics], frozenset[str]]] = [(statistics.measures, frozenset())]
+    if again:
+        sets.append(([again.get(each.name, each) for each in statistics.measures], frozenset(again)))
+    for measures, redone in sets:
+        keys = {
+            measure.name: dict(_keys(measure, facts.get((measure.name, measure.name in redone))))
+            for measure in measures
+        }
+        names = {key: name for of in keys.values() for key, name in of.items()}
+        shown = {key for measure, of in keys.items() if not redone or measure in redone for key in of}
+        for name, tests in families_of({measure: tuple(of) for measure, of in keys.items()}, plan):
+            known = [key for key in tests if key in names]
+            if shown.intersection(known):
+                yield Adjustment(
+                    f"{name}{', without doubtful runs' if redone else ''}",
+                    tuple(names[key] for key in known),
+                    tuple(names[key] for key in known if key in shown),
+                )
+
+
+def _keys(measure: MeasureStatistics, facts: MeasureFacts | None) -> Iterator[tuple[Key, str]]:
+    """Yield what stands for each test of a measure that has a p-value in its statistics, and in the script."""
+    if facts is None or facts.compared is None or measure.test is None:
+        return
+    for effect, of in zip(facts.compared.effects, measure.test.effects, strict=True):
+        if of.p_value is not None:
+            yield effect_key(measure.name, effect.factors), effect.key
+    for contrast in facts.compared.contrasts:
+        yield contrast_key(contrast.statement), contrast.key
+
+
+def _adjusted(statistics: ExperimentStatistics, facts: Mapping[tuple[str, bool], MeasureFacts]) -> Reported:
+    rows: list[tuple[str, dict[str, Number]]] = []
+    told = {each.hypothesis.statement: each.adjusted_p_value for each in statistics.hypotheses}
+    without = {each.statement: each.p_value_without for each in statistics.standings if each.statement}
+    for is_redone, measures in ((False, statistics.measures), (True, statistics.without_doubtful)):
+        for measure in measures:
+            found = facts.get((measure.name, is_redone))
+            if found is None or found.compared is None or measure.test is None:
+                continue
+            for effect, of in zip(found.compared.effects, measure.test.effects, strict=True):
+                rows.append((effect.key, {"adjusted p": of.adjusted_p_value}))
+            for contrast in found.compared.contrasts:
+                value = (without if is_redone else told).get(contrast.statement)
+                rows.append((contrast.key, {"adjusted p": value}))
+    return Reported.of([(key, row) for key, row in rows if row["adjusted p"] is not None])
+
+
+def _correlated(
+    statistics: ExperimentStatistics, facts: Mapping[tuple[str, bool], MeasureFacts]
+) -> tuple[tuple[MeasureFacts, MeasureFacts], ...]:
+    known = {(each.first, each.second) for each in statistics.correlations}
+    measures = [each for (_, is_redone), each in facts.items() if not is_redone]
+    return tuple(pair for pair in combinations(measures, 2) if (pair[0].name, pair[1].name) in known)
+
+
+def _correlations(statistics: ExperimentStatistics) -> Reported:
+    rows: list[tuple[str, dict[str, Number]]] = []
+    for each in statistics.correlations:
+        ends = each.pearson_interval
+        row: dict[str, Number] = {
+            "n": each.n,
+            "Pearson's r": each.pearson,
+            "r low": None if ends is None else ends.low,
+            "r high": None if ends is None else ends.high,
+            "Spearman's rho": each.spearman,
+            "p": each.p_value,
+            "adjusted p": each.adjusted_p_value,
+            "r within treatments": each.within,
+        }
+        rows.append((f"{each.first} and {each.second}", row))
+    return Reported.of(rows)

@@ -1,0 +1,293 @@
+"""What a recomputation has to know of a study beside the numbers of its run table, as plain data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+__all__ = [
+    "Adjustment",
+    "Compared",
+    "Contrasted",
+    "Distributed",
+    "FactorColumn",
+    "MeasureFacts",
+    "Paired",
+    "Reported",
+    "StudyFacts",
+    "TableSource",
+    "TestedEffect",
+]
+
+Number = float | int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Reported:
+    """A table of the report: rows of numbers, each with a label; what could not be computed is None."""
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, tuple[Number, ...]], ...]
+
+    @classmethod
+    def of(cls, rows: Sequence[tuple[str, Mapping[str, Number]]]) -> Reported:
+        """Return a table whose columns are those that some row has a number for."""
+        names = dict.fromkeys(name for _, row in rows for name, value in row.items() if value is not None)
+        return cls(tuple(names), tuple((label, tuple(row.get(name) for name in names)) for label, row in rows))
+
+    @property
+    def numbers(self) -> list[float]:
+        """All numbers that it has."""
+        return [float(value) for _, row in self.rows for value in row if value is not None]
+
+
+@dataclass(frozen=True, slots=True)
+class FactorColumn:
+    """A factor: its treatments in their order, as the file spells them, and as the report does."""
+
+    name: str
+    texts: tuple[str, ...]
+    labels: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class TableSource:
+    """How the run table is read.
+
+    Attributes:
+        path: from the folder of the script.
+        checksum: MD5, so that a table that was changed since is noticed.
+        delimiter: what stands between its cells; decimals have a comma where that is a semicolon.
+        renamed: columns that are headed by something else than their names: place from 1, and the name.
+        done: the words for runs that are done.
+        has_exclusions: whether there is a column that says why a run is left out.
+        has_warm_ups: whether there is a column that says which runs only warm up.
+        run_ids: the runs that count, where the columns do not tell.
+        stamp: the column of the time stamp that tells the order of execution; empty for the order of the table.
+        places: the place of each run in that order, where the column does not tell.
+    """
+
+    path: str
+    checksum: str
+    delimiter: str
+    renamed: tuple[tuple[int, str], ...]
+    done: tuple[str, ...]
+    has_exclusions: bool
+    has_warm_ups: bool
+    run_ids: tuple[str, ...]
+    stamp: str
+    places: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Distributed:
+    """A check of how values are distributed: of the residuals, of spreads, or of one group."""
+
+    name: str
+    treatments: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class TestedEffect:
+    """An effect, and the procedures that it is tested by.
+
+    Attributes:
+        key: names it among all effects of the study.
+        which: whether it is an effect of each of the compared factors.
+        test, check: names of procedures; empty where there is none.
+        drawn: the p-value of the report, where it comes from a bootstrap.
+    """
+
+    key: str
+    label: str
+    factors: tuple[str, ...]
+    which: tuple[bool, ...]
+    test: str
+    check: str
+    drawn: Number = None
+
+
+@dataclass(frozen=True, slots=True)
+class Paired:
+    """All pairs of the treatments of one factor, or of the combinations of several."""
+
+    key: str
+    factors: tuple[str, ...]
+    reported: Reported
+    adjusted: Reported
+
+
+@dataclass(frozen=True, slots=True)
+class Contrasted:
+    """A contrast that a hypothesis names.
+
+    Attributes:
+        key: names it among all tests of the study.
+        weights: by treatment of the factor.
+        within: the bound of equivalence; None where there is none.
+    """
+
+    key: str
+    statement: str
+    factor: str
+    weights: Mapping[str, float]
+    within: float | None
+    level: float
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """What is compared of a measure, and how.
+
+    Attributes:
+        kind: `runs` of their own, `blocks`, a `linear` model, or a `mixed` one.
+        factors: those that are compared, with their treatments, as the report spells them.
+        between: of `blocks`, the factors that differ between them.
+        estimand: `mean`, `trimmed mean` or `rank`.
+        has_check: whether the other of ranks and means is tested beside.
+        is_extended: whether runs are compared within batches.
+        dropped: runs that cannot be compared within batches.
+        left_out: runs of blocks that lack something.
+        effects, tested: what is tested, and as the report has it; so are pairs and contrasts.
+        of: what the check is of: `ranks` or `means`.
+        d_name: what differences in standard deviations are called.
+        is_uniform: whether all combinations vary.
+    """
+
+    kind: str
+    factors: tuple[tuple[str, tuple[str, ...]], ...]
+    between: tuple[str, ...]
+    estimand: str
+    is_extended: bool
+    dropped: tuple[str, ...]
+    left_out: tuple[str, ...]
+    effects: tuple[TestedEffect, ...]
+    tested: Reported
+    pairs: tuple[Paired, ...]
+    contrasts: tuple[Contrasted, ...]
+    contrasted: Reported
+    of: str
+    d_name: str
+    has_check: bool
+    is_uniform: bool
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The factors that are compared."""
+        return tuple(name for name, _ in self.factors)
+
+    @property
+    def within(self) -> tuple[str, ...]:
+        """The factors that differ within blocks."""
+        return tuple(name for name in self.names if name not in self.between)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether they are runs of their own of one factor, whose means R and scipy compare by functions of theirs."""
+        of_runs = self.kind == "runs" and len(self.factors) == 1 and not self.is_extended
+        return of_runs and self.is_uniform and self.estimand != "trimmed mean"
+
+
+@dataclass(frozen=True, slots=True)
+class MeasureFacts:
+    """A measure, from all values or without the doubtful ones.
+
+    Attributes:
+        key: names it: the measure, and whether doubtful runs are left out.
+        factors: those that its runs differ in.
+        left_out: the runs whose value is doubtful, where they are left out.
+    """
+
+    key: str
+    name: str
+    label: str
+    factors: tuple[str, ...]
+    left_out: tuple[str, ...]
+    described: tuple[tuple[tuple[str, ...], Reported], ...]
+    is_extended: bool
+    distributed: tuple[Distributed, ...]
+    distribution: Reported
+    quantiles: Reported | None
+    drift: Reported | None
+    power: Reported | None
+    power_groups: int
+    compared: Compared | None
+
+
+@dataclass(frozen=True, slots=True)
+class Adjustment:
+    """Tests among which errors are controlled together, by their keys; and those whose result the report shows."""
+
+    name: str
+    keys: tuple[str, ...]
+    shown: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class StudyFacts:
+    """Everything that the templates are filled with.
+
+    Attributes:
+        made: when and by what.
+        factors: all factors of the runs that are done.
+        varied: those of them with two treatments and more.
+        numbers: the measures.
+        block: the column of the blocks; empty where there are none.
+        blocks_are_of_batches: whether blocks are counted anew in each batch.
+        batch: the column of the batches; empty where there are none.
+        families: the tests among which errors are controlled together.
+        adjusted: p-values after adjustment.
+        correlated: the measures that are correlated, two by two.
+    """
+
+    name: str
+    made: str
+    alpha: float
+    correction: str
+    source: TableSource
+    factors: tuple[FactorColumn, ...]
+    varied: tuple[str, ...]
+    numbers: tuple[str, ...]
+    block: str
+    blocks_are_of_batches: bool
+    batch: str
+    design: Reported
+    measures: tuple[MeasureFacts, ...]
+    families: tuple[Adjustment, ...]
+    adjusted: Reported
+    correlated: tuple[tuple[MeasureFacts, MeasureFacts], ...]
+    correlations: Reported
+
+    @property
+    def compared(self) -> tuple[Compared, ...]:
+        """What is compared of each measure that is tested."""
+        return tuple(each.compared for each in self.measures if each.compared is not None)
+
+    def uses(self, *procedures: str) -> bool:
+        """Return whether some test is carried out by one of these procedures."""
+        used = {name for each in self.compared for effect in each.effects for name in (effect.test, effect.check)}
+        return not used.isdisjoint(procedures)
+
+    def has(self, *kinds: str) -> bool:
+        """Return whether some measure is compared as one of these kinds."""
+        return any(each.kind in kinds for each in self.compared)
+
+    @property
+    def has_trimmed(self) -> bool:
+        """Whether trimmed means are compared."""
+        return any(each.estimand == "trimmed mean" for each in self.compared)
+
+    @property
+    def reported(self) -> tuple[Reported, ...]:
+        """All tables of the report that are compared with."""
+        found = [self.design, self.adjusted, self.correlations]
+        for measure in self.measures:
+            found += [of for _, of in measure.described]
+            found += [each for each in (measure.distribution, measure.quantiles, measure.drift, measure.power) if each]
+            if measure.compared is not None:
+                found += [measure.compared.tested, measure.compared.contrasted]
+                found += [each for pair in measure.compared.pairs for each in (pair.reported, pair.adjusted)]
+        return tuple(found)

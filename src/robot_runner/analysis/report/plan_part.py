@@ -1,0 +1,153 @@
+"""What the plan changes about a measure's result, and what comes out otherwise: parts of the section on tests."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from robot_runner.analysis.report.blocks import Block, Cell, Paragraph, Part, Table, Tone
+from robot_runner.analysis.report.tables import build_table, field, interval, number, p_value, text
+from robot_runner.analysis.statistics.disclosed import Beside
+from robot_runner.analysis.statistics.left_out import MOST_FALSE_POSITIVES, rate_in_words
+from robot_runner.analysis.wording import MISSING, p_in_words, sentence, shown_number, with_unit
+from robot_runner.core.design.outliers import Doubtful
+from robot_runner.core.words import enumerated
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from robot_runner.analysis.report.material import Material
+    from robot_runner.analysis.statistics.disclosed import Adjustment, Slope
+    from robot_runner.analysis.statistics.outcome import MeasureStatistics, Standing
+    from robot_runner.analysis.statistics.tested import MeasureTest
+    from robot_runner.core.design.analysis_plan import AnalysisPlan
+
+__all__ = ["besides", "choices_in_words", "planned_parts", "standing_parts"]
+
+_TITLES = {
+    Beside.WITHOUT_DOUBTFUL: "Without doubtful values",
+    Beside.ALL_RUNS: "With all runs",
+    Beside.WITHOUT_COVARIATES: "Without covariates",
+}
+_CAPTIONS = {
+    Beside.WITHOUT_DOUBTFUL: "Whether conclusions stand when the runs are left out whose values are doubtful.",
+    Beside.ALL_RUNS: "Whether conclusions stand with the runs that the plan leaves out.",
+    Beside.WITHOUT_COVARIATES: "Whether conclusions stand where means are not adjusted for covariates.",
+}
+
+
+def choices_in_words(plan: AnalysisPlan, unit: Callable[[str], str]) -> Iterator[str]:
+    """Yield what a plan says of outliers, doubtful values and covariates, where it says anything."""
+    if plan.outliers is not None:
+        names = dict.fromkeys((*plan.measures, *plan.secondary, *plan.outliers.bounds))
+        rules: dict[str, list[str]] = {}
+        for name in names:
+            rules.setdefault(plan.outliers.in_words(name, unit(name)), []).append(name)
+        for rule, of in rules.items():
+            if rule:
+                yield f"left out as outliers: values of {enumerated(of)} {rule}"
+    if plan.doubtful is not Doubtful.KEEP:
+        leaves_out = plan.doubtful is Doubtful.LEAVE_OUT
+        yield "doubtful values are left out" if leaves_out else "no conclusion on measures with doubtful values"
+    if plan.covariates:
+        yield f"adjusted for {enumerated(plan.covariates)}"
+
+
+def planned_parts(measure: MeasureStatistics, label: str) -> Iterator[Block]:
+    """Yield the values that the plan leaves out, and what is known of covariates."""
+    if measure.left_out:
+        yield _left_out_table(measure, label)
+    rate = measure.rule_false_positives
+    if rate is not None:
+        tone = Tone.WARNING if rate > MOST_FALSE_POSITIVES else Tone.NOTE
+        yield Paragraph(sentence(rate_in_words(rate)), tone, lead="Outliers.")
+    if measure.adjustment is not None:
+        yield from _adjustment(measure, measure.adjustment, label)
+
+
+def _left_out_table(measure: MeasureStatistics, label: str) -> Table:
+    fields = (
+        text("Run", "run_id"),
+        number("Value", "value"),
+        text("Rule", "reason.value"),
+        text("Reason", "why"),
+    )
+    caption = f"{label}: values that the planned analysis leaves out; the run table keeps them."
+    return build_table(f"left out {measure.name}", caption, measure.left_out, fields)
+
+
+def _adjustment(measure: MeasureStatistics, found: Adjustment, label: str) -> Iterator[Block]:
+    yield _slope_table(measure, found.slopes, label)
+    fields = (
+        text("Treatment", "label"),
+        number("Mean", "mean"),
+        number("Adjusted mean", "adjusted"),
+        interval("CI", "interval"),
+    )
+    caption = f"{label}: means as measured, and at the mean of the covariates."
+    note = "Each combination counts the same."
+    if all(each.interval is None for each in found.means):
+        note += " Within blocks only differences have an interval."
+    table = build_table(f"adjusted {measure.name}", caption, found.means, fields, note)
+    yield table.without_blank("CI")
+    spreads = (with_unit(each, measure.unit, 3) for each in (found.spread, found.residual_spread))
+    yield Paragraph("The standard deviation is {} as measured, {} beside covariates.".format(*spreads), Tone.NOTE)
+    for warning in found.warnings:
+        yield Paragraph(warning, Tone.WARNING)
+
+
+def _slope_table(measure: MeasureStatistics, slopes: Sequence[Slope], label: str) -> Table:
+    def shown(slope: Slope) -> Cell:
+        value = MISSING if slope.value is None else f"{shown_number(slope.value)} {slope.unit}".strip()
+        return Cell(slope.value, value)
+
+    fields = (
+        text("Covariate", "covariate"),
+        field("Slope", shown),
+        interval("CI", "interval"),
+        p_value("p", "p_value"),
+        number("Mean of the covariate", "centre"),
+        number("Variance inflation", "inflation", 3),
+        p_value("p of treatments", "treatments_p_value"),
+    )
+    note = "p of treatments: of the test that the covariate does not differ between treatments."
+    equal = None if measure.adjustment is None else measure.adjustment.slopes_p_value
+    if equal is not None:
+        note += f" Slopes are taken to be the same for all treatments; the test of that, a check: {p_in_words(equal)}."
+    return build_table(f"slopes {measure.name}", f"{label}: slopes of the covariates.", slopes, fields, note)
+
+
+def besides(material: Material, name: str) -> Iterator[tuple[str, MeasureTest]]:
+    """Yield the tests of a measure that are shown beside the planned one, with a title."""
+    for which in Beside:
+        for measure in material.statistics.beside(which):
+            if measure.name == name and measure.test is not None:
+                yield _TITLES[which], measure.test
+
+
+def standing_parts(material: Material) -> Iterator[Part]:
+    """Yield, for each kind of analysis beside the planned one, which conclusions stand."""
+    for which in Beside:
+        mine = [each for each in material.statistics.standings if each.beside is which]
+        if mine:
+            title = _TITLES[which]
+            name = title.casefold().removesuffix(" values")
+            yield Part(name.replace(" ", "-"), title, (_standing_table(name, _CAPTIONS[which], mine),))
+
+
+def _standing_table(name: str, caption: str, standings: Sequence[Standing]) -> Table:
+    words = {None: "not known", True: "stands", False: "does not stand"}
+    without = "p without them" if name == "without doubtful" else "p then"
+    fields = (
+        text("Measure", "measure"),
+        text("Conclusion about", "label"),
+        number("Runs left out", lambda each: len(each.left_out)),
+        p_value("p", "p_value"),
+        p_value(without, "p_value_without"),
+        field("Verdict", lambda each: Cell(each.stands, words[each.stands], _tone(each.stands))),
+    )
+    note = "p-values of hypotheses are adjusted; all other tables are of the analysis as it was planned."
+    return build_table(name, caption, standings, fields, note)
+
+
+def _tone(stands: bool | None) -> Tone:
+    return Tone.GOOD if stands else Tone.WARNING

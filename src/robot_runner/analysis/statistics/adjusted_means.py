@@ -1,0 +1,205 @@
+"""Means adjusted for covariates: the analysis of covariance, with errors that hold where spreads differ.
+
+Every combination has a mean, and each covariate one slope. Runs of their own have a variance for each combination; of
+blocks differences within blocks are compared, and chance is how blocks differ in these. Without covariates the tests of
+single differences are those of Welch, and of pairs within blocks.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from robot_runner.analysis.statistics.covariate_design import AdjustmentError, CovariateDesign
+from robot_runner.analysis.statistics.design import VALUE
+from robot_runner.analysis.statistics.linear_model import coded_row
+from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
+from robot_runner.core.design.analysis_plan import Estimand, Statistic
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from robot_runner.analysis.statistics.contrasts import Contrast, Tested
+    from robot_runner.analysis.statistics.covariate_design import Covariate
+    from robot_runner.analysis.statistics.design import MeasureData
+    from robot_runner.analysis.statistics.robust_covariance import RobustFit
+
+    Floats = NDArray[np.float64]
+
+__all__ = ["AdjustedMeans", "fit_adjusted"]
+
+#: Residuals smaller than this, beside the values, are what rounding leaves behind.
+_NO_VARIATION = 1e-10
+
+#: What each kind of test is called.
+HOTELLING, BOX = "approximate Hotelling", "ANOVA-type"
+WITHIN, T = "Huynh-Feldt", "t of adjusted means"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class AdjustedMeans:
+    """The estimates of all combinations at the mean of the covariates, and the tests of effects among them.
+
+    Attributes:
+        factors: the factors, with their treatments.
+        terms: the factors of each effect, main effects first.
+        fit: the model: the mean of all combinations (not of blocks), effects, covariates, batches.
+        covariates: those of which the runs tell a slope, in the model's order.
+        constant: covariates that are the same in all runs.
+        centre: the mean of all runs, at the mean of their covariates.
+        spread: the standard deviation that differences are divided by: that of unadjusted values.
+        residual_spread: the standard deviation of what the model leaves unexplained.
+        is_within: whether the means of blocks are taken away, as all factors differ within blocks.
+        first_slope: the place of the first covariate among the coefficients.
+        slopes_p_value: of the test that slopes are the same for all treatments; None where the runs do not tell.
+        adjusted: the values at the mean of the covariates, of each run.
+        statistic: which tests several contrasts at once.
+        note: why interactions are left out; empty where none is.
+    """
+
+    factors: Mapping[str, Sequence[str]]
+    terms: tuple[tuple[str, ...], ...]
+    fit: RobustFit
+    covariates: tuple[Covariate, ...]
+    constant: tuple[str, ...]
+    centre: float
+    spread: float
+    residual_spread: float
+    is_within: bool
+    first_slope: int
+    slopes_p_value: float | None
+    adjusted: Floats
+    statistic: Statistic
+    note: str
+
+    @property
+    def method(self) -> TestMethod:
+        """What a paper calls the tests."""
+        return TestMethod.COVARIANCE
+
+    def effects(self) -> Iterator[EffectTest]:
+        """Yield the test of each effect."""
+        cells = np.stack(
+            [self._row(dict(zip(self.factors, each, strict=True))) for each in product(*self.factors.values())]
+        )
+        start = 0 if self.is_within else 1
+        for factors in self.terms:
+            count = math.prod(len(self.factors[name]) - 1 for name in factors)
+            place = np.arange(start, start + count)
+            start += count
+            effects = cells[:, place]
+            variance = float(np.mean((effects @ self.fit.beta[place]) ** 2))
+            weights = np.zeros((count, len(self.fit.beta)))
+            rotation = np.linalg.qr(effects)[1]
+            # The sign of a rotation is arbitrary; that of t is to be that of the first treatment less the second.
+            weights[:, place] = rotation * np.sign(np.diag(rotation))[:, None]
+            if count == 1:
+                found = self.fit.contrast(weights[0])
+                yield EffectTest(factors, T, "t", found.t_value, (found.freedom,), found.p_value, variance)
+                continue
+            name, tested = self._several(weights)
+            yield EffectTest(
+                factors, name, "F", tested.f_value, (tested.between, tested.within), tested.p_value, variance
+            )
+
+    def _several(self, weights: Floats) -> tuple[str, Tested]:
+        if self.is_within:
+            return WITHIN, self.fit.box(weights, is_repeated=True)
+        found = self.fit.hotelling(weights) if self.statistic is Statistic.WELCH_JAMES else None
+        return (BOX, self.fit.box(weights)) if found is None else (HOTELLING, found)
+
+    def difference(self, weights: Sequence[tuple[Mapping[str, str], float]]) -> Contrast:
+        """Estimate a weighted sum of marginal means, in which each combination counts the same.
+
+        Of blocks whose means are taken away, a sum whose weights do not sum up to 0 has no error that holds.
+
+        Args:
+            weights: treatments by factor, with the weight of their mean.
+        """
+        row = np.sum([weight * self._marginal_row(treatments) for treatments, weight in weights], axis=0)
+        found = self.fit.contrast(row)
+        total = sum(weight for _, weight in weights) if self.is_within else 0.0
+        return found._replace(estimate=found.estimate + total * self.centre)
+
+    def slope(self, covariate: Covariate) -> Contrast:
+        """Return by how much the measure changes with a unit of a covariate."""
+        weights = np.zeros(len(self.fit.beta))
+        weights[self.first_slope + self.covariates.index(covariate)] = 1 / covariate.scale
+        return self.fit.contrast(weights)
+
+    def adjusted_data(self, data: MeasureData) -> MeasureData:
+        """Return a measure's data with the adjusted values in place of its own."""
+        frame = data.frame.assign(**{VALUE: self.adjusted})
+        return replace(data, frame=frame, every=frame, covariates=())
+
+    def _marginal_row(self, treatments: Mapping[str, str]) -> Floats:
+        levels = [[treatments[name]] if name in treatments else of for name, of in self.factors.items()]
+        rows = [self._row(dict(zip(self.factors, each, strict=True))) for each in product(*levels)]
+        return np.asarray(np.mean(rows, axis=0))
+
+    def _row(self, treatments: Mapping[str, str]) -> Floats:
+        coded = coded_row(self.factors, self.terms, treatments)[1 if self.is_within else 0 :]
+        return np.concatenate([coded, np.zeros(len(self.fit.beta) - len(coded))])
+
+
+def fit_adjusted(data: MeasureData, estimand: Estimand, statistic: Statistic) -> AdjustedMeans | NotComputed:
+    """Fit the analysis of covariance of a measure, or say why there is none.
+
+    Args:
+        data: the measure, with its covariates.
+        estimand: what is estimated: means, or ranks (of covariates as well: Conover and Iman, Analysis of covariance
+            using the rank transformation, 1982).
+        statistic: which tests several contrasts at once.
+    """
+    try:
+        return _fitted(CovariateDesign.of_data(data, estimand), statistic)
+    except AdjustmentError as problem:
+        return NotComputed("the test", str(problem))
+
+
+def _fitted(design: CovariateDesign, statistic: Statistic) -> AdjustedMeans:
+    covariates, values = design.covariates, design.values
+    fit = design.fit(design.columns)
+    spread, left = design.spread(design.fit(design.columns[:, :0])), design.spread(fit)
+    if not (math.isfinite(spread) and math.isfinite(left)):
+        raise AdjustmentError("there are too few runs for the number of treatments and covariates.")
+    if left <= _NO_VARIATION * max(float(np.max(np.abs(values - values.mean()))), 1e-300):
+        raise AdjustmentError("beside treatments and covariates all values are equal, so that chance has no measure.")
+    adjusted = values - design.columns @ fit.beta[design.base.shape[1] :]
+    first, count = (0 if design.is_within else 1), design.effects.shape[1] - 1
+    return AdjustedMeans(
+        design.factors,
+        design.terms,
+        fit,
+        covariates,
+        design.constant,
+        float(np.mean(adjusted - design.effects[:, 1:] @ fit.beta[first : first + count])),
+        spread,
+        left,
+        is_within=design.is_within,
+        first_slope=design.base.shape[1],
+        slopes_p_value=_equal_slopes(design),
+        adjusted=adjusted,
+        statistic=statistic,
+        note=design.note,
+    )
+
+
+def _equal_slopes(design: CovariateDesign) -> float | None:
+    """Return the p-value of the test that no covariate's slope differs between the treatments of any factor."""
+    crossed = design.crossed()
+    if crossed is None:
+        return None
+    fit = design.fit(np.column_stack([design.columns, crossed]))
+    if not math.isfinite(design.spread(fit)):
+        return None
+    weights = np.eye(len(fit.beta))[-crossed.shape[1] :]
+    found = fit.contrast(weights[0]) if len(weights) == 1 else fit.hotelling(weights)
+    p_value = math.nan if found is None else float(found.p_value)
+    return p_value if math.isfinite(p_value) else None

@@ -1,0 +1,156 @@
+"""What is told of covariates: their slopes, the means at their mean, and what is doubtful about them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from scipy import stats
+
+from robot_runner.analysis.statistics.descriptive import quiet
+from robot_runner.analysis.statistics.design import VALUE
+from robot_runner.analysis.statistics.disclosed import AdjustedMean, Adjustment, Slope
+from robot_runner.analysis.statistics.post_hoc import adjusted
+from robot_runner.analysis.statistics.tested import Interval, NotComputed
+from robot_runner.analysis.statistics.tests import model_of
+from robot_runner.analysis.wording import p_in_words
+from robot_runner.core.design.analysis_plan import ELAPSED, ORDER, Correction, Estimand
+from robot_runner.core.words import enumerated
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
+    from robot_runner.analysis.statistics.contrasts import Contrast
+    from robot_runner.analysis.statistics.covariate_design import Covariate
+    from robot_runner.analysis.statistics.design import MeasureData
+    from robot_runner.analysis.statistics.tests import Choices
+
+__all__ = ["adjustment_of"]
+
+#: From here on a covariate is nearly told by the rest of the design (Marquardt 1970; Kutner et al., Applied Linear
+#: Statistical Models, 2005, section 10.5).
+_MOST_INFLATED = 10.0
+
+_UNITS = {ORDER: "run", ELAPSED: "s"}
+
+
+def adjustment_of(
+    data: MeasureData, model: AdjustedMeans, choices: Choices, unit_of: Callable[[str], str]
+) -> Adjustment:
+    """Return how a measure was adjusted for its covariates.
+
+    Args:
+        data: the measure.
+        model: as it was fitted.
+        choices: what was chosen beforehand.
+        unit_of: tells the unit of a measure.
+    """
+    by_name = {covariate.name: covariate for covariate in model.covariates}
+    slopes = tuple(_slope(data, model, by_name.get(name), name, choices, unit_of) for name in data.covariates)
+    with quiet():
+        means = tuple(_means(data, model, choices))
+    warnings = (*_doubts(data, slopes, choices.alpha), *_slopes_differ(data, model, choices.alpha))
+    return Adjustment(slopes, means, model.slopes_p_value, model.spread, model.residual_spread, warnings)
+
+
+def _slope(
+    data: MeasureData,
+    model: AdjustedMeans,
+    covariate: Covariate | None,
+    name: str,
+    choices: Choices,
+    unit_of: Callable[[str], str],
+) -> Slope:
+    if covariate is None:
+        return Slope(name, "", None, None, None, None, None, None, None, None)
+    if choices.estimand is Estimand.RANK:
+        unit = "ranks per rank"
+    else:
+        per = _UNITS.get(name) or unit_of(name) or f"unit of {name}"
+        unit = f"{unit_of(data.name)} per {per}".strip()
+    found = model.slope(covariate)
+    freedom, p_value = float(found.freedom), float(found.p_value)
+    is_known = math.isfinite(p_value)
+    return Slope(
+        name,
+        unit,
+        float(found.estimate),
+        _interval(found, choices.alpha) if is_known else None,
+        float(found.t_value) if is_known else None,
+        freedom if is_known else None,
+        p_value if is_known else None,
+        covariate.centre,
+        covariate.inflation,
+        _treatments_p_value(data, name),
+    )
+
+
+def _interval(found: Contrast, alpha: float) -> Interval:
+    reach = float(found.error) * float(stats.t.ppf(1 - alpha / 2, float(found.freedom)))
+    return Interval(float(found.estimate) - reach, float(found.estimate) + reach, 1 - alpha, "t distribution")
+
+
+def _treatments_p_value(data: MeasureData, name: str) -> float | None:
+    """Return the p-value of the test that a covariate does not differ between treatments, of all effects together."""
+    frame = data.frame.assign(**{VALUE: data.covariate(name)})
+    model = model_of(replace(data, frame=frame, every=frame), Estimand.MEAN)
+    if isinstance(model, NotComputed):
+        return None
+    with quiet():
+        found = [float(effect.p_value) for effect in model.effects()]
+    return min(adjusted([each for each in found if math.isfinite(each)], Correction.HOLM), default=None)
+
+
+def _means(data: MeasureData, model: AdjustedMeans, choices: Choices) -> Iterator[AdjustedMean]:
+    plain = model_of(data, choices.estimand, choices.statistic)
+    for factor in data.factors:
+        for level in data.levels(factor):
+            weights = [({factor: level}, 1.0)]
+            found = model.difference(weights)
+            mean = None if isinstance(plain, NotComputed) else float(plain.difference(weights).estimate)
+            interval = None if data.is_blocked else _interval(found, choices.alpha)
+            yield AdjustedMean({factor: level}, mean, float(found.estimate), interval)
+
+
+def _doubts(data: MeasureData, slopes: Sequence[Slope], alpha: float) -> Iterator[str]:
+    constant = [slope.covariate for slope in slopes if slope.value is None]
+    if constant:
+        where = "within each block" if data.is_blocked else "in all runs"
+        is_one = len(constant) == 1
+        same = f"which {'is' if is_one else 'are'} the same {where}"
+        yield f"{data.name} is not adjusted for {enumerated(constant)}, {same}."
+    for slope in slopes:
+        if slope.inflation is not None and slope.inflation > _MOST_INFLATED:
+            yield (
+                f"The covariate {slope.covariate} goes closely together with treatments, blocks or others "
+                f"(its variance is inflated {slope.inflation:.3g} times): what it explains of {data.name} can "
+                "hardly be told apart from these."
+            )
+        p_value = slope.treatments_p_value
+        if p_value is not None and p_value < alpha:
+            yield _affected(data.name, slope.covariate, p_value)
+
+
+def _affected(measure: str, covariate: str, p_value: float) -> str:
+    if covariate in _UNITS:
+        how = "order of execution" if covariate == ORDER else "time"
+        return (
+            f"Treatments are unevenly spread over the {how} ({p_in_words(p_value)}): what changes with it and what "
+            f"they do to {measure} is told apart by a straight line alone."
+        )
+    return (
+        f"The covariate {covariate} differs between treatments ({p_in_words(p_value)}): if they change it, it is a "
+        f"result and no covariate, and adjusting {measure} for it takes away a part of their effect."
+    )
+
+
+def _slopes_differ(data: MeasureData, model: AdjustedMeans, alpha: float) -> Iterator[str]:
+    p_value = model.slopes_p_value
+    if p_value is not None and p_value < alpha:
+        names = enumerated([covariate.name for covariate in model.covariates])
+        yield (
+            f"Slopes of {data.name} over {names} differ between treatments ({p_in_words(p_value)}): differences of "
+            "adjusted means hold at the mean of the covariates."
+        )

@@ -1,0 +1,215 @@
+"""The design of an analysis of covariance: the columns that effects, batches and covariates have in its model."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from robot_runner.analysis.statistics.cell_layout import relative_ranks
+from robot_runner.analysis.statistics.linear_model import coded_row, estimable_terms
+from robot_runner.analysis.statistics.robust_covariance import fit_robustly
+from robot_runner.core.design.analysis_plan import Estimand
+from robot_runner.core.words import enumerated
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from robot_runner.analysis.statistics.design import MeasureData
+    from robot_runner.analysis.statistics.robust_covariance import RobustFit
+
+    Floats = NDArray[np.float64]
+    Numbers = NDArray[np.intp]
+
+__all__ = ["AdjustmentError", "Covariate", "CovariateDesign"]
+
+#: A column of which the others leave less than this share is told by them.
+_TOLD = 1e-9
+
+_PAIR = 2
+
+
+class AdjustmentError(Exception):
+    """Why a measure cannot be adjusted for its covariates."""
+
+
+class Covariate(NamedTuple):
+    """A covariate as the model has it.
+
+    Attributes:
+        name: as the plan has it.
+        centre: its mean over the runs, at which means are adjusted.
+        scale: its standard deviation, by which it is divided.
+        inflation: by how much treatments, blocks and other covariates inflate the variance of its slope.
+    """
+
+    name: str
+    centre: float
+    scale: float
+    inflation: float
+
+
+@dataclass(frozen=True, eq=False)
+class CovariateDesign:
+    """The columns of the model.
+
+    Where all factors differ within blocks, the means of blocks are taken away from all columns, and from the values.
+
+    Attributes:
+        factors: the factors, with their treatments.
+        terms: the factors of each effect, main effects first.
+        note: why interactions are left out; empty where none is.
+        effects: the columns of the mean of all combinations and of effects, coded to sum up to zero.
+        values: what is explained.
+        raw: the covariates, (runs, covariates); `names` are theirs.
+        batches: the columns of batches, none where there is one.
+        cell: the combination of each run.
+        units: the block of each run, where there are blocks.
+    """
+
+    factors: Mapping[str, Sequence[str]]
+    terms: tuple[tuple[str, ...], ...]
+    note: str
+    effects: Floats
+    values: Floats
+    raw: Floats
+    names: tuple[str, ...]
+    batches: Floats
+    cell: Numbers
+    units: Numbers | None
+
+    @classmethod
+    def of_data(cls, data: MeasureData, estimand: Estimand) -> CovariateDesign:
+        """Return the design of a measure.
+
+        Raises:
+            AdjustmentError: there is none.
+        """
+        unknown = [name for name in data.covariates if not np.isfinite(data.covariate(name)).all()]
+        if unknown:
+            raise AdjustmentError(f"the covariate {enumerated(unknown)} has no number in any run.")
+        factors = {name: data.levels(name) for name in data.factors}
+        texts = data.frame[list(factors)].astype(str)
+        units = np.unique(data.blocks, return_inverse=True)[1] if data.is_blocked else None
+        number = data.batches if data.is_extended else np.zeros(len(texts), dtype=np.intp)
+        batches = pd.get_dummies(number, drop_first=True).to_numpy(dtype=np.float64)
+        raw = np.stack([data.covariate(name) for name in data.covariates], axis=1)
+        taken = raw.shape[1] + batches.shape[1] + (0 if units is None else int(units.max()))
+        terms, note = estimable_terms(factors, texts, taken)
+        if not terms:
+            raise AdjustmentError("there are too few runs for the number of treatments and covariates.")
+        cell = np.asarray(texts.groupby(list(factors), sort=False).ngroup(), dtype=np.intp)
+        levels = texts.iloc[np.unique(cell, return_index=True)[1]].to_dict("records")
+        rows = np.stack([coded_row(factors, terms, {str(name): each[name] for name in each}) for each in levels])
+        values = data.values  # noqa: PD011 - no data frame
+        if estimand is Estimand.RANK:
+            values, raw = relative_ranks(values, number), relative_ranks(raw.T, number).T
+        return cls(factors, terms, note, rows[cell], values, raw, data.covariates, batches, cell, units)
+
+    @cached_property
+    def is_within(self) -> bool:
+        """Whether all factors differ within blocks, so that the means of blocks are taken away."""
+        effects = self.effects[:, 1:]
+        return self.units is not None and _rank(_swept(effects, self.units)) == effects.shape[1]
+
+    @property
+    def _sweep(self) -> Numbers | None:
+        return self.units if self.is_within else None
+
+    @cached_property
+    def base(self) -> Floats:
+        """The columns beside covariates: effects, and what batches add beside blocks."""
+        base = _swept(self.effects[:, 1:], self._sweep) if self.is_within else self.effects
+        if _rank(base) < base.shape[1]:
+            raise AdjustmentError("the factors go together so closely that their effects cannot be told apart.")
+        for column in _swept(self.batches, self._sweep).T:
+            wider = np.column_stack([base, column])
+            base = wider if _rank(wider) > _rank(base) else base
+        return base
+
+    @cached_property
+    def constant(self) -> tuple[str, ...]:
+        """The covariates that are the same in all runs, or within all blocks: there is nothing to adjust for."""
+        left = np.sum(_swept(self._standardised, self._sweep) ** 2, axis=0)
+        return tuple(name for name, each in zip(self.names, left, strict=True) if each <= _TOLD * len(self.values))
+
+    @cached_property
+    def covariates(self) -> tuple[Covariate, ...]:
+        """The covariates that have a slope.
+
+        Raises:
+            AdjustmentError: one cannot be told apart from the treatments, or from the others.
+        """
+        columns = _swept(self.columns, self._sweep)
+        found = []
+        kept = [place for place, name in enumerate(self.names) if name not in self.constant]
+        for place, which in enumerate(kept):
+            others = np.column_stack([self.base, np.delete(columns, place, axis=1)])
+            rest = columns[:, place] - others @ np.linalg.lstsq(others, columns[:, place])[0]
+            share = float(np.sum(rest**2) / np.sum(columns[:, place] ** 2))
+            if share < _TOLD:
+                what = "is told by treatments or other covariates completely"
+                raise AdjustmentError(
+                    f"the covariate {self.names[which]} {what}, so that effects cannot be told apart."
+                )
+            mine = self.raw[:, which]
+            found.append(Covariate(self.names[which], float(mine.mean()), float(mine.std(ddof=1)), 1 / share))
+        return tuple(found)
+
+    @cached_property
+    def columns(self) -> Floats:
+        """The covariates that have a slope, standardised."""
+        return self._standardised[:, [name not in self.constant for name in self.names]]
+
+    @property
+    def _standardised(self) -> Floats:
+        scales = self.raw.std(axis=0, ddof=1)
+        flat = scales <= _TOLD * np.max(np.abs(self.raw), axis=0)
+        return np.asarray(np.where(flat, 0.0, (self.raw - self.raw.mean(axis=0)) / np.where(flat, 1.0, scales)))
+
+    @property
+    def _variances(self) -> Numbers | None:
+        """The combination of each run, where each has a variance of its own."""
+        is_full = self.effects.shape[1] == int(self.cell.max()) + 1
+        has_any = self.units is None and is_full and int(np.bincount(self.cell).min()) >= _PAIR
+        return self.cell if has_any else None
+
+    def fit(self, columns: Floats) -> RobustFit:
+        """Fit the model with these columns beside the base."""
+        exog = np.column_stack([self.base, _swept(columns, self._sweep)])
+        return fit_robustly(exog, _swept(self.values, self._sweep), self.units, self._variances)
+
+    def spread(self, fit: RobustFit) -> float:
+        """Return the root of the mean variance of combinations, or of what the model leaves; NaN of too few runs."""
+        blocks = int(self.units.max()) + 1 if self.units is not None and self.is_within else 0
+        freedom = len(fit.residuals) - len(fit.beta) - blocks
+        if freedom < 1:
+            return math.nan
+        if self._variances is not None:
+            return float(np.sqrt(np.mean(fit.working[np.unique(self.cell, return_index=True)[1]])))
+        return float(np.sqrt(np.sum(fit.residuals**2) / freedom))
+
+    def crossed(self) -> Floats | None:
+        """Return the products of covariates and main effects, in which slopes differ; None where runs are too few."""
+        main = self.effects[:, 1 : 1 + sum(len(levels) - 1 for levels in self.factors.values())]
+        crossed = (self.columns[:, :, None] * main[:, None, :]).reshape(len(self.values), -1)
+        exog = np.column_stack([self.base, _swept(np.column_stack([self.columns, crossed]), self._sweep)])
+        return crossed if crossed.shape[1] and _rank(exog) == exog.shape[1] else None
+
+
+def _swept(columns: Floats, units: Numbers | None) -> Floats:
+    """Return columns less their mean in each unit."""
+    if units is None or not columns.size:
+        return columns
+    means = pd.DataFrame(columns).groupby(units).transform("mean").to_numpy(dtype=np.float64)
+    return np.asarray(columns - means.reshape(columns.shape))
+
+
+def _rank(columns: Floats) -> int:
+    return int(np.linalg.matrix_rank(columns)) if columns.size else 0

@@ -1,0 +1,155 @@
+"""Which values the plan leaves out of the analysis of a measure, and what the rule does to false positives."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import stats
+
+from robot_runner.analysis.statistics.design import VALUE
+from robot_runner.analysis.statistics.disclosed import LeftOut, Reason
+from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.design.outliers import Doubtful, Outliers
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from robot_runner.analysis.statistics.design import Design, Group
+    from robot_runner.core.design.analysis_plan import AnalysisPlan
+
+    Floats = NDArray[np.float64]
+
+__all__ = ["MOST_FALSE_POSITIVES", "doubtful_values", "false_positives", "left_out_of", "outside", "rate_in_words"]
+
+#: A test that errs more often at 5 % than this is told to, percent.
+MOST_FALSE_POSITIVES = 6.5
+
+#: The quartiles and the median of fewer values say nothing of what is far out.
+_LEAST = 5
+
+#: A median absolute deviation in standard deviations of normal values.
+_NORMAL = 1.4826
+
+_ALPHA = 0.05
+#: Simulated experiments: the share of false positives is then known to 0.5 points.
+_EXPERIMENTS = 10_000
+_SEED = 20210525
+
+
+def left_out_of(
+    design: Design, measure: str, plan: AnalysisPlan | None, doubtful: Sequence[str]
+) -> tuple[LeftOut, ...]:
+    """Return the values of a measure that the plan leaves out: doubtful ones first, then outliers among the others.
+
+    Args:
+        design: of the experiment, with all runs that are done.
+        measure: its name.
+        plan: what was fixed; None for nothing.
+        doubtful: the runs whose value is doubtful.
+    """
+    data = design.data(measure) if plan is not None else None
+    if data is None or plan is None:
+        return ()
+    found = doubtful_values(design, measure, doubtful) if plan.doubtful is Doubtful.LEAVE_OUT else ()
+    if plan.outliers is None:
+        return found
+    gone = {each.run_id for each in found}
+    unit = design.results.unit(measure)
+    outliers = (_outliers(group, measure, unit, plan.outliers, gone) for group in data.groups(data.factors))
+    return (*found, *(each for several in outliers for each in several))
+
+
+def doubtful_values(design: Design, measure: str, doubtful: Sequence[str]) -> tuple[LeftOut, ...]:
+    """Return the values of these runs as values that are left out, since they are doubtful."""
+    data = design.data(measure)
+    every = {} if data is None else dict(zip(data.every[RUN_ID], data.every[VALUE], strict=True))
+    return tuple(
+        LeftOut(run_id, float(every[run_id]), Reason.DOUBTFUL, "the value is doubtful")
+        for run_id in doubtful
+        if run_id in every
+    )
+
+
+def _outliers(group: Group, measure: str, unit: str, rule: Outliers, gone: set[str]) -> Iterator[LeftOut]:
+    kept = [place for place, run_id in enumerate(group.run_ids) if run_id not in gone]
+    values = group.values[kept]
+    low, high = rule.bounds.get(measure, (None, None))
+    for place, value, is_far in zip(kept, values, outside(values, rule), strict=True):
+        parts = [f"{_spread_rule(rule)} of {group.label}"] if is_far else []
+        parts += [f"below {low:g} {unit}".rstrip()] if low is not None and value < low else []
+        parts += [f"above {high:g} {unit}".rstrip()] if high is not None and value > high else []
+        if parts:
+            yield LeftOut(group.run_ids[place], float(value), Reason.OUTLIER, ", ".join(parts))
+
+
+def _spread_rule(rule: Outliers) -> str:
+    if rule.interquartile_ranges is not None:
+        return f"more than {rule.interquartile_ranges:g} interquartile ranges beyond the quartiles"
+    return f"more than {rule.median_deviations:g} median absolute deviations from the median"
+
+
+def outside(values: Floats, rule: Outliers) -> NDArray[np.bool_]:
+    """Return which values of one combination lie further out than a rule of spread allows.
+
+    Of fewer than five values none does, nor where the spread that the rule goes by is 0.
+
+    Args:
+        values: (..., runs), with any number of leading axes.
+        rule: its bounds are not looked at.
+    """
+    none = np.zeros(values.shape, dtype=bool)
+    if values.shape[-1] < _LEAST:
+        return none
+    if rule.interquartile_ranges is not None:
+        first, third = np.quantile(values, [0.25, 0.75], axis=-1, keepdims=True)
+        far = np.maximum(first - values, values - third) > rule.interquartile_ranges * (third - first)
+        return np.asarray(far & (third > first))
+    if rule.median_deviations is not None:
+        distances = np.abs(values - np.median(values, axis=-1, keepdims=True))
+        scale = _NORMAL * np.median(distances, axis=-1, keepdims=True)
+        return np.asarray((distances > rule.median_deviations * scale) & (scale > 0))
+    return none
+
+
+def false_positives(rule: Outliers, sizes: tuple[int, int]) -> float | None:
+    """Return how often two combinations without any difference differ at 5 % once the rule has left out outliers.
+
+    Runs are simulated: normal values, equal spreads, Welch's t, in percent. A rule of bounds alone has no such rate.
+
+    Args:
+        rule: for outliers.
+        sizes: how many runs two combinations have.
+    """
+    if rule.interquartile_ranges is None and rule.median_deviations is None:
+        return None
+    return _simulated(rule.interquartile_ranges, rule.median_deviations, sizes)
+
+
+def rate_in_words(rate: float) -> str:
+    """Return what a rule for outliers does to tests, as a sentence without its capital letter."""
+    return (
+        f"leaving values out by such a rule finds a difference where there is none in {rate:.1f} % at a level of 5 % "
+        "(simulated for two combinations of so many runs, normal values and equal spreads)."
+    )
+
+
+@lru_cache(maxsize=64)
+def _simulated(ranges: float | None, deviations: float | None, sizes: tuple[int, int]) -> float:
+    rule = Outliers(interquartile_ranges=ranges, median_deviations=deviations)
+    random = np.random.default_rng(_SEED)
+    means, errors, freedoms = [], [], []
+    for size in sizes:
+        values = random.normal(size=(_EXPERIMENTS, size))
+        kept = np.where(outside(values, rule), np.nan, values)
+        count = np.sum(np.isfinite(kept), axis=-1)
+        means.append(np.nanmean(kept, axis=-1))
+        errors.append(np.nanvar(kept, axis=-1, ddof=1) / count)
+        freedoms.append(count - 1)
+    error = errors[0] + errors[1]
+    freedom = error**2 / (errors[0] ** 2 / freedoms[0] + errors[1] ** 2 / freedoms[1])
+    p_values = 2 * stats.t.sf(np.abs(means[0] - means[1]) / np.sqrt(error), freedom)
+    return float(100 * np.mean(p_values < _ALPHA))

@@ -1,0 +1,190 @@
+"""The statistics of one measure: descriptions, tests, pairs, contrasts and covariates, before p-values are adjusted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
+from robot_runner.analysis.statistics.adjustment import adjustment_of
+from robot_runner.analysis.statistics.assumptions import equal_variances, normality, quantile_pairs
+from robot_runner.analysis.statistics.batch_strata import comparable
+from robot_runner.analysis.statistics.correlations import drift_of
+from robot_runner.analysis.statistics.descriptive import describe
+from robot_runner.analysis.statistics.design import VALUE
+from robot_runner.analysis.statistics.disclosed import LeftOut, Reason
+from robot_runner.analysis.statistics.known_precision import level_of_looks
+from robot_runner.analysis.statistics.left_out import false_positives
+from robot_runner.analysis.statistics.outcome import MeasureStatistics
+from robot_runner.analysis.statistics.post_hoc import carry_out_contrast, compare_pairs, missing_intervals
+from robot_runner.analysis.statistics.power import power_of
+from robot_runner.analysis.statistics.tested import NotComputed
+from robot_runner.analysis.statistics.tests import Choices, carry_out, planned_model_of
+from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.words import enumerated
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from robot_runner.analysis.statistics.design import Design, MeasureData
+    from robot_runner.analysis.statistics.outcome import Description, Power
+    from robot_runner.analysis.statistics.tested import AssumptionCheck, ContrastTest
+    from robot_runner.core.design.analysis_plan import AnalysisPlan
+    from robot_runner.core.design.hypothesis import Hypothesis
+
+__all__ = ["measure_statistics"]
+
+_Found = TypeVar("_Found")
+
+#: Groups are described one by one up to this number; the table would not be read, and the bootstrap takes its time.
+_MOST_DESCRIBED = 200
+
+#: The square of a larger value, summed up, comes near the end of floating-point numbers.
+_LARGEST = 1e100
+
+_PAIR = 2
+
+
+class _Gathered:
+    """What could not be computed, noted on the way."""
+
+    def __init__(self) -> None:
+        self.missing: list[NotComputed] = []
+
+    def take(self, result: _Found | NotComputed) -> _Found | None:
+        """Return a result, or None after noting why there is none."""
+        if isinstance(result, NotComputed):
+            self.missing.append(result)
+            return None
+        return result
+
+
+def measure_statistics(
+    design: Design,
+    name: str,
+    choices: Choices,
+    *,
+    plan: AnalysisPlan | None = None,
+    left_out: Sequence[LeftOut] = (),
+) -> MeasureStatistics:
+    """Compute the statistics of one measure from the runs that are done; p-values are not adjusted yet.
+
+    Args:
+        design: of the experiment.
+        name: the measure.
+        choices: what was chosen for the analysis beforehand.
+        plan: what was planned; None where nothing was, or where it is not kept.
+        left_out: the values that are not used.
+    """
+    every, design = design.data(name), replace(design, without=frozenset(each.run_id for each in left_out))
+    gathered = _Gathered()
+    column = design.results.columns[name]
+    data = design.data(name)
+    is_primary = plan is not None and name in plan.measures
+    is_planned = plan is not None and name in (*plan.measures, *plan.secondary)
+    if data is None or not len(data.frame) or float(np.max(np.abs(data.values))) > _LARGEST:
+        why = "the measure is not a number." if data is None else "no run that is done has a value."
+        if data is not None and len(data.frame):
+            why = f"the measure has values beyond {_LARGEST:g}, too large to compute with."
+        missing = (NotComputed(f"statistics of {name}", why),)
+        return MeasureStatistics(
+            name, column.unit, column.origin, is_planned, is_primary, not_computed=missing, left_out=tuple(left_out)
+        )
+    compared, note, apart = comparable(data)
+    gathered.missing += apart
+    found = planned_model_of(compared, choices.estimand, choices.statistic)
+    if compared.factors or not apart:
+        gathered.take(found)
+    model = None if isinstance(found, NotComputed) else found
+    test = None if model is None else carry_out(compared, model, choices)
+    test = test if test is None or not note else replace(test, notes=(note, *test.notes))
+    post_hoc, missed = ((), ()) if model is None or test is None else compare_pairs(compared, model, test, choices)
+    gathered.missing += missed
+    if test is not None:
+        gathered.missing += missing_intervals(test, post_hoc)
+    adjustment = None
+    if isinstance(model, AdjustedMeans):
+        adjustment = adjustment_of(compared, model, choices, design.results.unit)
+    claimed = [] if model is None or plan is None else [each for each in plan.hypotheses if _is_contrast(each, name)]
+    contrasts: list[ContrastTest | None] = [
+        gathered.take(carry_out_contrast(model, each, choices)) for each in claimed if model is not None
+    ]
+    looks = level_of_looks(design.results, name)
+    return MeasureStatistics(
+        name,
+        column.unit,
+        column.origin,
+        is_planned,
+        is_primary,
+        overall=describe(data.described_groups([])[0], level_of_looks=looks),
+        by_treatment=tuple(each for factor in data.factors for each in _described(gathered, data, (factor,), looks)),
+        by_combination=_described(gathered, data, data.factors, looks) if len(data.factors) > 1 else (),
+        assumptions=_assumptions(gathered, data, choices.alpha),
+        quantiles=quantile_pairs(data.residuals(), tuple(data.frame[RUN_ID])),
+        test=test,
+        post_hoc=post_hoc,
+        contrasts=tuple(each for each in contrasts if each is not None),
+        drift=gathered.take(drift_of(data, choices.alpha, column.unit)),
+        power=_power(gathered, data, choices.alpha),
+        not_computed=tuple(dict.fromkeys(gathered.missing)),
+        left_out=(*left_out, *_lacking(data)),
+        rule_false_positives=_rule_false_positives(every, plan, left_out),
+        adjustment=adjustment,
+    )
+
+
+def _lacking(data: MeasureData) -> Iterator[LeftOut]:
+    values = dict(zip(data.every[RUN_ID], data.every[VALUE], strict=True))
+    for run_id, names in data.lacking.items():
+        yield LeftOut(run_id, float(values[run_id]), Reason.COVARIATE, f"{enumerated(names)} is missing")
+
+
+def _rule_false_positives(
+    every: MeasureData | None, plan: AnalysisPlan | None, left_out: Sequence[LeftOut]
+) -> float | None:
+    """Return what the rule for outliers does to combinations of as many runs as there are, where it left any out."""
+    if every is None or plan is None or plan.outliers is None:
+        return None
+    sizes = sorted(len(group.values) for group in every.groups(every.factors))
+    is_used = any(each.reason is Reason.OUTLIER for each in left_out)
+    return false_positives(plan.outliers, (sizes[0], sizes[-1])) if is_used and sizes[0] >= _PAIR else None
+
+
+def _is_contrast(hypothesis: Hypothesis, measure: str) -> bool:
+    return hypothesis.measure == measure and (hypothesis.contrast is not None or hypothesis.within is not None)
+
+
+def _described(
+    gathered: _Gathered, data: MeasureData, factors: tuple[str, ...], looks: float | None
+) -> tuple[Description, ...]:
+    groups = data.described_groups(factors)
+    if len(groups) > _MOST_DESCRIBED:
+        why = f"there are {len(groups):,} groups, more than {_MOST_DESCRIBED}."
+        gathered.missing.append(NotComputed(f"descriptions by {' x '.join(factors)}", why))
+        return ()
+    return tuple(describe(group, level_of_looks=looks) for group in groups)
+
+
+def _power(gathered: _Gathered, data: MeasureData, alpha: float) -> Power | None:
+    if data.covariates:
+        why = "it is computed for comparisons without covariates; adjusted ones find smaller effects."
+        return gathered.take(NotComputed("power", why))
+    if len(data.factors) > 1:
+        why = f"power depends on the effects of all {len(data.factors)} factors; it is computed for one factor only."
+        return gathered.take(NotComputed("power", why))
+    if not data.factors:
+        return None
+    return gathered.take(power_of(data.groups(data.factors), alpha, is_blocked=data.is_blocked))
+
+
+def _assumptions(gathered: _Gathered, data: MeasureData, alpha: float) -> tuple[AssumptionCheck, ...]:
+    """Return how residuals are distributed, whether spreads differ, then how each group is distributed."""
+    groups = data.groups(data.factors) if data.factors else []
+    all_groups = [normality(data.residuals(), alpha), equal_variances(groups, alpha)] if groups else []
+    if len(groups) > _MOST_DESCRIBED:
+        groups = []
+    checks = [*all_groups, *(normality(group.values, alpha, group.treatments) for group in groups)]
+    found = [gathered.take(check) for check in checks]
+    return tuple(check for check in found if check is not None)

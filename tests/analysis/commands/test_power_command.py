@@ -1,0 +1,106 @@
+"""`robot-runner power` prints a table, a curve and an answer, and refuses assumptions that do not suffice."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from tests.command_line import Answer
+
+CONFIG = """
+from robot_runner import AnalysisPlan, ExperimentConfig, Factor, Hypothesis, RunTableModel
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "two_tasks"
+    analysis = AnalysisPlan(hypotheses=[Hypothesis("Video costs more.", measure="Energy", factors="Task")])
+
+    def create_run_table(self):
+        factors = [Factor("Task", ["Idle", "Video"]), Factor("Speed", [0.1, 0.2])]
+        return RunTableModel(factors, repetitions=3, data_columns=["Energy"])
+
+    def populate_run_data(self, context):
+        return {"Energy": 100 + 8 * (context.combination["Task"] == "Video") + 7 * (context.run_number % 4)}
+"""
+
+ASSUMED = ("--sd", "12", "--difference", "Task=15", "--simulations", "400", "--repetitions", "3..20")
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    config = tmp_path / "study.py"
+    config.write_text(CONFIG, encoding="utf-8")
+    return config
+
+
+def test_it_answers_with_a_table_a_curve_a_figure_and_json(
+    robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
+) -> None:
+    answer = robot_runner("power", study, *ASSUMED, "--output", "power")
+    assert answer.code == 0, answer.err
+    told = json.loads((tmp_path / "power" / "power.json").read_text(encoding="utf-8"))
+    (scenario,) = told["scenarios"]
+    needed = scenario["needed"]["repetitions"]
+    assert f"{needed} repetitions ({4 * needed} runs) find what is sought" in answer.out
+    assert "█" in answer.out
+    assert "* Video costs more." in answer.out
+    assert {path.name for path in (tmp_path / "power").iterdir()} == {"power.json", "power.svg", "power.png"}
+    point = next(each for each in scenario["points"] if each["repetitions"] == needed)
+    assert point["least"]["low"] < point["least"]["power"] < point["least"]["high"]
+    assert point["least"]["power"] >= told["power"] == 0.8
+    assert point["simulations"] <= 400
+    # The same seed gives the same figures, and another one others.
+    again = robot_runner("power", study, *ASSUMED, "--json").json
+    assert again == told
+    assert robot_runner("power", study, *ASSUMED, "--json", "--seed", "2").json["scenarios"] != told["scenarios"]
+
+
+def test_means_come_from_a_file_and_from_a_pilot(
+    robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "means.csv").write_text("Task,Energy,Energy.sd\nIdle,100,10\nVideo,115,14\n", encoding="utf-8")
+    words = ("--simulations", "200", "--repetitions", "3..30", "--json")
+    (of_file,) = robot_runner("power", study, "--means", "means.csv", *words).json["scenarios"]
+    combinations = {tuple(each["treatments"]): each for each in of_file["assumed"][0]["combinations"]}
+    assert combinations["Video", "0.2"] == {"treatments": ["Video", "0.2"], "mean": 115.0, "sd": 14.0}
+    assert robot_runner("run", study, "--plain").code == 0
+    pilot = robot_runner("power", study, "--pilot", "experiments/two_tasks", "--difference", "Task=6", *words).json
+    assert [each["title"] for each in pilot["scenarios"]] == ["the pilot's effects", "the smallest effects of interest"]
+    assert any("uncertain" in note for note in pilot["notes"])
+
+
+@pytest.mark.parametrize(
+    ("words", "problem", "fix"),
+    [
+        ([], "nothing is assumed", "--pilot"),
+        (["--sd", "12"], "no difference is assumed", "--difference"),
+        (["--difference", "Task=5"], "nothing is assumed of Energy", "--sd Energy="),
+        (["--sd", "12", "--difference", "Tusk=5"], "no factor 'Tusk'", "'Task'"),
+        (["--sd", "12", "--difference", "Speed=5"], "no difference of Task", "--difference Energy:Task="),
+        (["--sd", "12", "--difference", "Enrgy:Task=5"], "no measure 'Enrgy'", "'Energy'"),
+        (["--sd", "12", "--difference", "Task=five"], "no number", "a number"),
+        (["--sd", "-1", "--difference", "Task=5"], "below 0", "standard deviation"),
+        (["--sd", "12", "--difference", "Task=5", "--effect", "Tosk"], "no test is called 'Tosk'", "Task"),
+        (["--sd", "12", "--difference", "Task=5", "--repetitions", "9..3"], "9..3", "end no lower"),
+        (["--sd", "12", "--difference", "Task=5", "--repetitions", "many"], "many", "5..40"),
+        (["--sd", "12", "--difference", "Task=5", "--power", "80"], "80", "between 0 and 1"),
+        (["--sd", "12", "--difference", "Task=5", "--first-batch", "5"], "--first-batch is 5", "above it"),
+        (["--means", "nowhere.csv"], "cannot be read", "CSV"),
+        (["--pilot", "nowhere"], "no such file or folder", "study.py"),
+        (["--powr", "0.8"], "--powr", "--power"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_a_way_out(
+    robot_runner: Callable[..., Answer], study: Path, words: list[str], problem: str, fix: str
+) -> None:
+    answer = robot_runner("power", study, *words)
+    assert answer.code == 2
+    assert problem in answer.err
+    assert fix in answer.err
+    assert "Traceback" not in answer.err

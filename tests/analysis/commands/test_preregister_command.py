@@ -1,0 +1,196 @@
+"""`robot-runner preregister` writes what is fixed before the first run; the report says where it was not followed."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.analysis.report.agreement import disagreements
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from tests.command_line import Answer
+
+CONFIG = """
+from robot_runner import AnalysisPlan, ExperimentConfig, Factor, Hypothesis, RunTableModel
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "two_tasks"
+    analysis = AnalysisPlan(
+        "Energy", alpha=0.05, hypotheses=[Hypothesis("Video costs more.", measure="Energy", factors="Task")]
+    )
+
+    def create_run_table(self):
+        return RunTableModel(
+            [Factor("Task", ["Idle", "Video"])], repetitions=3, data_columns=["Energy", "CPU"], shuffle=True
+        )
+
+    def populate_run_data(self, context):
+        extra = 10 if context.combination["Task"] == "Video" else 0
+        return {"Energy": 100 + extra + context.run_number, "CPU": 50 + context.run_number % 3}
+"""
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    config = tmp_path / "study.py"
+    config.write_text(CONFIG, encoding="utf-8")
+    return config
+
+
+def report_of(robot_runner: Callable[..., Answer], folder: Path) -> dict[str, Any]:
+    assert robot_runner("report", "experiments/two_tasks", "--format", "json", "--output", folder).code == 0
+    found = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    assert disagreements(found) == []
+    assert isinstance(found, dict)
+    return found
+
+
+def test_a_registered_study_is_cited_by_its_report_and_its_package(
+    robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
+) -> None:
+    answer = robot_runner("preregister", study)
+    assert answer.code == 0, answer.err
+    registration = json.loads((tmp_path / "study.registration.json").read_text(encoding="utf-8"))
+    assert registration["sha256"] in answer.out
+    assert registration["design"]["factors"] == {"Task": ["Idle", "Video"]}
+    assert registration["analysis"]["hypotheses"][0]["statement"] == "Video costs more."
+    assert registration["power"] is None
+    assert "no power analysis was registered" in answer.out
+    # The config gives no seed: the one that is drawn now is the one that the experiment uses.
+    assert f"from seed {registration['seed']}" in robot_runner("plan", study).out
+    assert robot_runner("run", study, "--plain").code == 0
+    folder = tmp_path / "experiments" / "two_tasks"
+    manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    assert manifest["seed"] == registration["seed"]
+    assert manifest["registration"]["sha256"] == registration["sha256"]
+    report = report_of(robot_runner, tmp_path / "report")
+    # The CPU was measured, as registered, and is no measure of the plan.
+    assert report["registration"]["deviations"] == ["measures tested that were not planned: CPU"]
+    assert registration["sha256"] in report["registration"]["sentence"]
+    assert registration["sha256"] in robot_runner("explain", folder, "r_1").out
+    assert robot_runner("pack", folder, "--to", "one.zip").code == 0
+    assert robot_runner("verify", "one.zip").code == 0
+    assert robot_runner("replicate", "one.zip", "--to", "again", "--yes", "--plain").code == 0
+    again = json.loads((tmp_path / "again" / "two_tasks" / "manifest.json").read_text(encoding="utf-8"))
+    assert again["registration"]["sha256"] == registration["sha256"]
+    assert again["executions"][0]["deviations"] == {}
+    # Whoever changes the file that was kept is found out, in the report, in the package and by `explain`.
+    registration["analysis"]["alpha"] = 0.1
+    (folder / "registration.json").write_text(json.dumps(registration), encoding="utf-8")
+    changed = report_of(robot_runner, tmp_path / "report")
+    assert "checksum differs" in changed["registration"]["problem"]
+    assert any(each["title"] == "The registration cannot be trusted" for each in changed["threats"])
+    assert "was changed since" in robot_runner("explain", folder, "r_1").out
+    assert robot_runner("pack", folder, "--to", "two.zip").code == 0
+    refused = robot_runner("verify", "two.zip")
+    assert refused.code == 2
+    assert "not the one that the experiment began with" in refused.out + refused.err
+
+
+def test_every_deviation_is_listed(robot_runner: Callable[..., Answer], study: Path, tmp_path: Path) -> None:
+    assert robot_runner("preregister", study).code == 0
+    changed = CONFIG.replace("alpha=0.05", "alpha=0.01").replace('["Energy", "CPU"]', '["Energy"]')
+    study.write_text(changed.replace(', "CPU": 50 + context.run_number % 3', ""), encoding="utf-8")
+    warned = robot_runner("check", study)
+    assert warned.code == 0
+    assert "alpha of the analysis plan: 0.01, and 0.05 was registered" in " ".join(
+        warned.out.split() + warned.err.split()
+    )
+    assert robot_runner("run", study, "--plain", "--set", "attempts=2").code == 0
+    assert robot_runner("exclude", "experiments/two_tasks", "r_2", "--reason", "the battery was swapped").code == 0
+    assert robot_runner("extend", study, "--repetitions", "4", "--set", "attempts=2").code == 0
+    report = report_of(robot_runner, tmp_path / "report")
+    told = report["registration"]["deviations"]
+    expected = (
+        "alpha of the analysis plan: 0.01, and 0.05 was registered",
+        "the measure CPU was registered, and the run table has no column for it",
+        "the file study.py was changed after the registration",
+        "set from outside on",
+        "extended beyond what was registered: batch 2, 2 runs",
+        "1 run excluded: r_2",
+        "2 runs not done",
+    )
+    for each in expected:
+        assert any(line.startswith(each) for line in told), (each, told)
+    assert len(told) == len(expected)
+    assert any(each["title"] == "Deviations from the registration" for each in report["threats"])
+
+
+def test_a_registration_is_compared_with_a_config(
+    robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
+) -> None:
+    assert robot_runner("preregister", study, "--output", "deposited.json").code == 0
+    same = robot_runner("preregister", "--check", "deposited.json", study)
+    assert (same.code, "none" in same.out) == (0, True)
+    study.write_text(CONFIG.replace("repetitions=3", "repetitions=5"), encoding="utf-8")
+    other = robot_runner("preregister", "--check", "deposited.json", study)
+    assert other.code == 1
+    assert "repetitions: 5, and 3 was registered" in other.out
+    assert "study.py" in other.out
+    content = json.loads((tmp_path / "deposited.json").read_text(encoding="utf-8"))
+    content["design"]["repetitions"] = 5
+    (tmp_path / "deposited.json").write_text(json.dumps(content), encoding="utf-8")
+    assert "changed after it was made" in robot_runner("preregister", "--check", "deposited.json", study).err
+
+
+def test_a_registration_that_was_changed_or_is_missing_keeps_the_experiment_from_starting(
+    robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
+) -> None:
+    study.write_text(CONFIG.replace('"two_tasks"', '"two_tasks"\n    registration = "plans/it.json"'), encoding="utf-8")
+    missing = robot_runner("check", study)
+    assert missing.code == 2
+    assert "there is no registration" in missing.out
+    assert "robot-runner preregister" in missing.out
+    (tmp_path / "plans").mkdir()
+    assert robot_runner("preregister", study).code == 0
+    assert robot_runner("check", study).code == 0
+    path = tmp_path / "plans" / "it.json"
+    path.write_text(
+        path.read_text(encoding="utf-8").replace("Video costs more.", "Video costs less."), encoding="utf-8"
+    )
+    changed = robot_runner("check", study)
+    assert changed.code == 2
+    assert "changed after it was made" in changed.out
+    for damaged in ("", "[]", '{"format": 99}', '{"format": 1}', "\x00"):
+        path.write_text(damaged, encoding="utf-8")
+        answer = robot_runner("check", study)
+        assert answer.code == 2
+        assert "Traceback" not in answer.out + answer.err
+
+
+def test_a_study_is_registered_once_and_before_its_first_run(
+    robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
+) -> None:
+    assert robot_runner("preregister", study).code == 0
+    first = json.loads((tmp_path / "study.registration.json").read_text(encoding="utf-8"))
+    again = robot_runner("preregister", study)
+    assert again.code == 2
+    assert "--replace" in again.err
+    assert robot_runner("preregister", study, "--replace").code == 0
+    second = json.loads((tmp_path / "study.registration.json").read_text(encoding="utf-8"))
+    assert second["replaces"]["sha256"] == first["sha256"]
+    assert robot_runner("run", study, "--plain").code == 0
+    late = robot_runner("preregister", study, "--replace")
+    assert late.code == 2
+    assert "has begun" in late.err
+
+
+def test_the_power_of_the_same_study_is_registered_with_it(
+    robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
+) -> None:
+    words = ("--sd", "10", "--difference", "Task=12", "--simulations", "300", "--repetitions", "2..30")
+    assert robot_runner("power", study, *words, "--output", "power").code == 0
+    answer = robot_runner("preregister", study, "--power", "power/power.json")
+    assert answer.code == 0, answer.err
+    content = json.loads((tmp_path / "study.registration.json").read_text(encoding="utf-8"))
+    assert content["power"]["answers"][0] in answer.out
+    assert "The config plans 3 repetitions" in answer.out
+    study.write_text(CONFIG.replace('"Video"]', '"Video", "Network"]'), encoding="utf-8")
+    refused = robot_runner("preregister", study, "--power", "power/power.json", "--replace")
+    assert refused.code == 2
+    assert "the factors differ" in refused.err

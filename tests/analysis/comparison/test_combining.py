@@ -1,0 +1,401 @@
+"""Several experiments are combined by what they have in common; what is no replication, or no number, is told."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import json
+import math
+import shutil
+
+import numpy as np
+import pytest
+from scipy import stats
+from tests.analysis.comparison.combined_agreement import disagreements_of_combined
+
+from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.comparison.combined_document import combined_document, json_of_meta_analysis
+from robot_runner.analysis.comparison.combining import hedges_g, meta_analyse
+from robot_runner.analysis.figures.style import FigureFormat, figure_bytes
+from robot_runner.core.errors import AnalysisError
+
+NUMBERS = itertools.count()
+
+
+@pytest.fixture
+def lab(make_folder):
+    """Make an experiment of one lab: means by treatment, a spread, runs a treatment."""
+
+    def make(means, *, spread=1.0, runs=6, seed=None, measure="Energy", unit="J", factor="Task", scale=1.0, **more):
+        number = next(NUMBERS)
+        random = np.random.default_rng(number if seed is None else seed)
+        rows = [
+            (name, scale * float(mean + spread * random.normal())) for name, mean in means.items() for _ in range(runs)
+        ]
+        settings = {"name": f"lab_{number}", "day": f"20{10 + number % 80}-01-31", **more}
+        return make_folder(factors={factor: list(means)}, rows=rows, measures={measure: unit}, **settings).root
+
+    return make
+
+
+def facts_of(*folders, **settings):
+    return json.loads(json_of_meta_analysis(meta_analyse(*folders, **settings)), parse_constant=pytest.fail)
+
+
+TASKS = {"Video": 30.0, "Network": 20.0, "Idle": 20.0}
+
+
+def test_the_differences_of_each_experiment_are_those_of_its_report(lab):
+    folders = [lab(TASKS) for _ in range(3)]
+    effects = meta_analyse(*folders).measure("Energy").effects
+    assert [each.label for each in effects] == ["Video less Network", "Video less Idle", "Network less Idle"]
+    for place, folder in enumerate(folders):
+        pairs = analyse(load_results(folder)).measure("Energy").post_hoc[0].comparisons
+        for effect, pair in zip(effects, pairs, strict=True):
+            told = effect.experiments[place]
+            assert (told.estimate, told.p_value) == pytest.approx((pair.difference, pair.p_value))
+            assert (told.interval.low, told.interval.high) == pytest.approx((pair.interval.low, pair.interval.high))
+            assert told.runs == 12
+            d = next(each.value for each in pair.effect_sizes if each.name == "Cohen's d")
+            assert abs(told.g) < abs(d) < abs(told.g) * 1.3
+
+
+def test_an_average_over_labs_is_found_where_there_is_one(lab):
+    found = meta_analyse(*(lab({"Video": 30 + shift, "Network": 20.0}) for shift in (-1, 0, 1, 0.5, -0.5)))
+    (effect,) = found.measure("Energy").effects
+    assert effect.is_significant
+    assert effect.difference.random.interval.low < 10 < effect.difference.random.interval.high
+    assert "higher than that of Network" in effect.conclusion
+    assert effect.standardised.random.estimate > 3
+
+
+def test_an_effect_that_one_lab_alone_has_is_not_one_of_all(lab):
+    found = meta_analyse(*(lab({"Video": mean, "Network": 20.0}, spread=0.5) for mean in (30, 20, 20)))
+    (effect,) = found.measure("Energy").effects
+    assert not effect.is_significant
+    assert effect.difference.common.p_value < 0.001
+    assert effect.difference.heterogeneity.p_value < 0.001
+    assert "If all experiments estimated one and the same effect" in effect.conclusion
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5])
+def test_it_is_said_what_so_few_experiments_cannot_tell(lab, count):
+    (effect,) = meta_analyse(*(lab({"a": 2.0, "b": 1.0}) for _ in range(count))).measure("Energy").effects
+    assert (effect.difference.prediction is None) is (count == 2)
+    assert ("one degree of freedom" in effect.conclusion) is (count == 2)
+    assert ("hardly tell" in effect.conclusion) is (count in {3, 4})
+
+
+def test_units_are_converted(lab):
+    means = {"a": 2000.0, "b": 1000.0}
+    one, other = lab(means), lab(means, unit="kJ", scale=0.001, name="in_kilojoules")
+    found = meta_analyse(one, other)
+    (effect,) = found.measure("Energy").effects
+    assert found.measure("Energy").unit == "J"
+    assert [each.estimate for each in effect.experiments] == pytest.approx([1000, 1000], abs=4)
+    (finding,) = found.findings
+    assert (finding.where, finding.problem) == ("in_kilojoules", "Energy is in kJ: its values are converted to J")
+
+
+def test_temperatures_of_two_scales_have_the_same_differences(lab):
+    means = {"a": 20.0, "b": 10.0}
+    found = meta_analyse(lab(means, unit="K"), lab(means, unit="degC"))
+    assert [each.estimate for each in found.measure("Energy").effects[0].experiments] == pytest.approx([10, 10], abs=3)
+
+
+def test_a_unit_that_is_not_known_is_told(lab):
+    found = meta_analyse(lab(TASKS), lab(TASKS, unit=""))
+    assert "its values are taken to be in J" in found.findings[0].problem
+
+
+def test_everything_that_refuses_a_meta_analysis_is_told_at_once(lab, tmp_path):
+    one, other = lab(TASKS, name="one"), lab(TASKS, name="volts", unit="V")
+    copy_of_one = tmp_path / "copied"
+    shutil.copytree(one, copy_of_one)
+    with pytest.raises(AnalysisError) as caught:
+        meta_analyse(one, other, copy_of_one, measures=["Energy", "Enrgy"], same=["Video=Vidoe", "Task"])
+    told = " ".join(map(str, caught.value.findings))
+    assert "copied: this is" in told
+    assert "executed at the same moments" in told
+    assert "cannot be converted to J" in told
+    assert "no experiment has a measure 'Enrgy' → Did you mean 'Energy'?" in told
+    assert "'Vidoe' → Did you mean 'Video'?" in told
+    assert "'Task' names one name, not two" in told
+
+
+def test_an_experiment_is_no_replication_of_itself(lab):
+    one = lab(TASKS)
+    with pytest.raises(AnalysisError, match="the same folder") as caught:
+        meta_analyse(one, lab(TASKS), one)
+    assert "count twice" in caught.value.fix
+
+
+def test_a_simulation_with_the_same_seed_is_no_replication(lab):
+    with pytest.raises(AnalysisError, match="same to the last digit"):
+        meta_analyse(lab(TASKS, seed=5), lab(TASKS, seed=5))
+
+
+def test_counts_may_be_the_same_by_chance(make_folder):
+    rows = [("a", 1.0), ("a", 2.0), ("b", 3.0), ("b", 5.0)]
+    folders = [
+        make_folder(factors={"T": ["a", "b"]}, rows=rows, measures={"Goals": ""}, day=f"2026-02-0{day}", name=f"n{day}")
+        for day in (1, 2)
+    ]
+    (effect,) = meta_analyse(*(each.root for each in folders)).measure("Goals").effects
+    assert effect.adjusted_p_value is None
+    assert "chance has no measure" in effect.conclusion
+    assert disagreements_of_combined(facts_of(*(each.root for each in folders))) == []
+
+
+def test_names_that_differ_are_told_with_the_option_that_joins_them(lab):
+    one = lab({"Video": 30.0, "Network": 20.0}, name="one")
+    other = lab({"video": 30.0, "Network": 20.0}, name="other", factor="Tasks", measure="energy")
+    third = lab({"Video": 30.0, "Network": 20.0}, name="third")
+    told = " ".join(map(str, meta_analyse(one, other, third).findings))
+    assert "--same Task=Tasks" in told
+    assert "--measure Energy=energy" in told
+    told = " ".join(map(str, meta_analyse(one, other, third, measures=["Energy=energy"], same=["Task=Tasks"]).findings))
+    assert "--same Video=video" in told
+    found = meta_analyse(one, other, third, measures=["Energy=energy"], same=["Task=Tasks", "Video=video"])
+    assert not found.findings
+    assert found.measure("Energy").names == {"one": "Energy", "other": "energy", "third": "Energy"}
+    assert [each.experiment for each in found.measure("Energy").effects[0].experiments] == ["one", "other", "third"]
+
+
+def test_names_that_one_experiment_tells_apart_are_not_joined(lab):
+    with pytest.raises(AnalysisError, match="both 'Video' and 'Network'"):
+        meta_analyse(lab(TASKS), lab(TASKS), same=["Video=Network"])
+
+
+def test_an_effect_that_only_one_experiment_tells_of_is_named(lab):
+    found = meta_analyse(lab(TASKS, name="one"), lab({"Video": 30.0, "Network": 20.0}, name="other"))
+    energy = found.measure("Energy")
+    assert [each.label for each in energy.effects] == ["Video less Network"]
+    assert {each.what: each.why for each in energy.not_computed} == {
+        "average of Video less Idle": "only one tells of it: two are needed.",
+        "average of Network less Idle": "only one tells of it: two are needed.",
+    }
+    assert any(each.where == "other" and "'Idle'" in each.problem for each in found.findings)
+
+
+def test_an_experiment_whose_values_do_not_vary_is_left_out_and_named(lab):
+    found = meta_analyse(lab(TASKS), lab(TASKS), lab(TASKS, spread=0.0, name="constant")).measure("Energy")
+    assert all(len(each.experiments) == 2 for each in found.effects)
+    assert any(each.what == "Energy in constant" and "equal" in each.why for each in found.not_computed)
+
+
+def test_experiments_that_vary_nothing_in_common_say_so(lab):
+    found = meta_analyse(lab(TASKS), lab({"slow": 1.0, "fast": 2.0}, factor="Speed")).measure("Energy")
+    assert found.effects == ()
+    assert "no two experiments vary the same factor" in found.not_computed[0].why
+
+
+def test_factors_beside_it_are_averaged_over(make_folder):
+    random = np.random.default_rng(11)
+    rows = [
+        (task, speed, 10.0 * (task == "b") + 3.0 * (speed == "fast") + random.normal())
+        for task in "ab"
+        for speed in ("slow", "fast")
+        for _ in range(5)
+    ]
+    factors = {"Task": ["a", "b"], "Speed": ["slow", "fast"]}
+    one = make_folder(factors=factors, rows=rows, measures={"E": "J"}, name="one").root
+    plain = [(task, 10.0 * (task == "b") + random.normal()) for task in "ab" for _ in range(5)]
+    other = make_folder(
+        factors={"Task": ["a", "b"]}, rows=plain, measures={"E": "J"}, name="other", day="2026-03-01"
+    ).root
+    found = meta_analyse(one, other)
+    assert [each.label for each in found.measure("E").effects] == ["a less b"]
+    assert found.measure("E").effects[0].difference.random.estimate == pytest.approx(-10, abs=1.5)
+    assert any(each.where == "other" and "no factor 'Speed'" in each.problem for each in found.findings)
+
+
+PLAN = {
+    "measures": ["Energy"],
+    "hypotheses": [
+        {
+            "statement": "Idle needs less than half of both.",
+            "measure": "Energy",
+            "factors": ["Task"],
+            "contrast": {"Idle": 2, "Video": -1, "Network": -1},
+        },
+        {"statement": "A pair.", "measure": "Energy", "factors": ["Task"], "contrast": {"Video": 1, "Network": -1}},
+    ],
+}
+
+
+def test_contrasts_of_plans_are_combined_beside_the_pairs(lab):
+    planned = lab(TASKS, manifest={"analysis": PLAN})
+    found = meta_analyse(planned, lab(TASKS), lab(TASKS))
+    assert found.measure("Energy").is_primary
+    *_, contrast = found.measure("Energy").effects
+    assert len(found.measure("Energy").effects) == 4
+    assert contrast.label == "Idle needs less than half of both."
+    assert contrast.difference.random.estimate == pytest.approx(-10, abs=2)
+    assert "differs from zero on average" in contrast.conclusion
+
+
+def test_an_experiment_is_analysed_as_its_own_plan_has_it(make_folder):
+    random = np.random.default_rng(6)
+
+    def make(name, day, **plan):
+        rows = []
+        for task in "ab":
+            for run in range(8):
+                warmth = 20 + run
+                value = 10.0 * (task == "b") + 0.7 * warmth + 0.3 * random.normal() + 40 * (run == 3 and task == "a")
+                rows.append((task, float(value), float(warmth)))
+        manifest = {"analysis": {"measures": ["Energy"], **plan}}
+        measures = {"Energy": "J", "Warmth": "degC"}
+        return make_folder(
+            factors={"Task": ["a", "b"]}, rows=rows, measures=measures, name=name, day=day, manifest=manifest
+        ).root
+
+    one = make("one", "2026-06-01", covariates=["Warmth"], outliers={"median_deviations": 4.0})
+    other = make("other", "2026-06-02")
+    found = meta_analyse(one, other)
+    told = found.measure("Energy").effects[0].experiments
+    for each, folder in zip(told, (one, other), strict=True):
+        pair = analyse(load_results(folder)).measure("Energy").post_hoc[0].comparisons[0]
+        assert (each.estimate, each.p_value) == pytest.approx((pair.difference, pair.p_value))
+    assert told[0].estimate == pytest.approx(-10, abs=1)
+    assert told[1].estimate > told[0].estimate + 3
+    assert [str(each) for each in found.findings] == ["one: its plan leaves out Energy of r_4"]
+
+
+def test_without_a_choice_primary_measures_are_combined(make_folder):
+    random = np.random.default_rng(2)
+
+    def make(**settings):
+        rows = [(task, random.normal(), random.normal()) for task in "ab" for _ in range(4)]
+        return make_folder(
+            factors={"Task": ["a", "b"]}, rows=rows, measures={"Energy": "J", "CPU": "%"}, **settings
+        ).root
+
+    plan = {"analysis": {"measures": ["Energy"]}}
+    folders = [make(day=f"2026-04-0{day}", name=f"p{day}", manifest=plan if day == 1 else {}) for day in (1, 2)]
+    assert [each.name for each in meta_analyse(*folders).measures] == ["Energy"]
+    both = meta_analyse(*folders, measures=["CPU", "Energy"])
+    assert [(each.name, each.is_primary) for each in both.measures] == [("CPU", False), ("Energy", True)]
+    assert "percentage points" in both.measure("CPU").effects[0].conclusion
+
+
+def test_what_cannot_be_is_refused(lab):
+    with pytest.raises(AnalysisError, match="1 experiment is given"):
+        meta_analyse(lab(TASKS))
+    with pytest.raises(AnalysisError, match="alpha"):
+        meta_analyse(lab(TASKS), lab(TASKS), alpha=1.0)
+
+
+def test_text_is_not_combined(make_folder):
+    folders = [
+        make_folder(
+            factors={"T": ["a", "b"]},
+            rows=[("a", "ok"), ("b", "stuck")],
+            measures={"State": ""},
+            types={"State": "string"},
+            day=f"2026-05-0{day}",
+            name=f"t{day}",
+        ).root
+        for day in (1, 2)
+    ]
+    with pytest.raises(AnalysisError, match="no measure of one name"):
+        meta_analyse(*folders)
+    found = meta_analyse(*folders, measures=["State"]).measure("State")
+    assert "no numbers" in found.not_computed[0].why
+
+
+def test_hedges_g_is_that_of_metafor():
+    # escalc(measure="SMD", vtype="UB") of means 10 and 7, sd 2, eight runs; of 5 and 5.5, sd 1, twelve runs.
+    one = hedges_g(3.0, math.sqrt(4 / 8 + 4 / 8), 14, 2.0)
+    other = hedges_g(-0.5, math.sqrt(1 / 12 + 1 / 12), 22, 1.0)
+    assert (one[0], other[0]) == pytest.approx((1.417931593960, -0.482725329395))
+    assert (one[1] ** 2, other[1] ** 2) == pytest.approx((0.331958576579, 0.172417683034))
+    assert hedges_g(1.0, 1.0, 1.0, 1.0) == (None, None)
+
+
+def test_the_standard_error_of_g_is_that_of_its_distribution():
+    random, count, effect = np.random.default_rng(3), 8, 1.2
+    one, other = random.normal(effect, 1, (4000, count)), random.normal(0, 1, (4000, count))
+    spreads = np.sqrt((np.var(one, axis=1, ddof=1) + np.var(other, axis=1, ddof=1)) / 2)
+    differences = one.mean(axis=1) - other.mean(axis=1)
+    found = np.array(
+        [
+            hedges_g(difference, spread * math.sqrt(2 / count), 2 * count - 2, spread)
+            for difference, spread in zip(differences, spreads, strict=True)
+        ]
+    )
+    assert found[:, 0].mean() == pytest.approx(effect, abs=0.03)
+    assert np.mean(found[:, 1] ** 2) == pytest.approx(found[:, 0].var(), rel=0.06)
+
+
+@pytest.mark.parametrize("between", [0.0, 0.5, 4.0])
+@pytest.mark.parametrize("count", [2, 3, 6])
+def test_a_meta_analysis_agrees_with_itself(lab, between, count):
+    random = np.random.default_rng(int(10 * between) + count)
+    folders = [
+        lab(
+            {name: mean + between * random.normal() for name, mean in TASKS.items()},
+            spread=1 + place % 2,
+            runs=4 + place,
+        )
+        for place in range(count)
+    ]
+    assert disagreements_of_combined(facts_of(*folders)) == []
+    assert disagreements_of_combined(facts_of(*folders, alpha=0.3)) == []
+
+
+def test_what_contradicts_itself_is_found(lab):
+    folders = [lab({"Video": 30.0 + shift, "Network": 20.0}) for shift in (-1, 0, 1)]
+    facts = facts_of(*folders)
+    assert disagreements_of_combined(facts) == []
+
+    def spoiled(change):
+        other = copy.deepcopy(facts)
+        change(other["measures"][0]["effects"][0])
+        return disagreements_of_combined(other)
+
+    changes = [
+        lambda effect: effect.update(conclusion="The 3 experiments do not show that Energy differs."),
+        lambda effect: effect.update(conclusion=effect["conclusion"].replace("higher", "lower")),
+        lambda effect: effect.update(conclusion=effect["conclusion"].replace("Three experiments", "Many")),
+        lambda effect: effect.update(conclusion=effect["conclusion"].replace("I² = ", "I² = 1")),
+        lambda effect: effect.update(is_significant=False),
+        lambda effect: effect.update(adjusted_p_value=0.9),
+        lambda effect: effect["difference"]["random"].update(p_value=0.9),
+        lambda effect: effect["difference"]["common"]["interval"].update(low=-9.0, high=99.0),
+        lambda effect: effect["difference"]["random"].update(estimate=99.0),
+        lambda effect: effect["difference"].update(prediction=None),
+        lambda effect: effect["difference"]["heterogeneity"].update(p_value=1e-9),
+        lambda effect: effect["difference"]["heterogeneity"].update(i_squared=77.7),
+        lambda effect: effect["difference"].update(random_weights=[0.5, 0.5, 0.5]),
+        lambda effect: effect["experiments"][0].update(g=-1.0),
+        lambda effect: effect["experiments"].pop(),
+    ]
+    for place, change in enumerate(changes):
+        assert spoiled(change), place
+
+
+def test_the_page_shows_a_forest_plot_for_each_effect(lab):
+    found = meta_analyse(*(lab(TASKS) for _ in range(3)))
+    document = combined_document(found, made="today")
+    assert [each.name for each in document.figures] == [
+        f"forest Energy {name}" for name in ("Video less Network", "Video less Idle", "Network less Idle")
+    ]
+    figure = document.figures[0].draw()
+    labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
+    names = [each.name for each in found.experiments]
+    assert labels == [*names, "Average (random effects)", "Common effect", "A further experiment"]
+    for kind, begins in ((FigureFormat.SVG, b"<?xml"), (FigureFormat.PNG, b"\x89PNG"), (FigureFormat.PDF, b"%PDF")):
+        assert figure_bytes(figure, kind).startswith(begins)
+
+
+def test_experiments_of_different_lengths_are_weighted_by_what_they_know(lab):
+    (effect,) = meta_analyse(lab({"a": 2, "b": 1}, runs=4), lab({"a": 2, "b": 1}, runs=60)).measure("Energy").effects
+    assert effect.difference.common_weights[1] > 0.8
+    errors = [each.error for each in effect.experiments]
+    assert effect.difference.common_weights[1] == pytest.approx(errors[0] ** 2 / (errors[0] ** 2 + errors[1] ** 2))
+    assert effect.difference.heterogeneity.q == pytest.approx(
+        (effect.experiments[0].estimate - effect.experiments[1].estimate) ** 2 / (errors[0] ** 2 + errors[1] ** 2)
+    )
+    assert stats.chi2.sf(effect.difference.heterogeneity.q, 1) <= effect.difference.heterogeneity.p_value + 1e-12

@@ -1,0 +1,315 @@
+"""Tables in the shapes that public run tables have: what each column is, and where that is asked.
+
+The tables are made here; their shapes are those of published studies, whose data cannot be kept with the project.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import pytest
+from tests.analysis.importing.foreign_folder import write
+
+from robot_runner.analysis.importing.column_roles import roles_of
+from robot_runner.analysis.importing.description import ImportDescription
+from robot_runner.analysis.importing.foreign_table import read_foreign_table
+from robot_runner.analysis.importing.role_guesses import Confidence
+from robot_runner.core.errors import AnalysisError
+
+TASK = {"task": ["video", "audio", "idle"]}
+SPEED = {"speed": ["1", "2"]}
+
+
+def made(heading, factors, repetitions=3, **cells):
+    """Return a table with a row for each repetition of each combination.
+
+    In cells, `n` counts rows, `c` combinations and `r` repetitions, all from 0; `x` differs in every row, `q` is one of
+    three numbers, unevenly; what is not given is `x`.
+    """
+    lines = [heading]
+    for n, (r, (c, treatments)) in enumerate(product(range(repetitions), enumerate(product(*factors.values())))):
+        known = dict(zip(factors, treatments, strict=True))
+        values = {"n": n, "c": c, "r": r, "x": 10 + (n * 37 % 101) / 7, "q": (n % 7 == 0) + (n % 11 == 0), **known}
+        values |= {"one": n + 1, "rep": r + 1, "even": n % 2}
+        row = [known.get(name) or str(cells.get(name, "{x:.4f}")).format(**values) for name in heading.split(",")]
+        lines.append(",".join(row))
+    return "\n".join(lines) + "\n"
+
+
+def summary(roles):
+    """Return roles as they are written below: id, status, repetition, block, factors, measures, others, unsure."""
+    parts = {
+        "id": roles.run_id,
+        "done": roles.status,
+        "rep": "@" if roles.repetition_in_run_id else roles.repetition,
+        "block": roles.block,
+        "F": "+".join(roles.factors),
+        "M": "+".join(roles.measures),
+        "X": "+".join(roles.extras),
+        "?": "+".join(guess.column for guess in roles.unsure),
+    }
+    return " ".join(f"{key}={value}" for key, value in parts.items() if value)
+
+
+IDS = {"__run_id": "run_{c}_repetition_{r}", "__done": "DONE"}
+PLAIN = {"__run_id": "run_{n}", "__done": "DONE"}
+
+COUNTED = "id=__run_id done=__done rep={} F=task M=energy"
+
+SHAPES = {
+    # Names and numbers of rows before the factors.
+    "pandas' index": (made("Unnamed: 0,task,energy", TASK, **{"Unnamed: 0": "{n}"}), "F=task M=energy"),
+    "R's index": (made('"",task,energy', TASK, **{'""': "{one}"}), "F=task M=energy"),
+    "an index shuffled": (made(",task,energy", TASK, **{"": "{x:.0f}"}), "F=task M=energy X=column_1"),
+    "an id": (made("id,task,energy", TASK, id="{one}"), "id=id F=task M=energy"),
+    "an id beside the run's": (
+        made("id,__run_id,__done,task,energy", TASK, id="{n}", **IDS),
+        "id=__run_id done=__done rep=@ F=task M=energy X=id",
+    ),
+    "an index beside the run's": (
+        made("Unnamed: 0,__run_id,__done,task,energy", TASK, **{"Unnamed: 0": "{n}"}, **IDS),
+        "id=__run_id done=__done rep=@ F=task M=energy",
+    ),
+    "No.": (made("No.,task,energy", TASK, **{"No.": "{one}"}), "id=No. F=task M=energy"),
+    "an entry's id": (
+        made("entry_id,run_id,task,energy", TASK, entry_id="{n}", run_id="run_{n}"),
+        "id=run_id F=task M=energy X=entry_id",
+    ),
+    "ids that are empty": (
+        made(
+            "__run_id,__done,run_number,task,energy", TASK, __run_id="", __done="False", run_number="{one}", energy=""
+        ),
+        "id=run_number done=__done F=task M=energy X=__run_id",
+    ),
+    # What counts repetitions.
+    "repetitions in ids": (
+        made("__run_id,__done,task,energy", TASK, **IDS),
+        "id=__run_id done=__done rep=@ F=task M=energy",
+    ),
+    "rep in ids": (made("run_id,task,energy", TASK, run_id="job_{c}_rep{r}"), "id=run_id rep=@ F=task M=energy"),
+    "ids of one repetition": (
+        made(
+            "__run_id,__done,task,run_number,energy",
+            TASK,
+            __run_id="run_{n}_repetition_0",
+            __done="DONE",
+            run_number="{rep}",
+        ),
+        "id=__run_id done=__done rep=run_number F=task M=energy",
+    ),
+    "repetition": (
+        made("__run_id,__done,task,repetition,energy", TASK, repetition="{rep}", **PLAIN),
+        COUNTED.format("repetition"),
+    ),
+    "rep": (made("__run_id,__done,task,rep,energy", TASK, rep="{rep}", **PLAIN), COUNTED.format("rep")),
+    "Trial": (made("__run_id,__done,task,Trial,energy", TASK, Trial="{r}", **PLAIN), COUNTED.format("Trial")),
+    "round": (made("__run_id,__done,task,round,energy", TASK, round="{rep}", **PLAIN), COUNTED.format("round")),
+    "iteration": (
+        made("__run_id,__done,task,iteration,energy", TASK, iteration="{rep}", **PLAIN),
+        COUNTED.format("iteration"),
+    ),
+    "repetition_id": (
+        made("__run_id,__done,task,repetition_id,energy", TASK, repetition_id="{r}", **PLAIN),
+        COUNTED.format("repetition_id"),
+    ),
+    "run_number in words": (
+        made("__run_id,__done,run_number,task,energy", TASK, run_number="r{rep}", **PLAIN),
+        COUNTED.format("run_number"),
+    ),
+    "run": (made("__run_id,__done,run,task,energy", TASK, run="{rep}", **PLAIN), COUNTED.format("run")),
+    "experiment after measures": (
+        made("__run_id,__done,task,energy,experiment", TASK, experiment="{rep}", **PLAIN),
+        COUNTED.format("experiment"),
+    ),
+    "a file for each repetition": (
+        made("__run_id,__done,task,energy,Repetition", TASK, Repetition="cat_repeat{rep}.csv", **PLAIN),
+        COUNTED.format("Repetition"),
+    ),
+    "run without other ids": (made("run,task,energy", TASK, run="{rep}"), "rep=run F=task M=energy"),
+    "runs counted across combinations": (made("run,task,energy", TASK, run="{n}"), "id=run F=task M=energy"),
+    "the run's number alone": (
+        made("__run_id,__done,run,energy", {"": [""]}, 6, run="{n}", **PLAIN),
+        "id=__run_id done=__done rep=run M=energy",
+    ),
+    "run names the combination": (
+        made("__run_id,__done,task,speed,run,rep,energy", TASK | SPEED, run="{c}", rep="{rep}", **PLAIN),
+        "id=__run_id done=__done rep=rep F=task+speed M=energy X=run",
+    ),
+    "iteration is a factor": (
+        made("__run_id,__done,task,iteration,energy", TASK | {"iteration": ["1", "2", "3"]}, **IDS),
+        "id=__run_id done=__done rep=@ F=task+iteration M=energy",
+    ),
+    "iterations are a factor": (
+        made("__run_id,__done,task,iterations,energy", TASK | {"iterations": ["100", "1000"]}, **IDS),
+        "id=__run_id done=__done rep=@ F=task+iterations M=energy",
+    ),
+    "runs that share a repetition": (
+        made("task,Trial,energy", TASK, 4, Trial="{even}"),
+        "rep=Trial F=task M=energy ?=Trial",
+    ),
+    "sets that may be repetitions": (
+        made("task,energy,results", TASK, 4, results="set_{rep}"),
+        "F=task+results M=energy ?=results",
+    ),
+    # Measures that look like factors.
+    "a nearly constant measure": (
+        made("__run_id,__done,task,swap,energy", TASK, 4, swap="{q}", **IDS),
+        "id=__run_id done=__done rep=@ F=task M=swap+energy",
+    ),
+    "a nearly constant measure, without repetitions": (
+        made("task,energy,exit_code", TASK, 8, exit_code="{q}"),
+        "F=task M=energy+exit_code",
+    ),
+    "a constant measure": (
+        made("__run_id,__done,task,energy,total_memory", TASK, total_memory="4096", **IDS),
+        "id=__run_id done=__done rep=@ F=task M=energy+total_memory",
+    ),
+    "whether it worked": (
+        made("__run_id,__done,task,energy,success", TASK, 5, success="true", **IDS),
+        "id=__run_id done=__done rep=@ F=task M=energy+success",
+    ),
+    "few numbers, unevenly, with no word for it": (
+        made("level,energy", {}, 12, level="{q}"),
+        "F=level M=energy ?=level",
+    ),
+    # Factors that look like measures, and that come late.
+    "numbers with a unit": (
+        made("__run_id,__done,speed_m_s,energy", {"speed_m_s": ["0.1", "0.2"]}, 4, **PLAIN),
+        "id=__run_id done=__done F=speed_m_s M=energy",
+    ),
+    "a limit of the CPU, still to do": (
+        made(
+            "__run_id,__done,cpu_limit,pin,avg_cpu",
+            {"cpu_limit": ["20", "50"], "pin": ["True", "False"]},
+            1,
+            __run_id="run_{n}",
+            __done="TODO",
+            avg_cpu="",
+        ),
+        "id=__run_id done=__done F=cpu_limit+pin M=avg_cpu",
+    ),
+    "factors after measures": (
+        made("energy,time_s,task,mode", TASK | {"mode": ["a", "b"]}),
+        "F=task+mode M=energy+time_s",
+    ),
+    "numbers after measures": (made("energy,threads", {"threads": ["2", "4", "8"]}, 4), "F=threads M=energy ?=threads"),
+    "one run for each treatment": (made("app,energy", {"app": ["maps", "mail", "chat", "news"]}, 1), "F=app M=energy"),
+    # What follows from factors.
+    "a name for the combination": (
+        made("name,repetition,energy,task,mode", TASK | {"mode": ["a", "b"]}, name="{task}_{mode}", repetition="{rep}"),
+        "rep=repetition F=task+mode M=energy X=name",
+    ),
+    "a second name": (
+        made("task_id,task,energy", TASK, 4, task_id="t{c}"),
+        "F=task M=energy X=task_id",
+    ),
+    "the kind of a task": (
+        made("task,kind,energy", {"task": ["sort", "scan", "zip", "tar"]}, 4, kind="k{even}"),
+        "F=task M=energy X=kind",
+    ),
+    "subjects that belong to treatments": (
+        made("subject,cached,energy", {"subject": ["a", "b", "c", "d"]}, 4, cached="{even}"),
+        "F=cached M=energy X=subject ?=subject",
+    ),
+    # Text.
+    "moments": (
+        made("__run_id,__done,task,started,energy", TASK, started="2021-06-25 14:3{r}:0{c}", **IDS),
+        "id=__run_id done=__done rep=@ F=task M=energy X=started",
+    ),
+    "moments since 1970": (
+        made("__run_id,__done,task,start_time,energy", TASK, start_time="15711771{n:02}.5", **IDS),
+        "id=__run_id done=__done rep=@ F=task M=energy X=start_time",
+    ),
+    "a path": (
+        made("__run_id,__done,task,energy,log_path", TASK, log_path="/data/{n}.log", **IDS),
+        "id=__run_id done=__done rep=@ F=task M=energy X=log_path",
+    ),
+    "text that some lack": (
+        made("__run_id,__done,task,energy,status", TASK, status="ok", **IDS).replace(",ok", ",", 2),
+        "id=__run_id done=__done rep=@ F=task M=energy X=status",
+    ),
+    "a version": (
+        made("__run_id,__done,package,task,energy", TASK, package="nav2", **IDS),
+        "id=__run_id done=__done rep=@ F=package+task M=energy",
+    ),
+    # Blocks.
+    "three robots": (
+        made("robot,task,repetition,energy", {"robot": ["tb_1", "tb_2", "tb_3"]} | TASK, repetition="{rep}"),
+        "rep=repetition block=robot F=task M=energy",
+    ),
+    "days": (
+        made("day,task,energy", {"day": ["2021-06-01", "2021-06-02", "2021-06-03"]} | TASK, 2),
+        "block=day F=task M=energy",
+    ),
+    "robots of two kinds": (
+        made("robot,task,energy", {"robot": ["husky", "turtlebot"]} | TASK, 3),
+        "F=robot+task M=energy",
+    ),
+    "robots that each have one task": (
+        made("robot,task,energy", {"robot": ["r1", "r2", "r3", "r4"]}, 4, task="t{even}"),
+        "F=task M=energy X=robot ?=robot",
+    ),
+    "subjects": (made("subject,task,energy", {"subject": ["s1", "s2", "s3"]} | TASK, 2), "F=subject+task M=energy"),
+}
+
+
+@pytest.mark.parametrize(("text", "expected"), SHAPES.values(), ids=SHAPES.keys())
+def test_columns_are_what_they_look_like(tmp_path, text, expected):
+    roles = roles_of(read_foreign_table(write(tmp_path / "run_table.csv", text)), ImportDescription())
+    assert summary(roles) == expected
+
+
+REPEATED = made("task,repetition,energy", TASK, repetition="{rep}")
+
+
+def guessed(tmp_path, text, **said):
+    return roles_of(read_foreign_table(write(tmp_path / "run_table.csv", text)), ImportDescription(**said))
+
+
+def test_each_guess_has_a_reason(tmp_path):
+    roles = guessed(tmp_path, SHAPES["a nearly constant measure"][0])
+    assert [guess.column for guess in roles.guesses] == ["__run_id", "__done", "task", "swap", "energy"]
+    assert {guess.column: guess.reason for guess in roles.guesses}["swap"] == (
+        "it differs between the repetitions of a combination"
+    )
+    assert all(guess.confidence is Confidence.SURE for guess in roles.guesses)
+
+
+@pytest.mark.parametrize(
+    ("said", "expected"),
+    [
+        ({"factors": ("level",)}, "F=level M=energy"),
+        ({"measures": ("level",)}, "M=level+energy"),
+        ({"ignore": ("level",)}, "M=energy"),
+    ],
+)
+def test_what_is_said_of_one_column_settles_that_one(tmp_path, said, expected):
+    assert summary(guessed(tmp_path, SHAPES["few numbers, unevenly, with no word for it"][0], **said)) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "said", "expected"),
+    [
+        (SHAPES["subjects"][0], {"block": "subject"}, "block=subject F=task M=energy"),
+        (REPEATED, {"block": "repetition"}, "rep=repetition block=repetition F=task M=energy"),
+        (SHAPES["three robots"][0], {"factors": ("robot",)}, "rep=repetition F=robot+task M=energy"),
+    ],
+)
+def test_blocks_are_as_they_are_said(tmp_path, text, said, expected):
+    assert summary(guessed(tmp_path, text, **said)) == expected
+
+
+def test_what_may_be_a_block_is_noted_with_its_option(tmp_path):
+    (note,) = guessed(tmp_path, SHAPES["subjects"][0]).notes
+    assert note == "subject has every combination for each of its values: a block? Then say --block subject"
+
+
+def test_a_description_without_guesses_is_complete(tmp_path):
+    text = SHAPES["factors after measures"][0]
+    roles = guessed(tmp_path, text, factors=("task",), measures=("energy",), guess=False)
+    assert summary(roles) == "F=task M=energy X=time_s+mode"
+
+
+def test_a_column_has_one_role(tmp_path):
+    with pytest.raises(AnalysisError, match="column 'task' is said to be factor and ignored"):
+        guessed(tmp_path, SHAPES["R's index"][0], factors=("task",), ignore=("task",))

@@ -1,0 +1,136 @@
+"""What a rule of repetition says, where it does not fit, and what is known after the repetitions that there are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from robot_runner.core.design.precise_estimates import Judgement, Observed, judge
+from robot_runner.core.design.precision import PreciseOf, Precision, precision_findings, rule_in_words
+from robot_runner.core.design.repeated_intervals import half_width_of, level_at_each_look
+from robot_runner.core.errors import DesignError
+
+
+def rule(half_width: str | float = "2 %", at_most: int = 30, **more: Any) -> Precision:
+    return Precision("Energy", half_width=half_width, at_most=at_most, **more)
+
+
+def judged(values: dict[tuple[str, ...], list[Any]], asked: Precision, least: int = 5) -> Judgement:
+    runs = [
+        Observed(f"r_{place}_{number}", dict(zip(("Task", "Speed"), treatments, strict=False)), number, value)
+        for place, (treatments, found) in enumerate(values.items())
+        for number, value in enumerate(found, start=1)
+    ]
+    return judge(asked, least, max(map(len, values.values())), runs)
+
+
+@pytest.mark.parametrize(
+    ("given", "is_relative", "unit"), [("2 %", True, ""), ("2%", True, ""), ("5 J", False, "J"), (0.5, False, "")]
+)
+def test_a_half_width_is_a_share_or_in_a_unit(given: Any, is_relative: bool, unit: str) -> None:
+    found = rule(given)
+    assert (found.is_relative, found.unit) == (is_relative, unit)
+    assert Precision.of_mapping(found.as_mapping()) == found
+
+
+def test_what_cannot_be_is_refused_all_at_once() -> None:
+    with pytest.raises(DesignError) as refused:
+        Precision("", half_width="two", at_most=True, of="mean")
+    problems = [finding.problem for finding in refused.value.findings]
+    assert problems == ["the measure is ''", "half_width is 'two'", "at_most is True", "of is 'mean'"]
+    assert refused.value.findings[-1].fix == "Did you mean 'means'?"
+    for wrong in ({"half_width": 0}, {"half_width": "-2 %"}, {"at_most": 2}, {"at_most": 201}):
+        with pytest.raises(DesignError):
+            rule(**{"half_width": "2 %", "at_most": 30, **wrong})
+
+
+def test_a_rule_that_does_not_fit_the_design_is_found() -> None:
+    units = {"Energy": "J", "Count": ""}
+    rules = [rule("5 mJ"), Precision("Enrgy", half_width=1, at_most=4), Precision("Count", half_width="1 m", at_most=9)]
+    found = {finding.problem: finding.fix for finding in precision_findings("here", rules, 5, units)}
+    assert found == {
+        "half_width is '5 mJ', and Energy has J": "Give it as a share ('2 %'), or in the measure's unit (J).",
+        "there is no measure 'Enrgy'": "Did you mean 'Energy'?",
+        "at_most is 4, and 5 repetitions are planned": (
+            "Plan fewer repetitions, or allow more: at_most counts all of them."
+        ),
+        "half_width is '1 m', and Count has no unit": "Give it as a share ('2 %'), or in the measure's unit (no unit).",
+    }
+    few = {
+        repetitions: [each.severity.value for each in precision_findings("here", [rule()], repetitions, units)]
+        for repetitions in (1, 2, 3, 4, 5)
+    }
+    assert few == {1: ["error"], 2: ["error"], 3: ["warning"], 4: ["warning"], 5: []}
+
+
+def test_each_combination_is_known_by_itself() -> None:
+    values = {("Video",): [200.0, 202, 198, 201, 199], ("Idle",): [10.0, 20, 5, 12, 30]}
+    found = judged(values, rule("5 %"))
+    level = level_at_each_look(5, 30)
+    assert [(each.of, each.n, each.is_precise) for each in found.known] == [("Video", 5, True), ("Idle", 5, False)]
+    assert found.known[0].half_width == pytest.approx(half_width_of(values["Video",], level))
+    assert found.known[0].wanted == pytest.approx(10.0)
+    assert found.needs_more
+    assert "for Idle, ± 5 % is wanted (1 of 2 means precise)" in found.in_words()
+
+
+def test_differences_are_those_within_repetitions() -> None:
+    drift = [0.0, 50, 100, 150, 200]
+    values = {
+        ("Video", "1"): [300 + each for each in drift],
+        ("Idle", "1"): [101 + each for each in drift],
+        ("Video", "2"): [310 + each + (-1) ** place for place, each in enumerate(drift)],
+        ("Idle", "2"): [None, *(103 + each for each in drift[1:])],
+    }
+    found = judged(values, rule("5 J", of="differences"))
+    by_name = {each.of: each for each in found.known}
+    assert set(by_name) == {"Video - Idle", "1 - 2"}
+    assert by_name["Video - Idle"].n == 4, "a repetition that lacks a value yields no difference"
+    assert by_name["Video - Idle"].mean == pytest.approx((199 + 207) / 2)
+    assert found.is_precise, "what changes from one repetition to the next falls out"
+    assert not judged(values, rule("5 J", of=PreciseOf.MEANS)).is_precise
+
+
+@pytest.mark.parametrize(
+    ("values", "asked", "problem"),
+    [
+        ({("Video",): [-1.0, 1, -1, 1, 0]}, "2 %", "Video: the mean is 0, of which 2 % is no width"),
+        ({("Video",): [1.0, 2, 3, 4, 5], ("Idle",): [None] * 5}, "2 %", "Idle: no run has a value of Energy"),
+        ({("Video",): [1.0, "high", 3, 4, 5]}, "2 %", "Energy: r_0_2 has 'high', which is no number"),
+        ({("Video",): [True] * 5}, "2 %", "Energy: r_0_1 has True, which is no number"),
+    ],
+)
+def test_what_cannot_be_known_ends_the_repetition(values: Any, asked: str, problem: str) -> None:
+    found = judged(values, rule(asked))
+    assert found.problems == (problem,)
+    assert not found.needs_more
+
+
+def test_values_that_are_all_the_same_are_precise_and_odd() -> None:
+    found = judged({("Video",): [7.0] * 5}, rule())
+    assert found.is_precise
+    assert found.known[0].oddity == "all 5 values are 7, so that nothing tells their spread"
+
+
+def test_one_value_is_too_few_and_at_most_is_the_end() -> None:
+    few = judged({("Video",): [7.0, None, None, None, None]}, rule())
+    assert few.known[0].half_width is None
+    assert few.needs_more
+    assert not judged({("Video",): [1.0, 90, 4]}, rule(at_most=3), least=3).needs_more
+
+
+def test_differences_of_nothing_are_no_precision() -> None:
+    found = judged({("Video",): [1.0, 2, 3]}, rule(of="differences"))
+    assert not found.is_precise
+    assert not found.needs_more
+    assert found.problems
+
+
+def test_the_rule_says_how_often_at_least_and_at_most() -> None:
+    rules = [rule(), Precision("Time", half_width="1 s", at_most=12, of="differences")]
+    assert rule_in_words(rules, 5) == (
+        "until the mean of Energy in each combination is known to ± 2 % and each difference of Time between treatments "
+        "is known to ± 1 s; at least 5, at most 30 repetitions"
+    )
+    assert rule_in_words((), 5) == ""
