@@ -11,9 +11,9 @@ from tests.analysis.made_experiment import make_experiment
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.planning.assumed_values import assumed_scenario, differences_of, numbers_of, with_blocks
+from robot_runner.analysis.planning.planned_study import Study
 from robot_runner.analysis.planning.power_search import Search, search_repetitions
 from robot_runner.analysis.planning.power_simulation import Simulation
-from robot_runner.analysis.planning.study import Study
 from robot_runner.analysis.statistics.families import claim_of, effect_key
 from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Estimand, Family, Statistic
 from robot_runner.core.design.factor import Factor

@@ -40,9 +40,9 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Callable
 
+    from robot_runner.analysis.planning.planned_study import Study
     from robot_runner.analysis.planning.power_analysis import PowerAnalysis
     from robot_runner.analysis.planning.power_search import PowerPoint, ScenarioPower, Search
-    from robot_runner.analysis.planning.study import Study
     from robot_runner.cli.parser import Parser
 
 __all__ = ["add_arguments", "add_assumptions", "computed_power", "execute"]
@@ -143,7 +143,7 @@ def computed_power(arguments: Namespace) -> PowerAnalysis:
 
 
 def _study(arguments: Namespace) -> Study:
-    from robot_runner.analysis.planning.study import Study  # noqa: PLC0415 - slow, and an extra
+    from robot_runner.analysis.planning.planned_study import Study  # noqa: PLC0415 - slow, and an extra
 
     with quiet_loading():
         preparation = prepare(Path(arguments.config), parse_assignments(arguments.set), is_for_here=False)

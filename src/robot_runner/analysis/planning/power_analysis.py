@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.analysis.planning.assumed_values import AssumedMeasure
+    from robot_runner.analysis.planning.planned_study import Study
     from robot_runner.analysis.planning.power_search import Found
-    from robot_runner.analysis.planning.study import Study
     from robot_runner.analysis.results import Results
 
 __all__ = ["Assumptions", "PowerAnalysis", "answer_in_words", "power_analysis", "share_in_words"]
