@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -153,7 +154,8 @@ def _study(arguments: Namespace) -> Study:
     show_findings([each for each in preparation.findings if each.where.startswith("analysis")])
     model = experiment.model.as_configured if isinstance(experiment.model, GrownRunTableModel) else experiment.model
     units = {column.name: column.measure.unit for column in experiment.columns.in_table if not column.tells_of}
-    return Study.of_model(experiment.parameters.experiment_name, model, experiment.parameters.analysis, units)
+    study = Study.of_model(experiment.parameters.experiment_name, model, experiment.parameters.analysis, units)
+    return replace(study, is_repeated=bool(experiment.parameters.repeat_until))
 
 
 def _search(arguments: Namespace) -> Search:

@@ -50,6 +50,7 @@ class Study:
         repetitions: how many the config plans.
         plan: what is fixed for the analysis; None where nothing is.
         units: the measures of the run table, with their units.
+        is_repeated: whether repetitions are added until measures are precise.
     """
 
     name: str
@@ -60,6 +61,7 @@ class Study:
     repetitions: int
     plan: AnalysisPlan | None
     units: Mapping[str, str]
+    is_repeated: bool = False
 
     @classmethod
     def of_model(cls, name: str, model: RunTableModel, plan: AnalysisPlan | None, units: Mapping[str, str]) -> Self:
