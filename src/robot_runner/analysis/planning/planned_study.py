@@ -69,10 +69,12 @@ class Study:
 
         Raises:
             AnalysisError: its runs are listed one by one, so that there are no repetitions to choose.
+            DesignError: it is too large to be planned.
         """
         if isinstance(model, ListedRunTableModel):
             fix = "Describe the design with factors and repetitions."
             raise AnalysisError("the runs are listed one by one", where=f"{name}.create_run_table", fix=fix)
+        model.plan()
         combinations = model.combinations_of(model.factors)
         return cls(
             name,
