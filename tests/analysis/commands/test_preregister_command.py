@@ -157,6 +157,8 @@ def test_a_registration_that_was_changed_or_is_missing_keeps_the_experiment_from
     changed = robot_runner("check", study)
     assert changed.code == 2
     assert "changed after it was made" in changed.out
+    assert robot_runner("run", study, "--plain").code == 2
+    assert not (tmp_path / "experiments").exists()
     for damaged in ("", "[]", '{"format": 99}', '{"format": 1}', "\x00"):
         path.write_text(damaged, encoding="utf-8")
         answer = robot_runner("check", study)
