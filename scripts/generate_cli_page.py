@@ -65,11 +65,15 @@ def _section(command: str) -> str:
 
 
 # Not argparse's own: it words and folds a usage differently in each version of Python.
+#: How often a word may be given, by argparse's sign of it.
+_FORMS = {"?": "[{}]", "*": "[{} ...]", "+": "{} ..."}
+
+
 def _usage(parser: Parser) -> str:
     words = [parser.prog]
     for action in parser.documented:
         if not action.option_strings:
-            words.append(f"[{_name(action)}]" if action.nargs == "?" else _name(action))
+            words.append(_FORMS.get(str(action.nargs), "{}").format(_name(action)))
         elif action.option_strings[0] != "-h":
             words.append(f"[{_name(action)}]")
     return " ".join(words)
