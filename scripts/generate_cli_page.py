@@ -60,7 +60,7 @@ def _section(command: str) -> str:
     parser = parser_of(command, command_module(installed_commands()[command]))
     lines = [f"## robot-runner {command}", "", parser.description or "", "", "```text", _usage(parser), "```", ""]
     lines += ["| argument | means |", "|---|---|"]
-    lines += [f"| `{_name(action)}` | {_cell(action.help or '')} |" for action in parser.documented]
+    lines += [f"| `{_name(action)}` | {_cell((action.help or '') % vars(action))} |" for action in parser.documented]
     return "\n".join([line.rstrip() for line in lines]) + "\n"
 
 
