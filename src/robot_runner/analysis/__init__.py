@@ -17,10 +17,13 @@ from robot_runner.core.doors import open_door
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from robot_runner.analysis.alignment import AlignedSamples as AlignedSamples
+    from robot_runner.analysis.alignment import Resampling as Resampling
     from robot_runner.analysis.comparison.combined import MetaAnalysis as MetaAnalysis
     from robot_runner.analysis.comparison.combining import meta_analyse as meta_analyse
     from robot_runner.analysis.comparison.compared import Comparison as Comparison
     from robot_runner.analysis.comparison.comparing import compare as compare
+    from robot_runner.analysis.lazy_samples import LazySamples as LazySamples
     from robot_runner.analysis.report.writing import write_report as write_report
     from robot_runner.analysis.results import Results as Results
     from robot_runner.analysis.results import load_results as load_results

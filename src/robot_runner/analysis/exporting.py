@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 import shutil
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ import pandas as pd
 import pyarrow as pa
 from pyarrow import parquet
 
+from robot_runner.analysis.sample_files import split_unit
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
 from robot_runner.core.storage.table_schema import data_package, file_resource, table_resource
@@ -32,10 +32,6 @@ __all__ = ["ExportContent", "arrow_table", "export_results"]
 
 _RUNS_AT_ONCE = 50  # so that an export takes no more memory than the samples of so many runs
 _UNIT = b"unit"
-
-#: Units as they stand at the end of a sample column's heading, as in `power_W`.
-_UNIT_SUFFIX = re.compile(r"_(s|A|V|W|J|m|rad|percent|Hz|K|Pa|N|m_s|rad_s)$")
-_UNIT_NAMES = {"percent": "%", "m_s": "m/s", "rad_s": "rad/s"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,12 +125,7 @@ def _copied_table(content: ExportContent, target: Path) -> Iterator[Path]:
 
 
 def _units(content: ExportContent, frame: pd.DataFrame) -> dict[str, str]:
-    return {name: content.unit(name) or _unit_of(name) for name in frame.columns}
-
-
-def _unit_of(heading: str) -> str:
-    found = _UNIT_SUFFIX.search(heading)
-    return _UNIT_NAMES.get(found[1], found[1]) if found else ""
+    return {name: content.unit(name) or split_unit(name)[1] for name in frame.columns}
 
 
 def _sample_tables(content: ExportContent, kind: SampleFile, *, as_floats: bool = False) -> Iterator[pa.Table]:

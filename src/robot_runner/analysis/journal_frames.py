@@ -45,6 +45,8 @@ class History:
         odd: `run_id`, `attempt`, `owner`, `problem`, `fix`.
         windows: when each run's measured window (its mission) began and ended, s on the run's clock.
         starts: when that began; where it is not known, when the run's measurement did.
+        uncertainties: how far the times of a plugin's samples may be wrong because another computer stamped them, s; by
+            plugin, by run, of the last attempt at each.
         readers: who read the treatment of each factor in runs that were done; None where that was not recorded.
     """
 
@@ -55,6 +57,7 @@ class History:
     windows: Mapping[str, tuple[float, float]]
     starts: Mapping[str, float]
     doubts: Mapping[str, Mapping[str, tuple[str, ...]]]
+    uncertainties: Mapping[str, Mapping[str, float]]
     readers: Mapping[str, tuple[str, ...]] | None = None
 
     def without(self, runs: Collection[str]) -> History:
@@ -79,6 +82,7 @@ def read_history(journal: Path) -> History:
     readers: dict[str, Callable[[Mapping[str, Any]], None]] = {
         "attempt_started": told.take_start,
         "attempt_finished": told.take_end,
+        "clock": told.take_clock,
         "event": told.take_event,
         "finding": told.odd.append,
         "window": told.take_window,
@@ -99,6 +103,7 @@ class _Told:
         self.doubts: dict[Attempt, dict[str, tuple[str, ...]]] = {}
         self.events: dict[Attempt, list[tuple[str, str, float | None]]] = defaultdict(list)
         self.windows: dict[Attempt, tuple[float, float]] = {}
+        self.uncertainties: dict[Attempt, dict[str, float]] = defaultdict(dict)
         self.readers: dict[str, dict[str, None]] | None = {}
         self.is_any_done = False
         self.odd: list[Mapping[str, Any]] = []
@@ -145,6 +150,10 @@ class _Told:
     def take_window(self, record: Mapping[str, Any]) -> None:
         self.windows[self._attempt(record)] = float(record["start"]), float(record["end"])
 
+    def take_clock(self, record: Mapping[str, Any]) -> None:
+        if isinstance(record.get("uncertainty"), int | float):
+            self.uncertainties[self._attempt(record)][self._once(record["owner"])] = float(record["uncertainty"])
+
     def history(self) -> History:
         last = {run: (run, attempt) for run, attempt in self.begun}
         windows = {run: self.windows[each] for run, each in last.items() if each in self.windows}
@@ -159,6 +168,7 @@ class _Told:
             windows,
             starts,
             {run: self.doubts[attempt] for run, attempt in ended.items()},
+            {run: self.uncertainties[each] for run, each in last.items() if each in self.uncertainties},
             readers if self.is_any_done and self.readers is not None else None,
         )
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from robot_runner.analysis.alignment import AlignedSamples, Resampling
+from robot_runner.analysis.experiment_facts import ExperimentFacts
 from robot_runner.analysis.exporting import ExportContent, export_results
 from robot_runner.analysis.journal_frames import History, read_history
+from robot_runner.analysis.raw_data import RawData
 from robot_runner.analysis.run_frame import (
     RunFrame,
     column_descriptions,
@@ -17,22 +20,10 @@ from robot_runner.analysis.run_frame import (
     quality_frame,
     read_run_frame,
 )
-from robot_runner.analysis.sample_files import (
-    PhaseSpans,
-    SampleFile,
-    choose_file,
-    find_sample_files,
-    phase_files,
-    phase_spans,
-    read_phases,
-    run_files,
-    told_windows,
-)
-from robot_runner.analysis.samples import SampleRequest, read_samples
-from robot_runner.core.design.analysis_plan import AnalysisPlan
-from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STATUS
-from robot_runner.core.errors import AnalysisError, StorageError, did_you_mean
-from robot_runner.core.events.measure import QUALITY_SUFFIX
+from robot_runner.analysis.sample_files import choose_file, run_files
+from robot_runner.analysis.samples import read_samples
+from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS
+from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.excluded_runs import ExcludedRuns
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -45,14 +36,15 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
+    from robot_runner.analysis.lazy_samples import LazySamples
+    from robot_runner.analysis.sample_files import SampleFile
     from robot_runner.core.errors import Finding
-    from robot_runner.core.storage.table_schema import ColumnDescription
 
 __all__ = ["Results", "load_results"]
 
 
 @dataclass(frozen=True)
-class Results:
+class Results(ExperimentFacts):
     """Everything that an experiment's folder holds, each part read when it is first asked for.
 
     Attributes:
@@ -68,61 +60,13 @@ class Results:
         >>> results.samples("Ina219", columns=["power_W"])  # doctest: +SKIP
     """
 
-    folder: Path
-    manifest: Mapping[str, Any] = field(repr=False)
-    columns: Mapping[str, ColumnDescription] = field(repr=False)
     with_excluded: bool = False
     with_warm_ups: bool = False
-
-    @property
-    def name(self) -> str:
-        """The experiment's name."""
-        return str(self.manifest.get("experiment_name", self.folder.name))
-
-    @property
-    def factors(self) -> tuple[str, ...]:
-        """The factors, without the one that only counts repetitions (as in the paper's Listing 1)."""
-        return tuple(name for name in self._named(ColumnRole.FACTOR) if name != self.repetition)
-
-    @property
-    def repetition(self) -> str | None:
-        """The column that counts the repetitions of a combination (ours, or a factor of that name), if there is one."""
-        counted = self._named(ColumnRole.REPETITION)
-        named = [name for name in self._named(ColumnRole.FACTOR) if name.casefold() == REPETITION.casefold()]
-        return next(iter((*counted, *named)), None)
-
-    @property
-    def block(self) -> str | None:
-        """The column of the blocks within which the order was randomised (a factor, or the repetition), if any."""
-        blocks = self.manifest.get("design", {}).get("blocks")
-        return blocks if blocks in self.columns else None
-
-    @property
-    def batch(self) -> str | None:
-        """The column that says in which batch a run was planned, where the experiment was extended: a stratum."""
-        return next(iter(self._named(ColumnRole.BATCH)), None)
 
     @property
     def warm_ups(self) -> tuple[str, ...]:
         """The ids of the warm-up runs, whether they are among the runs or left out."""
         return self._run_frame.warm_ups
-
-    @property
-    def measures(self) -> tuple[str, ...]:
-        """The measures that have a column in the run table, in its order; columns of qualities are left out."""
-        named = self._named(ColumnRole.MEASURE)
-        telling = {name + QUALITY_SUFFIX for name in named}
-        return tuple(name for name in named if name not in telling)
-
-    @property
-    def plan(self) -> AnalysisPlan | None:
-        """What was fixed for the analysis before the experiment, or None."""
-        return AnalysisPlan.of_mapping(plain) if (plain := self.manifest.get("analysis")) else None
-
-    @property
-    def seed(self) -> int | None:
-        """What the order of the runs comes from; None where it is not known."""
-        return None if (seed := self.manifest.get("seed")) is None else int(seed)
 
     @property
     def is_running(self) -> bool:
@@ -133,15 +77,6 @@ class Results:
     def findings(self) -> tuple[Finding, ...]:
         """What looked odd in the run table's file."""
         return self._run_frame.findings
-
-    def unit(self, name: str) -> str:
-        """Return the unit of a column (SI symbol, `%`, `1`); empty where there is none or it is not known."""
-        return self.columns[name].unit if name in self.columns else ""
-
-    def label(self, name: str) -> str:
-        """Return a heading for an axis or a table: the name with its unit in brackets, as in `Energy (J)`."""
-        unit = self.unit(name)
-        return f"{name} ({unit})" if unit not in {"", "1"} else name
 
     @property
     def runs(self) -> pd.DataFrame:
@@ -244,18 +179,12 @@ class Results:
         Raises:
             AnalysisError: there is no such run, or a file of phases does not say when they are.
         """
-        phases = self._phases[self._phases["run_id"].isin(self._chosen(runs))]
-        first = phases.groupby("run_id")["start_s"].transform("min")
-        start = phases["run_id"].map(self._history.starts).astype("float64").fillna(first)
-        phases = phases.assign(start_s=phases["start_s"] - start, end_s=phases["end_s"] - start)
-        joined = phases.merge(self.all_runs[[RUN_ID, *self._labels]], on=RUN_ID, how="left")
-        own = [name for name in joined.columns if name not in {RUN_ID, *self._labels}]
-        return joined[[RUN_ID, *self._labels, *own]]
+        return self._raw.mission_phases(self._chosen(runs))
 
-    @cached_property
+    @property
     def sample_files(self) -> tuple[SampleFile, ...]:
         """The kinds of raw-sample files that there are: plugin, file, columns, and the runs that have one."""
-        return find_sample_files(self._run_files)
+        return self._raw.sample_files
 
     def samples(
         self,
@@ -271,10 +200,10 @@ class Results:
         """Return raw samples of any or all runs as one tidy table, one row a sample.
 
         Columns: `run_id` (categorical), the factors (ordered categoricals), `time_s` (s since the start of the
-        mission; negative before it), `in_window` (whether the sample lies in the measured window, which is the
-        mission), `phase` (categorical) and `phase_number` (0 outside all phases), then the value columns as the plugin
-        wrote them, such as `power_W`. Where the mission is not known, times are counted from the start of measurement,
-        or from the first sample, and all samples count as within.
+        mission; negative before it), `in_window` (whether it lies in the measured window, which is the mission),
+        `phase` (categorical) and `phase_number` (0 outside all phases), then the value columns as the plugin wrote
+        them. Where the mission is not known, times are counted from the start of measurement, or from the first
+        sample, and all samples count as within.
 
         Args:
             plugin: whose samples; may be left out where only one plugin has any.
@@ -289,22 +218,75 @@ class Results:
             AnalysisError: there are no such samples, runs or columns; names those that there are.
             StorageError: a file cannot be read.
         """
-        kind = choose_file(self.sample_files, plugin, file)
-        run_ids = [run_id for run_id in self._chosen(runs) if run_id in kind.paths]
-        table = self.all_runs.set_index(RUN_ID).loc[run_ids]
-        is_done = table[STATUS] == RunStatus.DONE.value
-        windows = {**self._history.windows, **told_windows(kind, run_ids)}
-        request = SampleRequest(
-            kind,
-            run_ids,
-            tuple(kind.columns if columns is None else columns),
-            starts={**self._history.starts, **{run: start for run, (start, _) in windows.items()}},
-            windows=windows if with_window else None,
-            phases=self._phase_spans if with_phases else None,
-            factors={name: table[name].array for name in self._labels} if with_factors else {},
-            unfinished=frozenset(table.index[~is_done]),
+        raw = self._raw
+        request = raw.request(
+            choose_file(raw.sample_files, plugin, file),
+            self._chosen(runs),
+            columns,
+            with_factors=with_factors,
+            with_phases=with_phases,
+            with_window=with_window,
         )
         return read_samples(request)
+
+    def lazy_samples(
+        self,
+        plugin: str | None = None,
+        *,
+        file: str | None = None,
+        runs: Sequence[str] | None = None,
+        treatments: Mapping[str, object] | None = None,
+        columns: Sequence[str] | None = None,
+        phases: Sequence[str] | None = None,
+        within_window: bool = False,
+    ) -> LazySamples:
+        """Choose raw samples without reading them: they come in batches, however many there are.
+
+        Args:
+            plugin: as of `samples`.
+            file: as of `samples`.
+            runs: as of `samples`.
+            treatments: those to keep to, by factor: `{"Task": "Video"}`, or several in a list.
+            columns: as of `samples`.
+            phases: the names of the phases to keep to; None for all samples.
+            within_window: whether samples outside the measured window are left out.
+
+        Raises:
+            AnalysisError: there are no such samples, runs, treatments or phases; names those that there are.
+        """
+        kind = choose_file(self._raw.sample_files, plugin, file)
+        request = self._raw.request(kind, self._raw.with_treatments(self._chosen(runs), treatments or {}), columns)
+        return self._raw.lazy(request, within_window=within_window, phases=phases)
+
+    def aligned_samples(
+        self,
+        columns: Mapping[str, Sequence[str]],
+        *,
+        period: float,
+        resampling: Resampling = Resampling.MEAN,
+        runs: Sequence[str] | None = None,
+        treatments: Mapping[str, object] | None = None,
+    ) -> AlignedSamples:
+        """Return samples of several profilers on one grid of times, with what was interpolated.
+
+        Times are those of the run's clock, onto which samples of other computers were placed when they were taken. The
+        grid covers the measured window, else what all profilers cover. Runs that one of them has no samples of are left
+        out. Runs are read one after another.
+
+        Args:
+            columns: of each plugin: `{"Ina219": ["power_W"], "PsUtil": ["cpu_percent"]}`; `Ina219/samples.csv` where a
+                plugin has several files.
+            period: from one time to the next, s.
+            resampling: how a value is made for a time.
+            runs: as of `samples`.
+            treatments: as of `lazy_samples`.
+
+        Raises:
+            AnalysisError: there are no such samples, runs or columns, or they are no numbers.
+            StorageError: a file cannot be read.
+        """
+        chosen = self._raw.with_treatments(self._chosen(runs), treatments or {})
+        return self._raw.aligned(columns, chosen, period, resampling)
 
     def export(self, folder: Path | str | None = None) -> tuple[Path, ...]:
         """Write the run table and all raw samples as Parquet, and a data package that describes everything.
@@ -319,18 +301,13 @@ class Results:
             StorageError: a file cannot be written.
         """
         everything = list(self.all_runs[RUN_ID])
-        content = ExportContent(
-            self.name,
-            self.folder,
-            {
-                "run_table.parquet": self.all_runs,
-                "phases.parquet": self.phases(everything),
-                "events.parquet": self.events(everything),
-            },
-            self.sample_files,
-            lambda kind, runs: self.samples(kind.plugin, file=kind.name, runs=runs),
-            self.unit,
-        )
+        tables = {
+            "run_table.parquet": self.all_runs,
+            "phases.parquet": self.phases(everything),
+            "events.parquet": self.events(everything),
+        }
+        raw = self._raw
+        content = ExportContent(self.name, self.folder, tables, raw.sample_files, raw.samples_of, self.unit)
         return export_results(content, None if folder is None else Path(folder))
 
     @property
@@ -353,28 +330,14 @@ class Results:
         return history if self.with_warm_ups else history.without(self.warm_ups)
 
     @cached_property
-    def _run_files(self) -> dict[tuple[str, str], dict[str, Path]]:
-        return run_files(self._files, self._run_frame.frame[RUN_ID])
-
-    @cached_property
-    def _phases(self) -> pd.DataFrame:
-        return read_phases(phase_files(self._run_files))
-
-    @cached_property
-    def _phase_spans(self) -> dict[str, PhaseSpans]:
-        return phase_spans(self._phases)
-
-    def _named(self, role: ColumnRole) -> tuple[str, ...]:
-        return tuple(column.name for column in self.columns.values() if column.role is role)
+    def _raw(self) -> RawData:
+        runs = self._run_frame.frame
+        return RawData(run_files(self._files, runs[RUN_ID]), runs, self._labels, self._history)
 
     def _chosen(self, runs: Sequence[str] | None) -> list[str]:
         if runs is None:
             return list(self.runs[RUN_ID])
-        known = list(self._run_frame.frame[RUN_ID])
-        wanted = [runs] if isinstance(runs, str) else list(runs)
-        for run_id in set(wanted).difference(known):
-            raise AnalysisError(f"there is no run {run_id!r}", where=self.name, fix=did_you_mean(run_id, known))
-        return wanted
+        return self._raw.known_runs(runs, where=self.name)
 
 
 def load_results(folder: Path | str, *, with_excluded: bool = False, with_warm_ups: bool = False) -> Results:

@@ -32,6 +32,7 @@ __all__ = [
     "phase_spans",
     "read_phases",
     "run_files",
+    "split_unit",
     "told_windows",
 ]
 
@@ -46,6 +47,27 @@ _CONFIG = "config"
 
 #: Headings of the column of times, s on the run's clock; the first one that a file has counts.
 _TIME_HEADINGS = ("time_s", "t_s", "timestamp_s", "time", "t")
+
+
+#: Units as they stand at the end of a sample column's heading, and their symbols.
+_SYMBOLS = ("W", "mW", "kW", "A", "mA", "V", "mV", "J", "s", "ms", "m", "mm", "Hz", "kHz", "MHz", "K", "Pa", "N", "rad")
+_UNITS = {
+    **{symbol: symbol for symbol in (*_SYMBOLS, "B", "MB", "MiB")},
+    "percent": "%", "pct": "%", "C": "°C", "degC": "°C", "deg": "°",
+    "m_s": "m/s", "mps": "m/s", "rad_s": "rad/s", "radps": "rad/s",
+}  # fmt: skip
+
+
+def split_unit(heading: str) -> tuple[str, str]:
+    """Return the name and the unit of a column of samples, by its heading; without a unit, the heading and nothing.
+
+    Example:
+        >>> split_unit("power_W"), split_unit("speed_m_s"), split_unit("count")
+        (('power', 'W'), ('speed', 'm/s'), ('count', ''))
+    """
+    endings = sorted((each for each in _UNITS if heading.endswith(f"_{each}")), key=len)
+    name = heading[: -len(endings[-1]) - 1] if endings else ""
+    return (name, _UNITS[endings[-1]]) if name else (heading, "")
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,13 +18,20 @@ from robot_runner.core.storage.safe_write import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
     from robot_runner.analysis.sample_files import PhaseSpans, SampleFile
 
-__all__ = ["GrowingColumn", "SampleRequest", "read_samples"]
+__all__ = [
+    "GrowingColumn",
+    "SampleRequest",
+    "are_within",
+    "checked_columns",
+    "places_of_phases",
+    "read_samples",
+    "sample_source",
+]
 
 
 class GrowingColumn:
@@ -178,16 +185,34 @@ def read_samples(request: SampleRequest) -> pd.DataFrame:
         AnalysisError: there is no such column, or a file is no table.
         StorageError: a file cannot be read.
     """
-    for name in request.columns:
-        if name not in request.file.columns:
-            fix = did_you_mean(name, request.file.columns)
-            raise AnalysisError(f"there is no column {name!r}", where=request.file.label, fix=fix)
+    checked_columns(request)
     reader = _Reader(request)
     lengths, columns = _gather(reader)
     frame = pd.DataFrame(_columns(request, lengths, columns), copy=False)
     frame.attrs["source"] = request.file.label
     frame.attrs["skipped_rows"] = dict(reader.skipped)
     return frame
+
+
+def checked_columns(request: SampleRequest) -> None:
+    """Look whether the columns of a request are there.
+
+    Raises:
+        AnalysisError: one is not; names the nearest.
+    """
+    for name in request.columns:
+        if name not in request.file.columns:
+            fix = did_you_mean(name, request.file.columns)
+            raise AnalysisError(f"there is no column {name!r}", where=request.file.label, fix=fix)
+
+
+def sample_source(request: SampleRequest, run_id: str) -> Any:
+    """Return what Arrow reads the file of a run from; of a run that is not done, its whole lines."""
+    path = request.file.paths[run_id]
+    if run_id not in request.unfinished:
+        return path
+    content = path.read_bytes()
+    return pa.BufferReader(content[: content.rfind(b"\n") + 1])
 
 
 def _gather(reader: _Reader) -> tuple[NDArray[np.int64], dict[str, Any]]:
@@ -210,14 +235,14 @@ def _columns(request: SampleRequest, lengths: NDArray[np.int64], columns: dict[s
     times = np.asarray(columns.pop(request.file.time), dtype=np.float64)
     labels = _labels(request, lengths)
     phases = {} if request.phases is None else _phases(request.phases, times, slices)
-    within = {} if request.windows is None else {"in_window": _are_within(request.windows, times, slices)}
+    within = {} if request.windows is None else {"in_window": are_within(request.windows, times, slices)}
     for run, place in slices.items():
         if place.stop > place.start:
             times[place] -= request.starts.get(run, times[place.start])
     return {**labels, "time_s": times, **within, **phases, **columns}
 
 
-def _are_within(
+def are_within(
     windows: Mapping[str, tuple[float, float]], times: NDArray[np.float64], slices: Mapping[str, slice]
 ) -> NDArray[np.bool_]:
     """Return whether each sample lies in its run's window."""
@@ -270,7 +295,7 @@ class _Reader:
     def _read_one(self, run_id: str, types: Mapping[str, pa.DataType]) -> pa.Table:
         path = self._request.file.paths[run_id]
         try:
-            return self._parsed(run_id, path, types)
+            return self._parsed(run_id, types)
         except pa.ArrowInvalid as error:
             if not types:
                 fix = "Mend it, or move it away."
@@ -279,19 +304,15 @@ class _Reader:
             raise storage_error(path, "read", error) from error
         return self._read_one(run_id, {})
 
-    def _parsed(self, run_id: str, path: Path, types: Mapping[str, pa.DataType]) -> pa.Table:
+    def _parsed(self, run_id: str, types: Mapping[str, pa.DataType]) -> pa.Table:
         def skip(row: object) -> str:
             del row
             self.skipped[run_id] += 1
             return "skip"
 
-        source: Any = path
-        if run_id in self._request.unfinished:
-            content = path.read_bytes()
-            source = pa.BufferReader(content[: content.rfind(b"\n") + 1])
         self.skipped.pop(run_id, None)
         return arrow_csv.read_csv(
-            source,
+            sample_source(self._request, run_id),
             read_options=arrow_csv.ReadOptions(use_threads=False),
             parse_options=arrow_csv.ParseOptions(invalid_row_handler=skip),
             convert_options=arrow_csv.ConvertOptions(
@@ -318,10 +339,29 @@ def _labels(request: SampleRequest, lengths: NDArray[np.int64]) -> dict[str, Any
 def _phases(
     phases: Mapping[str, PhaseSpans], times: NDArray[np.float64], slices: Mapping[str, slice]
 ) -> dict[str, Any]:
-    """Return the phase of each sample, by its time on the run's clock; none, and number 0, outside all phases."""
+    """Return the columns of phases."""
     names = list(dict.fromkeys(name for spans in phases.values() for name in spans.names))
-    codes = np.full(len(times), -1, dtype=np.int8 if len(names) <= np.iinfo(np.int8).max else np.int32)
-    numbers = np.zeros(len(times), dtype=np.int16)
+    codes, numbers = places_of_phases(phases, names, times, slices)
+    return {"phase": pd.Categorical.from_codes(codes, names), "phase_number": numbers}
+
+
+def places_of_phases(
+    phases: Mapping[str, PhaseSpans], names: Sequence[str], times: NDArray[np.float64], slices: Mapping[str, slice]
+) -> tuple[NDArray[Any], NDArray[np.int16]]:
+    """Return the phase of each sample, by its time on the run's clock.
+
+    Args:
+        phases: those of each run.
+        names: all names of phases.
+        times: of the samples, s on the run's clock.
+        slices: which samples are of which run.
+
+    Returns:
+        The place of the phase's name among `names`, and its number; -1 and 0 outside all phases.
+    """
+    codes: NDArray[Any] = np.full(len(times), -1, dtype=np.int8 if len(names) <= np.iinfo(np.int8).max else np.int32)
+    numbers: NDArray[np.int16] = np.zeros(len(times), dtype=np.int16)
+    known = {name: place for place, name in enumerate(names)}
     for run, place in slices.items():
         spans = phases.get(run)
         if spans is None or not spans.names:
@@ -330,5 +370,5 @@ def _phases(
         found = np.searchsorted(spans.starts, within, side="right") - 1
         inside = (found >= 0) & (within < spans.ends[found])
         numbers[place] = np.where(inside, spans.numbers[found], 0)
-        codes[place] = np.where(inside, np.array([names.index(name) for name in spans.names])[found], -1)
-    return {"phase": pd.Categorical.from_codes(codes, names), "phase_number": numbers}
+        codes[place] = np.where(inside, np.array([known[name] for name in spans.names])[found], -1)
+    return codes, numbers

@@ -12,6 +12,7 @@ from robot_runner.analysis.figures.missions import Way, draw_mean_courses, draw_
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Tone
 from robot_runner.analysis.report.charts import course_chart
 from robot_runner.analysis.report.material import origin_badges, origin_in_words
+from robot_runner.analysis.sample_files import split_unit
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import counted
@@ -34,11 +35,6 @@ _MOST_GROUPS = 6
 #: More ways than that hide each other.
 _MOST_WAYS = 60
 _MARKED = ("launch_mission", "stop_measurement")
-_UNITS = {
-    "W": "W", "mW": "mW", "kW": "kW", "A": "A", "mA": "mA", "V": "V", "mV": "mV", "J": "J", "s": "s", "ms": "ms",
-    "m": "m", "mm": "mm", "Hz": "Hz", "kHz": "kHz", "MHz": "MHz", "percent": "%", "pct": "%", "C": "°C", "degC": "°C",
-    "K": "K", "rad": "rad", "deg": "°", "mps": "m/s", "radps": "rad/s", "B": "B", "MB": "MB", "MiB": "MiB",
-}  # fmt: skip
 _ACRONYMS = frozenset({"cpu", "gpu", "ram", "rss"})
 #: What columns are left out because others of the same file say the same in units that people read.
 _RAW = ("_raw", "_counts", "_ticks")
@@ -89,9 +85,8 @@ def _leading(columns: Sequence[str]) -> list[str]:
 
 
 def _measure(results: Results, file: SampleFile, column: str) -> SampledMeasure:
-    name, _, suffix = column.rpartition("_")
-    unit = _UNITS.get(suffix, "") if name else ""
-    words = (name if unit else column).replace("_", " ").split()
+    name, unit = split_unit(column)
+    words = name.replace("_", " ").split()
     title = " ".join(word.upper() if word.casefold() in _ACRONYMS else word for word in words)
     return SampledMeasure(file, column, title[:1].upper() + title[1:], unit, _origin(results, file.plugin))
 

@@ -31,6 +31,10 @@ if TYPE_CHECKING:
 __all__ = ["ReportFormat", "WrittenReport", "made_by", "write_page", "write_report"]
 
 
+#: With more, figures as PDF are not left to a process of its own.
+_MOST_RUNS = 2_000
+
+
 class ReportFormat(Enum):
     """What a report is written as."""
 
@@ -79,10 +83,11 @@ def write_report(
     """
     draws = kind is not ReportFormat.JSON
     with ExitStack() as closing:
-        # The worker is started first, so that it is ready when the first figure is; on one core it would only compete.
-        helps = draws and FigureFormat.PDF in figures and (os.cpu_count() or 1) > 1
-        worker = closing.enter_context(PdfWorker()) if helps else None
         results = experiment if isinstance(experiment, Results) else load_results(experiment)
+        # The worker is started early, so that it is ready when the first figure is. On one core it would only compete,
+        # and with thousands of runs figures take little of the time, and the worker much of the memory.
+        helps = draws and FigureFormat.PDF in figures and (os.cpu_count() or 1) > 1 and len(results.runs) <= _MOST_RUNS
+        worker = closing.enter_context(PdfWorker()) if helps else None
         material = Material(results, analyse(results, measures=measures, alpha=alpha))
         folder = ExperimentFolder(results.folder).report if output is None else output
         made = made_by("Report", datetime.now(UTC))

@@ -1,0 +1,149 @@
+"""Samples of several profilers on one grid of times, although each was sampled at a rate of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import pandas as pd
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+__all__ = ["AlignedColumn", "AlignedSamples", "Resampling", "align_values", "grid_of", "median_period"]
+
+#: A value is made between samples that are this many of their periods apart at most; beyond that there is a hole.
+_MOST_PERIODS = 3.0
+_ROUNDING = 1e-9
+
+
+class Resampling(Enum):
+    """How a value is made for a time of the grid.
+
+    MEAN takes the mean of the samples nearer to that time than to any other of the grid, and where there is none goes
+    along the straight line between the neighbours; LINEAR always does that; PREVIOUS takes the last sample before.
+    """
+
+    MEAN = "mean"
+    LINEAR = "linear"
+    PREVIOUS = "previous"
+
+
+@dataclass(frozen=True, slots=True)
+class AlignedColumn:
+    """What one column of aligned samples is made from.
+
+    Attributes:
+        name: of the column: the plugin's and its own, as in `Ina219.power_W`.
+        unit: as its heading tells; empty where it does not.
+        period: the median time between its samples, s.
+        interpolated: the share of its values that lie between samples and were made from them, percent.
+        missing: the share of its values that are missing, percent.
+        clock_uncertainty: how far its times may be wrong beside the others', s: the largest of all runs, as the plugin
+            noted it; None where it was stamped by the run's own clock, or where it is not known.
+    """
+
+    name: str
+    unit: str
+    period: float
+    interpolated: float
+    missing: float
+    clock_uncertainty: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class AlignedSamples:
+    """Samples of several profilers on one grid of times.
+
+    Attributes:
+        frame: `run_id` (categorical), the factors, `time_s` (s since the start of the mission, multiples of the
+            period), and the columns; where nothing was sampled near a time, NaN.
+        period: of the grid, s.
+        resampling: how values were made.
+        columns: what each column is made from.
+    """
+
+    frame: pd.DataFrame
+    period: float
+    resampling: Resampling
+    columns: tuple[AlignedColumn, ...]
+
+
+class Aligned(NamedTuple):
+    """Values at the times of a grid, and which of them lie between samples."""
+
+    course: Floats
+    is_interpolated: NDArray[np.bool_]
+
+
+def median_period(times: Floats) -> float:
+    """Return the median time between samples, s; NaN where there are fewer than two."""
+    return float(np.median(np.diff(times))) if len(times) > 1 else float("nan")
+
+
+def grid_of(spans: Sequence[tuple[float, float]], period: float, window: tuple[float, float] | None) -> Floats:
+    """Return the times at which samples are to stand: multiples of the period, s since the start of the mission.
+
+    Args:
+        spans: the first and the last time of each source.
+        period: s.
+        window: the measured one; None for the time that all sources cover.
+
+    Example:
+        >>> grid_of([(-0.1, 1.3), (0.2, 1.0)], 0.5, None).tolist()
+        [0.5, 1.0]
+    """
+    low, high = window or (max(first for first, _ in spans), min(last for _, last in spans))
+    first, last = np.ceil(low / period - _ROUNDING), np.floor(high / period + _ROUNDING)
+    return np.arange(first, last + 1) * period
+
+
+def align_values(times: Floats, values: Floats, grid: Floats, period: float, how: Resampling) -> Aligned:
+    """Return one source's values at the times of a grid.
+
+    Args:
+        times: of its samples, s, ascending.
+        values: as many; NaN where one is missing.
+        grid: s, ascending, `period` apart.
+        period: of the grid, s.
+        how: how a value is made.
+    """
+    there = np.isfinite(times) & np.isfinite(values)
+    times, values = times[there], values[there]
+    if not len(times) or not len(grid):
+        return Aligned(np.full(len(grid), np.nan), np.zeros(len(grid), dtype=bool))
+    own = median_period(times)
+    reach = _MOST_PERIODS * max(own if np.isfinite(own) else period, period)
+    if how is Resampling.PREVIOUS:
+        return Aligned(_previous(times, values, grid, reach), np.zeros(len(grid), dtype=bool))
+    between = _between(times, values, grid, reach)
+    on_sample = np.isin(np.round(grid / _ROUNDING), np.round(times / _ROUNDING))
+    if how is Resampling.LINEAR:
+        return Aligned(between, np.isfinite(between) & ~on_sample)
+    places = np.floor((times - grid[0]) / period + 0.5 + _ROUNDING).astype(np.int64)
+    inside = (places >= 0) & (places < len(grid))
+    counts = np.bincount(places[inside], minlength=len(grid))
+    sums = np.bincount(places[inside], weights=values[inside], minlength=len(grid))
+    is_filled = counts > 0
+    made = np.where(is_filled, sums / np.maximum(counts, 1), between)
+    return Aligned(made, ~is_filled & np.isfinite(made))
+
+
+def _between(times: Floats, values: Floats, grid: Floats, reach: float) -> Floats:
+    """Return values on the straight lines between neighbours; NaN beyond the ends and in holes wider than `reach`."""
+    made = np.interp(grid, times, values, left=np.nan, right=np.nan)
+    after = np.clip(np.searchsorted(times, grid, side="left"), 0, len(times) - 1)
+    before = np.clip(np.searchsorted(times, grid, side="right") - 1, 0, len(times) - 1)
+    return np.where(times[after] - times[before] > reach + _ROUNDING, np.nan, made)
+
+
+def _previous(times: Floats, values: Floats, grid: Floats, reach: float) -> Floats:
+    places = np.searchsorted(times, grid + _ROUNDING, side="right") - 1
+    is_near = (places >= 0) & (grid - times[np.maximum(places, 0)] <= reach)
+    return np.where(is_near, values[np.maximum(places, 0)], np.nan)

@@ -1,0 +1,187 @@
+"""Raw samples read batch by batch, so that more of them can be gone through than fit into memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import csv as arrow_csv
+
+from robot_runner.analysis.samples import are_within, checked_columns, places_of_phases, sample_source
+from robot_runner.core.errors import AnalysisError
+from robot_runner.core.storage.safe_write import storage_error
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+    import pandas as pd
+    from numpy.typing import NDArray
+
+    from robot_runner.analysis.samples import SampleRequest
+
+__all__ = ["LazySamples"]
+
+#: Bytes of a file that are parsed at once, some 20,000 samples of six columns; Arrow reads some 30 of them ahead.
+_BLOCK = 1 << 20
+
+
+@dataclass(frozen=True)
+class LazySamples:
+    """Raw samples that were chosen and are not read yet; each use reads the files anew, one batch at a time.
+
+    Columns are those of `Results.samples`. Numbers are float64 in every batch, so that all batches have one schema.
+
+    Attributes:
+        request: which file, runs and columns.
+        within_window: whether samples outside the measured window are left out.
+        only_phases: the names of the phases to keep to; None for all, and what is outside of phases.
+
+    Example:
+        >>> samples = load_results("experiments/long").lazy_samples("Ina219", columns=["power_W"])  # doctest: +SKIP
+        >>> max(batch["power_W"].max() for batch in samples.frames())  # doctest: +SKIP
+        >>> pyarrow.parquet.write_table(samples.reader().read_all(), "samples.parquet")  # doctest: +SKIP
+    """
+
+    request: SampleRequest
+    within_window: bool = False
+    only_phases: frozenset[str] | None = None
+
+    def reader(self) -> pa.RecordBatchReader:
+        """Return a stream of Arrow record batches, as DuckDB, Polars, pyarrow.dataset and Parquet writers take it.
+
+        Raises:
+            AnalysisError: there is no such column; and while it is read: a file does not hold what the first does.
+            StorageError: a file cannot be read.
+        """
+        checked_columns(self.request)
+        types = self._types()
+        return pa.RecordBatchReader.from_batches(self._schema(types), self._batches(types))
+
+    def frames(self) -> Iterator[pd.DataFrame]:
+        """Yield data frames of some 20,000 samples, each of one run, in the order of the runs."""
+        for batch in self.reader():
+            yield batch.to_pandas()
+
+    def frame(self) -> pd.DataFrame:
+        """Return all that was chosen as one data frame; it must fit into memory."""
+        return self.reader().read_pandas()
+
+    def _types(self) -> dict[str, pa.DataType]:
+        """Return the type of each column, found out from the first block of each file until all are known."""
+        types: dict[str, pa.DataType] = {self.request.file.time: pa.float64()}
+        for run_id in self.request.run_ids:
+            missing = [name for name in self.request.columns if name not in types]
+            if not missing:
+                break
+            for field in self._opened(run_id, {}).schema:
+                if field.name in missing and not pa.types.is_null(field.type):
+                    types[field.name] = _widened(field.type)
+        return {name: types.get(name, pa.float64()) for name in (self.request.file.time, *self.request.columns)}
+
+    def _schema(self, types: Mapping[str, pa.DataType]) -> pa.Schema:
+        request = self.request
+        fields = [("run_id", pa.dictionary(pa.int32(), pa.string()))]
+        fields += [
+            (name, pa.dictionary(pa.int32(), pa.array(each.categories).type, ordered=True))
+            for name, each in request.factors.items()
+        ]
+        fields.append(("time_s", pa.float64()))
+        if request.windows is not None:
+            fields.append(("in_window", pa.bool_()))
+        if request.phases is not None:
+            fields += [("phase", pa.dictionary(pa.int32(), pa.string())), ("phase_number", pa.int16())]
+        return pa.schema([*fields, *((name, types[name]) for name in request.columns)])
+
+    def _batches(self, types: Mapping[str, pa.DataType]) -> Iterator[pa.RecordBatch]:
+        schema, labels = self._schema(types), _Labels(self.request)
+        for place, run_id in enumerate(self.request.run_ids):
+            start = self.request.starts.get(run_id)
+            for raw in self._raw_batches(run_id, types):
+                times = raw.column(self.request.file.time).to_numpy(zero_copy_only=False)
+                start = float(times[0]) if start is None and len(times) else start
+                columns, chosen = self._told(run_id, times)
+                values = (raw.column(name) for name in self.request.columns)
+                since = pa.array(times - (start or 0.0), from_pandas=True)
+                arrays = [*labels.of_run(place, len(times)), since, *columns, *values]
+                batch = pa.RecordBatch.from_arrays(arrays, schema=schema)
+                yield batch if chosen is None else batch.filter(pa.array(chosen))
+
+    def _told(self, run_id: str, times: NDArray[np.float64]) -> tuple[list[pa.Array], NDArray[np.bool_] | None]:
+        """Return the columns of the window and the phases, and which samples are chosen (None for all)."""
+        request, whole = self.request, {run_id: slice(0, len(times))}
+        arrays: list[pa.Array] = []
+        chosen: NDArray[np.bool_] | None = None
+        if request.windows is not None:
+            within = are_within(request.windows, times, whole)
+            arrays.append(pa.array(within))
+            chosen = within if self.within_window else None
+        if request.phases is not None:
+            names = list(dict.fromkeys(name for spans in request.phases.values() for name in spans.names))
+            codes, numbers = places_of_phases(request.phases, names, times, whole)
+            arrays.append(_dictionary(codes.astype(np.int32), pa.array(names, pa.string())))
+            arrays.append(pa.array(numbers))
+            if self.only_phases is not None:
+                kept = [place for place, name in enumerate(names) if name in self.only_phases]
+                there = np.isin(codes, kept)
+                chosen = there if chosen is None else chosen & there
+        return arrays, chosen
+
+    def _raw_batches(self, run_id: str, types: Mapping[str, pa.DataType]) -> Iterator[pa.RecordBatch]:
+        path = self.request.file.paths[run_id]
+        try:
+            yield from self._opened(run_id, types)
+        except pa.ArrowInvalid as error:
+            raise _not_alike(path, error) from error
+        except OSError as error:
+            raise storage_error(path, "read", error) from error
+
+    def _opened(self, run_id: str, types: Mapping[str, pa.DataType]) -> arrow_csv.CSVStreamingReader:
+        path = self.request.file.paths[run_id]
+        try:
+            return arrow_csv.open_csv(
+                sample_source(self.request, run_id),
+                read_options=arrow_csv.ReadOptions(block_size=_BLOCK),
+                parse_options=arrow_csv.ParseOptions(invalid_row_handler=lambda _: "skip"),
+                convert_options=arrow_csv.ConvertOptions(
+                    include_columns=[self.request.file.time, *self.request.columns],
+                    include_missing_columns=True,
+                    column_types=dict(types),
+                    strings_can_be_null=True,
+                ),
+            )
+        except pa.ArrowInvalid as error:
+            raise _not_alike(path, error) from error
+        except OSError as error:
+            raise storage_error(path, "read", error) from error
+
+
+class _Labels:
+    """The run and its treatments as columns; what they can be is held once for all batches."""
+
+    def __init__(self, request: SampleRequest) -> None:
+        self._run_ids = pa.array(list(request.run_ids), pa.string())
+        self._factors = [(np.asarray(each.codes), pa.array(each.categories)) for each in request.factors.values()]
+
+    def of_run(self, place: int, count: int) -> Iterator[pa.Array]:
+        yield _dictionary(np.full(count, place, np.int32), self._run_ids)
+        for codes, treatments in self._factors:
+            yield _dictionary(np.full(count, codes[place], np.int32), treatments, ordered=True)
+
+
+def _dictionary(codes: NDArray[np.int32], words: pa.Array, *, ordered: bool = False) -> pa.Array:
+    return pa.DictionaryArray.from_arrays(pa.array(codes, mask=codes < 0), words, ordered=ordered)
+
+
+def _widened(kind: pa.DataType) -> pa.DataType:
+    """Return the type that a column has in all files: whole numbers in one may be fractions in the next."""
+    is_kept = pa.types.is_boolean(kind) or pa.types.is_timestamp(kind)
+    is_number = pa.types.is_integer(kind) or pa.types.is_floating(kind)
+    return pa.float64() if is_number else kind if is_kept else pa.string()
+
+
+def _not_alike(path: Path, error: Exception) -> AnalysisError:
+    fix = "Leave the run or the column out, or read the samples with Results.samples, which widens types."
+    return AnalysisError(f"the file does not hold what the first one does: {error}", where=str(path), fix=fix)

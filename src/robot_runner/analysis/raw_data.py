@@ -1,0 +1,266 @@
+"""The raw samples of an experiment: which there are, of which runs, and how they are placed in the mission."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from robot_runner.analysis.alignment import AlignedColumn, AlignedSamples, align_values, grid_of, median_period
+from robot_runner.analysis.lazy_samples import LazySamples
+from robot_runner.analysis.sample_files import (
+    PhaseSpans,
+    SampleFile,
+    choose_file,
+    find_sample_files,
+    phase_files,
+    phase_spans,
+    read_phases,
+    split_unit,
+    told_windows,
+)
+from robot_runner.analysis.samples import SampleRequest, read_samples
+from robot_runner.core.design.columns import RUN_ID, STATUS
+from robot_runner.core.errors import AnalysisError, did_you_mean
+from robot_runner.core.storage.cells import RunStatus
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from robot_runner.analysis.alignment import Aligned, Resampling
+    from robot_runner.analysis.journal_frames import History
+
+__all__ = ["RawData"]
+
+
+@dataclass(frozen=True)
+class RawData:
+    """What lies below the runs' folders.
+
+    Attributes:
+        files: the CSV files, as `run_files` returns them.
+        runs: the run table.
+        factors: the columns that say which combination a run is of.
+        history: what the journal tells.
+    """
+
+    files: Mapping[tuple[str, str], Mapping[str, Path]]
+    runs: pd.DataFrame
+    factors: Sequence[str]
+    history: History
+
+    @cached_property
+    def sample_files(self) -> tuple[SampleFile, ...]:
+        """The kinds of files of raw samples."""
+        return find_sample_files(self.files)
+
+    @cached_property
+    def phases(self) -> pd.DataFrame:
+        """The phases of missions, on the runs' clocks."""
+        return read_phases(phase_files(self.files))
+
+    @cached_property
+    def phase_spans(self) -> dict[str, PhaseSpans]:
+        """The phases of each run."""
+        return phase_spans(self.phases)
+
+    def known_runs(self, runs: Sequence[str], *, where: str) -> list[str]:
+        """Return the ids of runs, one or several, as a list.
+
+        Raises:
+            AnalysisError: there is no such run.
+        """
+        known = list(self.runs[RUN_ID])
+        wanted = [runs] if isinstance(runs, str) else list(runs)
+        for run_id in set(wanted).difference(known):
+            raise AnalysisError(f"there is no run {run_id!r}", where=where, fix=did_you_mean(run_id, known))
+        return wanted
+
+    def mission_phases(self, runs: Sequence[str]) -> pd.DataFrame:
+        """Return the phases of runs, s since the start of the mission; see `Results.phases`."""
+        phases = self.phases[self.phases["run_id"].isin(runs)]
+        first = phases.groupby("run_id")["start_s"].transform("min")
+        start = phases["run_id"].map(self.history.starts).astype("float64").fillna(first)
+        phases = phases.assign(start_s=phases["start_s"] - start, end_s=phases["end_s"] - start)
+        joined = phases.merge(self.runs[[RUN_ID, *self.factors]], on=RUN_ID, how="left")
+        own = [name for name in joined.columns if name not in {RUN_ID, *self.factors}]
+        return joined[[RUN_ID, *self.factors, *own]]
+
+    def samples_of(self, kind: SampleFile, runs: Iterable[str]) -> pd.DataFrame:
+        """Return all samples of one kind of some runs."""
+        return read_samples(self.request(kind, runs, None))
+
+    def request(
+        self,
+        kind: SampleFile,
+        runs: Iterable[str],
+        columns: Sequence[str] | None,
+        *,
+        with_factors: bool = True,
+        with_phases: bool = True,
+        with_window: bool = True,
+    ) -> SampleRequest:
+        """Return what is to be read of those of these runs that have such a file; see `Results.samples`."""
+        run_ids = [run_id for run_id in runs if run_id in kind.paths]
+        table = self.runs.set_index(RUN_ID).loc[run_ids]
+        is_done = table[STATUS] == RunStatus.DONE.value
+        windows = {**self.history.windows, **told_windows(kind, run_ids)}
+        return SampleRequest(
+            kind,
+            run_ids,
+            tuple(kind.columns if columns is None else columns),
+            starts={**self.history.starts, **{run: start for run, (start, _) in windows.items()}},
+            windows=windows if with_window else None,
+            phases=self.phase_spans if with_phases else None,
+            factors={name: table[name].array for name in self.factors} if with_factors else {},
+            unfinished=frozenset(table.index[~is_done]),
+        )
+
+    def with_treatments(self, run_ids: Iterable[str], treatments: Mapping[str, object]) -> list[str]:
+        """Return those of the runs that have these treatments.
+
+        Args:
+            run_ids: the runs.
+            treatments: by factor, one or several; as they are, or as the run table has them.
+
+        Raises:
+            AnalysisError: there is no such factor or treatment.
+        """
+        table = self.runs.set_index(RUN_ID).loc[list(run_ids)]
+        for factor, wanted in treatments.items():
+            if factor not in self.factors:
+                fix = did_you_mean(factor, self.factors)
+                raise AnalysisError(f"there is no factor {factor!r}", where="samples", fix=fix)
+            words = {str(each) for each in (wanted if isinstance(wanted, list | tuple | set | frozenset) else [wanted])}
+            known = list(map(str, table[factor].cat.categories))
+            for word in words.difference(known):
+                problem, fix = f"factor {factor!r} has no treatment {word!r}", did_you_mean(word, known)
+                raise AnalysisError(problem, where="samples", fix=fix)
+            table = table[table[factor].astype("str").isin(words)]
+        return list(table.index)
+
+    def lazy(self, request: SampleRequest, *, within_window: bool, phases: Sequence[str] | None) -> LazySamples:
+        """Return samples that are read when they are used.
+
+        Raises:
+            AnalysisError: there is no such phase.
+        """
+        known = list(dict.fromkeys(name for spans in self.phase_spans.values() for name in spans.names))
+        for name in phases or ():
+            if name not in known:
+                raise AnalysisError(f"there is no phase {name!r}", where="samples", fix=did_you_mean(name, known))
+        return LazySamples(request, within_window, None if phases is None else frozenset(phases))
+
+    def aligned(
+        self, columns: Mapping[str, Sequence[str]], run_ids: Sequence[str], period: float, how: Resampling
+    ) -> AlignedSamples:
+        """Return samples of several profilers on one grid of times, run by run; see `Results.aligned_samples`."""
+        if not (math.isfinite(period) and period > 0):
+            fix = "Give seconds, as in 0.1."
+            raise AnalysisError(f"{period!r} is no period of a grid", where="aligned samples", fix=fix)
+        sources = [_Source.of(self.sample_files, label, names) for label, names in columns.items()]
+        shared = [run_id for run_id in run_ids if all(run_id in source.kind.paths for source in sources)]
+        pieces = [piece for run_id in shared if (piece := self._aligned_run(run_id, sources, period, how)) is not None]
+        headings = [source.heading(name) for source in sources for name in source.names]
+        frame = pd.concat(pieces, ignore_index=True) if pieces else pd.DataFrame(columns=["time_s", *headings])
+        lengths = [len(piece) for piece in pieces]
+        table = self.runs.set_index(RUN_ID).loc[[str(piece.attrs["run"]) for piece in pieces]]
+        labels = {RUN_ID: pd.Categorical.from_codes(np.repeat(np.arange(len(table)), lengths), list(table.index))}
+        for name in self.factors:
+            codes = np.repeat(np.asarray(table[name].cat.codes), lengths)
+            labels[name] = pd.Categorical.from_codes(codes, table[name].cat.categories, ordered=True)
+        frame = pd.concat([pd.DataFrame(labels), frame], axis=1)
+        told = tuple(source.told(name, frame) for source in sources for name in source.names)
+        return AlignedSamples(frame, period, how, told)
+
+    def _aligned_run(
+        self, run_id: str, sources: Sequence[_Source], period: float, how: Resampling
+    ) -> pd.DataFrame | None:
+        """Return the columns of one run; None where a source has no samples of it."""
+        read = [self._numbers(source, run_id) for source in sources]
+        if any(not len(times) for times, _ in read):
+            return None
+        window = self.history.windows.get(run_id)
+        length = None if window is None else (0.0, window[1] - window[0])
+        grid = grid_of([(float(times[0]), float(times[-1])) for times, _ in read], period, length)
+        data: dict[str, NDArray[np.float64]] = {"time_s": grid}
+        for source, (times, values) in zip(sources, read, strict=True):
+            source.take(run_id, times, self.history.uncertainties.get(run_id, {}))
+            for name in source.names:
+                made = align_values(times, values[name], grid, period, how)
+                data[source.heading(name)] = made.course
+                source.count(name, made)
+        piece = pd.DataFrame(data)
+        piece.attrs["run"] = run_id
+        return piece
+
+    def _numbers(self, source: _Source, run_id: str) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
+        """Return the times of a run's samples, ascending, and the values of each column.
+
+        Raises:
+            AnalysisError: a column holds no numbers.
+        """
+        request = self.request(source.kind, [run_id], source.names, with_factors=False, with_phases=False)
+        samples = read_samples(request).dropna(subset=["time_s"]).sort_values("time_s", kind="stable")
+        for name in source.names:
+            if samples[name].dtype.kind not in "biuf":
+                fix = "Choose columns of numbers; read texts with Results.samples."
+                raise AnalysisError(f"column {name!r} holds no numbers", where=source.kind.label, fix=fix)
+        times = samples["time_s"].to_numpy(dtype=np.float64)
+        return times, {name: samples[name].to_numpy(dtype=np.float64) for name in source.names}
+
+
+class _Source:
+    """One profiler's columns in aligned samples, and what is counted of them while runs are aligned."""
+
+    def __init__(self, kind: SampleFile, names: tuple[str, ...]) -> None:
+        self.kind, self.names = kind, names
+        self._periods: list[float] = []
+        self._uncertainties: list[float] = []
+        self._interpolated = dict.fromkeys(names, 0)
+
+    @classmethod
+    def of(cls, kinds: Sequence[SampleFile], label: str, names: Sequence[str]) -> _Source:
+        """Return a source by its plugin, or by plugin and file as in `Meter/packets.csv`."""
+        plugin, _, file = label.partition("/")
+        return cls(choose_file(kinds, plugin, file or None), tuple([names] if isinstance(names, str) else names))
+
+    def heading(self, name: str) -> str:
+        return f"{self.kind.plugin}.{name}"
+
+    def take(self, run_id: str, times: NDArray[np.float64], uncertainties: Mapping[str, float]) -> None:
+        self._periods.append(median_period(times))
+        noted = _noted_uncertainty(self.kind.paths[run_id].parent / "quality.json")
+        told = (uncertainties.get(self.kind.plugin), noted)
+        self._uncertainties += [each for each in told if each is not None]
+
+    def count(self, name: str, made: Aligned) -> None:
+        self._interpolated[name] += int(np.count_nonzero(made.is_interpolated))
+
+    def told(self, name: str, frame: pd.DataFrame) -> AlignedColumn:
+        count = max(1, len(frame))
+        return AlignedColumn(
+            self.heading(name),
+            split_unit(name)[1],
+            float(np.nanmedian(self._periods)) if np.isfinite(self._periods).any() else float("nan"),
+            100 * self._interpolated[name] / count,
+            100 * int(frame[self.heading(name)].isna().sum()) / count,
+            max(self._uncertainties, default=None),
+        )
+
+
+def _noted_uncertainty(path: Path) -> float | None:
+    """Return how far the times of a meter with a clock of its own may be wrong, s, as its plugin noted it."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))["samples"]["clock_uncertainty"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return float(found) if isinstance(found, int | float) and math.isfinite(found) else None
