@@ -209,3 +209,30 @@ def test_the_power_of_the_same_study_is_registered_with_it(
     refused = robot_runner("preregister", study, "--power", "power/power.json", "--replace")
     assert refused.code == 2
     assert "the factors differ" in refused.err
+
+
+def test_repetitions_that_the_registered_rule_adds_are_no_deviation_and_another_rule_is_one(
+    robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
+) -> None:
+    precise = 'experiment_name = "two_tasks"\n    repeat_until = Precision("Energy", half_width=4, at_most=6)'
+    config = CONFIG.replace("import AnalysisPlan,", "import AnalysisPlan, Precision,")
+    study.write_text(config.replace('experiment_name = "two_tasks"', precise), encoding="utf-8")
+    answer = robot_runner("preregister", study)
+    assert answer.code == 0, answer.err
+    registration = json.loads((tmp_path / "study.registration.json").read_text(encoding="utf-8"))
+    assert registration["repeat_until"]["rules"][0]["half_width"] == "4"
+    assert robot_runner("run", study, "--plain").code == 0
+    report = report_of(robot_runner, tmp_path / "report")
+    assert report["precision"][0]["repetitions"] == 6
+    assert report["registration"]["deviations"] == ["measures tested that were not planned: CPU"]
+    study.write_text(study.read_text(encoding="utf-8").replace("at_most=6", "at_most=7"), encoding="utf-8")
+    assert robot_runner("run", study, "--plain", "--accept-changes").code == 0
+    told = report_of(robot_runner, tmp_path / "report")["registration"]["deviations"]
+    until = "until the mean of Energy in each combination is known to ± 4; at least 3, at most"
+    expected = (
+        f"combinations are repeated {until} 7 repetitions, and {until} 6 repetitions was registered",
+        "the file study.py was changed after the registration",
+        "how precisely measures are to be known was changed after runs had been executed",
+        "measures tested that were not planned: CPU",
+    )
+    assert sorted(told) == sorted(expected)
