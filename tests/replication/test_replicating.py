@@ -226,6 +226,23 @@ def test_an_experiment_that_was_extended_is_executed_again_with_its_batches(tmp_
     assert _runs(again) == _runs(original)
 
 
+def test_a_replication_has_the_repetitions_that_were_added_until_the_original_was_precise(tmp_path):
+    config = tmp_path / "study.py"
+    body = GROWING.replace("import ExperimentConfig", "import ExperimentConfig, Precision").replace(
+        "shuffle=True,", "shuffle=True, repetitions=3,"
+    )
+    rule = '    repeat_until = Precision("Number", half_width=4, at_most=8)\n    results_output_path'
+    config.write_text(body.replace("    results_output_path", rule), encoding="utf-8")
+    original = execute(config)  # its values grow with the number of the run: it becomes less precise with each
+    assert len(_runs(original)) == 1 + 2 * 8
+    _replicate(original, tmp_path / "again")
+    again = tmp_path / "again" / "growing"
+    assert _runs(again) == _runs(original)
+    manifest, was = (read_manifest(ExperimentFolder(folder).manifest) for folder in (again, original))
+    assert (manifest["design"], manifest["repeat_until"]) == (was["design"], was["repeat_until"])
+    assert manifest["repeat_until"]["least"] == 3
+
+
 def test_a_run_in_an_interpreter_of_its_own_writes_into_the_replication_and_knows_added_treatments(tmp_path):
     config = tmp_path / "study.py"
     body = GROWING.replace("import ExperimentConfig", "import ExperimentConfig, RunProcess")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from tests.ros.dds_domain import claim_domain
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import RobotName
@@ -20,6 +22,47 @@ def test_options_are_read_before_the_environment():
     assert DdsSettings.of({}, environment) == DdsSettings(7, "humble")
     assert DdsSettings.of({"domain": "3", "distro": "iron"}, environment) == DdsSettings(3, "iron")
     assert DdsSettings.of({"types": "a:b"}, {}).types == (Path("a"), Path("b"))
+
+
+@pytest.mark.parametrize(
+    "environment", [{"ROS_LOCALHOST_ONLY": "1"}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}], ids=str
+)
+def test_discovery_reaches_as_far_as_ros_is_told(environment):
+    settings = DdsSettings.of({}, environment)
+    assert settings.is_local
+    assert "127.0.0.1" in settings.cyclone_configuration()
+    assert DdsSettings.of({}, {"ROS_LOCALHOST_ONLY": "0"}).cyclone_configuration() is None
+
+
+def test_peers_are_asked_for_the_graph_and_cannot_break_out_of_the_configuration():
+    settings = DdsSettings.of({}, {"ROS_STATIC_PEERS": "192.168.1.7; robot'/><x "})
+    assert settings.peers == ("192.168.1.7", "robot'/><x")
+    assert "<Peer address='192.168.1.7'/>" in settings.cyclone_configuration()
+    assert "<x" not in settings.cyclone_configuration()
+
+
+TWO_LINKS = """
+import os, time
+from robot_runner.core.events.context import SystemClock
+from robot_runner.ros.dds_link import open_dds_link
+links = [open_dds_link({"domain": os.environ["DOMAIN"], "distro": "humble"}, SystemClock(), "") for _ in range(2)]
+received, deadline = [], time.monotonic() + 60
+links[0].subscribe("chatter", "std_msgs/String", received.append)
+while not received and time.monotonic() < deadline:
+    links[1].publish("chatter", "std_msgs/String", {"data": "here"})
+    time.sleep(0.05)
+print(received[0]["data"], "127.0.0.1" in os.environ["CYCLONEDDS_URI"])
+for link in links: link.close()
+"""
+
+
+def test_two_links_of_this_machine_alone_reach_each_other():
+    environment = {name: value for name, value in os.environ.items() if name != "CYCLONEDDS_URI"}
+    environment |= {"ROS_LOCALHOST_ONLY": "1", "DOMAIN": str(claim_domain())}
+    done = subprocess.run(
+        [sys.executable, "-c", TWO_LINKS], check=False, env=environment, capture_output=True, text=True, timeout=120
+    )
+    assert done.stdout.split() == ["here", "True"], done.stderr
 
 
 def test_a_ros_1_that_is_sourced_says_nothing_of_the_graph():

@@ -16,9 +16,10 @@ from tests.core.links.ssh_server import SshServer
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.measure import Origin
-from robot_runner.core.links.robot import Encoding
-from robot_runner.ros.bag_file import messages_in, new_bag
-from robot_runner.ros.ros_bag import BagProgram, RosBag
+from robot_runner.core.links.robot import Encoding, GraphEndpoint
+from robot_runner.ros.bag_file import began_late, messages_in, new_bag
+from robot_runner.ros.bag_recorder import BagProgram
+from robot_runner.ros.ros_bag import RosBag
 from robot_runner.ros.shapes import completed
 from robot_runner.ros.type_catalogue import TypeCatalogue
 from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, ProfilerContract, make_context, rehearse
@@ -31,8 +32,17 @@ class TestRosBagOfTheSimulatedRobot(ProfilerContract):
         return RosBag(["odom", "battery_state"])
 
 
-def _robot(clock, *, is_simulated=False):
-    robot = FakeRobotLink(clock, is_simulated=is_simulated)
+class HeardRobotLink(FakeRobotLink):
+    """A link to a robot whose topics have one more subscriber each time that somebody asks, as a recorder begins."""
+
+    def subscribers(self, topic):
+        earlier = self.known_subscribers.setdefault(topic, [])
+        earlier.append(GraphEndpoint("/recorder", "nav_msgs/Odometry"))
+        return list(earlier)
+
+
+def _robot(clock, *, is_simulated=False, link=HeardRobotLink):
+    robot = link(clock, is_simulated=is_simulated)
     robot.known_topics |= {"odom": "nav_msgs/Odometry", "voice": "std_msgs/String"}
     clock.every(0.1, lambda: robot.deliver("odom", {"child_frame_id": "base"}))
     clock.every(0.5, lambda: robot.deliver("voice", {"data": f"it is {clock.now():.1f}"}))
@@ -96,6 +106,25 @@ def test_the_recorder_of_ros_is_used_where_it_is_there(record, programs):
     context = record(RosBag(["odom", "voice"]))
     assert context.measures["BagMessages"] == 2
     assert not context.broker.findings
+
+
+def test_a_recorder_that_does_not_subscribe_makes_its_bag_doubtful(record, programs):
+    context = record(RosBag(["odom"], patience=0.1), link=FakeRobotLink)
+    assert [each.problem for each in context.broker.findings] == ["the recorder did not subscribe /odom within 0.1 s"]
+
+
+def test_a_bag_that_begins_after_the_mission_says_by_how_much(tmp_path):
+    begin = 1_700_000_000 * 10**9
+    bag = new_bag(tmp_path, Encoding.CDR)
+    definition = TypeCatalogue.of(2).definition("std_msgs/String")
+    late, later = (bag.add_topic(name, "std_msgs/String", definition) for name in ("/late", "/at_the_end"))
+    for number in range(20):
+        bag.write(late, begin + 350_000_000 + number * 100_000_000, b"")
+    bag.write(later, begin + 3_000_000_000, b"")
+    bag.close()
+    assert began_late(tmp_path, begin) == pytest.approx(0.25)
+    assert began_late(tmp_path, begin + 300_000_000) == 0.0
+    assert began_late(tmp_path / "nothing", begin) == 0.0
 
 
 def test_it_is_not_used_where_the_link_is_asked_for(record, programs):

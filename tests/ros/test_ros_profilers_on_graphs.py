@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import threading
 import time
 from contextlib import contextmanager
@@ -94,6 +95,20 @@ def test_topics_bag_and_graph_over_dds(tmp_path, monkeypatch):
     _check(measures, context, published)
     graph = json.loads((context.run_path / "RosGraph" / "graph.json").read_text())
     assert graph["stop"]["topics"] == {"/odom": "nav_msgs/Odometry"}
+
+
+@quiet_about_rospy
+@pytest.mark.skipif(shutil.which("rosbag") is None, reason="rosbag is not installed")
+def test_a_bag_of_ros_own_recorder_has_the_mission_from_its_beginning_or_says_what_it_lacks(tmp_path, master_uri):
+    speaker = open_ros1_link({"master": master_uri}, SystemClock(), "")
+    speaker.publish("odom", "nav_msgs/Odometry", {})
+    plugin = RosBag(["odom"], by="program")
+    _, context, _ = _measured(tmp_path, f"ros1:master={master_uri}", speaker, plugin)
+    with AnyReader([context.run_path / "RosBag" / "bag.bag"]) as reader:
+        first = next(stamp for _, stamp, _ in reader.messages())
+    late = (first - plugin._measured_from_ns) * 1e-9 - 1 / RATE
+    told = [each.problem for each in context.broker.findings if "begins" in each.problem]
+    assert late <= 0.02 or told
 
 
 @quiet_about_rospy

@@ -148,6 +148,12 @@ def test_a_file_is_enough_and_its_folder_names_the_package(tmp_path):
     assert TypeCatalogue.of(1, extra=(file,)).shape("my_robot/Wheel").names == ("speed",)
 
 
+def test_a_type_of_the_distribution_may_be_given_again_by_its_own_file(tmp_path):
+    text = "# of constants only\nuint8 PARAMETER_NOT_SET=0\nuint8 PARAMETER_BOOL=1\n"
+    _written(tmp_path, "rcl_interfaces/msg/ParameterType.msg", text)
+    assert "PARAMETER_BOOL" in TypeCatalogue.of(2, "humble", (tmp_path,)).definition("rcl_interfaces/ParameterType")
+
+
 @pytest.mark.parametrize(
     ("name", "text", "problem"),
     [

@@ -4,22 +4,29 @@ from __future__ import annotations
 
 import queue
 import threading
+from collections import defaultdict
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from itertools import islice, pairwise
+from statistics import median
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.links.robot import Encoding
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from robot_runner.core.links.robot import RawMessage, RobotLink
     from robot_runner.ros.topic_statistics import TypedTopic
 
-__all__ = ["LinkRecorder", "McapBag", "Ros1Bag", "messages_in", "new_bag"]
+__all__ = ["LinkRecorder", "McapBag", "Ros1Bag", "began_late", "messages_in", "new_bag"]
 
 
+_Found = TypeVar("_Found")
+
+#: So many messages of a bag tell when it began, and the period of each topic.
+_FIRST = 2000
 _INSTALL = "Install it: pip install 'robot-runner[bag]'."
 
 
@@ -113,6 +120,30 @@ class Ros1Bag:
 
 def messages_in(folder: Path) -> int | None:
     """Return how many messages the bag in a folder holds; None where that cannot be told."""
+    return _read(folder, lambda reader: int(reader.message_count))
+
+
+def began_late(folder: Path, begin_ns: int) -> float:
+    """Return how long after `begin_ns`, in ns since the epoch, a bag began, s; 0 where it was in time or nothing tells.
+
+    Each topic's first message is due one of its own periods after that moment. A topic may be silent at first, so that
+    the earliest of them counts.
+    """
+    return _read(folder, lambda reader: min(_delays(reader, begin_ns), default=0.0)) or 0.0
+
+
+def _delays(reader: Any, begin_ns: int) -> Iterator[float]:
+    stamps: dict[str, list[int]] = defaultdict(list)
+    for connection, stamp, _ in islice(reader.messages(), _FIRST):
+        stamps[connection.topic].append(stamp)
+    for found in stamps.values():
+        periods = [later - earlier for earlier, later in pairwise(found)]
+        if periods:
+            yield max(0.0, (found[0] - begin_ns - median(periods)) * 1e-9)
+
+
+def _read(folder: Path, look: Callable[[Any], _Found]) -> _Found | None:
+    """Return what is seen of the bag in a folder; None where there is none, or nothing here reads it."""
     try:
         from rosbags.highlevel import AnyReader, AnyReaderError  # noqa: PLC0415  # an extra
     except ModuleNotFoundError:
@@ -120,7 +151,7 @@ def messages_in(folder: Path) -> int | None:
     paths = [*folder.glob("*.bag"), *folder.glob("*.mcap"), *(path.parent for path in folder.glob("*/metadata.yaml"))]
     try:
         with AnyReader(paths[:1]) as reader:
-            return reader.message_count
+            return look(reader)
     except (AnyReaderError, OSError):
         return None
 

@@ -132,6 +132,9 @@ SETTLING = 1.0
 _BEFORE_TYPE_HASHES, _LATEST = "humble", "jazzy"
 _WITHOUT_TYPE_HASHES = frozenset({"foxy", "galactic", "humble"})
 
+#: Where Cyclone DDS finds its configuration, as XML or as a file, when the first participant of a domain is made.
+_CONFIGURATION = "CYCLONEDDS_URI"
+
 #: The participants of this process, past ones among them: what they tell of a graph is what this process believed.
 _ours: set[UUID] = set()
 
@@ -148,7 +151,7 @@ class Session:
         self._topics: dict[tuple[str, str], Topic[Any]] = {}
         self._is_closed = False
         self._joined = time.monotonic()
-        self._participant = _joined(settings.domain)
+        self._participant = _joined(settings)
         _ours.add(self._participant.guid)
         self.reception = Reception(self._participant)
         self.graph = Graph(self._participant, self.reception)
@@ -235,12 +238,15 @@ class Session:
         return _BEFORE_TYPE_HASHES if told and not any("typehash=" in data for data in told) else _LATEST
 
 
-def _joined(domain: int) -> DomainParticipant:
+def _joined(settings: DdsSettings) -> DomainParticipant:
+    configuration = settings.cyclone_configuration()
+    if configuration is not None:  # what the user says to Cyclone DDS itself goes before what is said to ROS
+        os.environ.setdefault(_CONFIGURATION, configuration)
     try:
-        return DomainParticipant(domain, qos=DdsQos(Policy.Userdata(b"enclave=/;")))
+        return DomainParticipant(settings.domain, qos=DdsQos(Policy.Userdata(b"enclave=/;")))
     except DDSException as error:
         raise LinkError(
-            f"DDS domain {domain} cannot be joined: {error}",
+            f"DDS domain {settings.domain} cannot be joined: {error}",
             where="robot",
             fix="Bring up a network interface, and see that CYCLONEDDS_URI, where it is set, names one that is there.",
         ) from error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl, urlsplit
@@ -21,6 +22,8 @@ _WHERE = "robot"
 _DDS_OPTIONS = ("domain", "distro", "types")
 #: Domains above this have UDP ports past 65535 (RTPS 2.2, 9.6.1.1: 7400 + 250 · domain + …).
 _MAX_DOMAIN = 232
+#: So many participants of one computer are found without multicast; rmw_cyclonedds_cpp looks for as many.
+_MOST_PARTICIPANTS = 32
 
 _SCHEME = "rosbridge"
 #: Where a rosbridge server listens, if not started elsewhere.
@@ -57,6 +60,8 @@ class DdsSettings:
         domain: DDS domain id, 0 to 232.
         distro: distribution of ROS 2 on the robot; None to tell from the graph.
         types: files and folders with further message types.
+        is_local: whether only this machine is reached: `ROS_LOCALHOST_ONLY=1`, or the discovery range LOCALHOST.
+        peers: computers that are asked for the graph as well, from `ROS_STATIC_PEERS`.
 
     Example:
         >>> DdsSettings.of({"domain": "7", "distro": "humble"}, {}).domain
@@ -66,10 +71,12 @@ class DdsSettings:
     domain: int
     distro: str | None
     types: tuple[Path, ...] = ()
+    is_local: bool = False
+    peers: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, options: Mapping[str, str], environment: Mapping[str, str] | None = None) -> DdsSettings:
-        """Read options, and `ROS_DOMAIN_ID` and `ROS_DISTRO` where they are left out.
+        """Read options, `ROS_DOMAIN_ID` and `ROS_DISTRO` where they are left out, and how far discovery is to reach.
 
         Raises:
             LinkError: there is no such option, or it cannot have this value.
@@ -82,7 +89,32 @@ class DdsSettings:
         if distro is None and variables.get("ROS_DISTRO") in ROS2_DISTROS:
             distro = variables["ROS_DISTRO"]
         _check_distro(distro, ROS2_DISTROS, "ROS 2")
-        return cls(domain_id(options, variables), distro, _paths(options))
+        peers = tuple(filter(None, map(str.strip, variables.get("ROS_STATIC_PEERS", "").split(";"))))
+        return cls(domain_id(options, variables), distro, _paths(options), _is_local(variables), peers)
+
+    def cyclone_configuration(self) -> str | None:
+        """Return what Cyclone DDS is to be told of that, as XML; None where its defaults will do.
+
+        Without multicast, as on most loopback interfaces, participants find each other by asking port after port.
+
+        Example:
+            >>> DdsSettings(0, None).cyclone_configuration() is None
+            True
+        """
+        if not self.is_local and not self.peers:
+            return None
+        addresses = ["localhost", *(() if self.is_local else self.peers)]
+        peers = "".join(f"<Peer address='{escape(address)}'/>" for address in addresses)
+        interface = '<NetworkInterface address="127.0.0.1" multicast="true"/>' if self.is_local else ""
+        general = f"<General><Interfaces>{interface}</Interfaces></General>" if interface else ""
+        index = f"<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{_MOST_PARTICIPANTS}"
+        discovery = f"<Discovery>{index}</MaxAutoParticipantIndex><Peers>{peers}</Peers></Discovery>"
+        return f"<CycloneDDS><Domain>{general}{discovery}</Domain></CycloneDDS>"
+
+
+def _is_local(variables: Mapping[str, str]) -> bool:
+    discovery_range = variables.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").strip().upper()
+    return variables.get("ROS_LOCALHOST_ONLY", "").strip() == "1" or discovery_range == "LOCALHOST"
 
 
 @dataclass(frozen=True, slots=True)

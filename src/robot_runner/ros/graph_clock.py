@@ -56,7 +56,7 @@ class GraphClock:
                 raise LinkError(
                     f"the graph is to live by {_TOPIC}, and nothing came on it within {_PATIENCE:g} s",
                     where="the graph's clock",
-                    fix="Start the simulation; or, for a real robot: rosparam delete /use_sim_time.",
+                    fix="Start the simulation; or, for a real robot, leave out clock=graph (ROS 1: /use_sim_time).",
                 )
 
     def now(self) -> float:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import shlex
 import shutil
-import signal
-import subprocess
 import time
 from enum import StrEnum
 from typing import TYPE_CHECKING, ClassVar
@@ -16,12 +13,11 @@ from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_robot, is_simulation
 from robot_runner.core.links.host import LOCAL
-from robot_runner.core.links.robot import Encoding
-from robot_runner.core.links.ssh_host import remedy, ssh_command, ssh_findings
+from robot_runner.core.links.ssh_host import ssh_findings
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.evaluation import note_own_window, publish_measures
-from robot_runner.core.sampling.meter_process import MeterProcess
-from robot_runner.ros.bag_file import LinkRecorder, messages_in
+from robot_runner.ros.bag_file import LinkRecorder, began_late, messages_in
+from robot_runner.ros.bag_recorder import PROGRAMS, BagProgram, await_subscriptions, subscriptions_of
 from robot_runner.ros.topic_statistics import found_topics, robot_findings, topic_label
 
 if TYPE_CHECKING:
@@ -31,149 +27,12 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
 
-__all__ = ["PROGRAMS", "BagProgram", "RosBag"]
-
-
-#: The program that records messages of each generation of ROS.
-PROGRAMS = {Encoding.ROS1: "rosbag", Encoding.CDR: "ros2"}
-
-#: How long a recorder may take to begin, to finish its bag, and to send it from the robot, s: a bag of a mission has
-#: some 20 MB, and Wi-Fi may carry less than 1 MB/s.
-_STARTUP, _GRACE, _FETCH = 15.0, 30.0, 600.0
-#: How often the folder is looked at until the bag is finished, s.
-_LOOK = 0.02
-
-#: What each takes for "finish your bag, and end". `rosbag` passes SIGTERM on to the program behind it as SIGINT, and
-#: SIGINT not at all, which a terminal would send to both.
-_END = {Encoding.ROS1: signal.SIGTERM, Encoding.CDR: signal.SIGINT}
-
-#: Recording goes on until this script's input ends, as it does when ssh ends, whatever ended it; then the recorder gets
-#: its signal. The folder is named on the first line that is said. Without `set -m` the recorder would ignore SIGINT.
-_ON_HOST = """set -m
-trap : INT TERM
-folder=$(mktemp -d) && cd "$folder" || exit 1
-{setup}
-{command} >record.txt 2>&1 </dev/null &
-for i in $(seq 150); do ls bag* >/dev/null 2>&1 && break; kill -0 $! 2>/dev/null || break; sleep 0.1; done
-kill -0 $! 2>/dev/null || {{ tail -n 1 record.txt >&2; exit 1; }}
-echo "$folder"
-exec >/dev/null 2>&1
-cat
-kill -{signal} $!
-wait $!
-for i in $(seq 300); do ls ./*.active >/dev/null 2>&1 || break; sleep 0.1; done
-touch done
-"""
-
-
-class BagProgram:
-    """A recorder of ROS' own, from its start until it is closed.
-
-    Args:
-        encoding: of the messages, which tells the generation of ROS.
-        topics: full names.
-        folder: takes the bag.
-        host: as for ssh; `localhost` is this machine.
-        setup: a file to be sourced on the host first, such as `/opt/ros/humble/setup.bash`.
-        ssh_config: a file to take the place of the user's ssh config.
-
-    Raises:
-        PluginError: it cannot be started.
-    """
-
-    def __init__(
-        self,
-        encoding: Encoding,
-        topics: Sequence[str],
-        folder: Path,
-        *,
-        host: str = LOCAL,
-        setup: str | None = None,
-        ssh_config: Path | None = None,
-    ) -> None:
-        self._folder = folder
-        self._host = host
-        self._config = ssh_config
-        self._encoding = encoding
-        words = shlex.join(recording(encoding, topics))
-        if host == LOCAL:
-            sourced = f". {shlex.quote(setup)} && " if setup else ""
-            command = ["bash", "-c", f"cd {shlex.quote(str(folder))} && {sourced}exec {words}"]
-        else:
-            sourced = f". {shlex.quote(setup)}" if setup else ""
-            script = _ON_HOST.format(setup=sourced, command=words, signal=_END[encoding].name.removeprefix("SIG"))
-            command = ssh_command(host, f"bash -c {shlex.quote(script)}", config=ssh_config)
-        self._process = MeterProcess(command, output=None, folder=folder, clock=SystemClock())
-        self._process.wait(self._has_begun, seconds=_STARTUP)
-        if not self._process.is_running:
-            ending = self._process.stop(_END[encoding], grace=_GRACE)
-            raise PluginError(
-                f"{PROGRAMS[encoding]} ended at once: {ending.complaint}",
-                where=f"RosBag on {host}",
-                fix=remedy(host, self._process.said) if host != LOCAL else "Source the setup file of ROS (`setup`).",
-            )
-
-    def close(self) -> str | None:
-        """End it, fetch the bag where it is on another computer, and say what went wrong, if anything did."""
-        if self._host == LOCAL:
-            ending = self._process.stop(_END[self._encoding], grace=_GRACE)
-            self._wait_until_renamed()
-        else:
-            ending = self._process.stop(signal.SIGTERM, grace=_GRACE)
-            problem = self._fetched()
-            if problem is not None:
-                return problem
-        return None if ending.was_asked else f"the recorder ended by itself: {ending.complaint}"
-
-    def _wait_until_renamed(self) -> None:
-        """Wait for the recorder behind `rosbag`, which outlives it: until it is finished, a bag is called `.active`."""
-        deadline = time.monotonic() + _GRACE
-        while any(self._folder.glob("*.active")) and time.monotonic() < deadline:
-            time.sleep(_LOOK)
-
-    def _has_begun(self) -> bool:
-        if self._host != LOCAL:
-            return bool(self._process.records)
-        return any(path.name.startswith("bag") for path in self._folder.iterdir())
-
-    def _fetched(self) -> str | None:
-        """Copy the host's folder into ours and remove it there; return why that failed, if it did."""
-        if not self._process.records:
-            return "the recorder on the robot did not say where its bag is"
-        remote = shlex.quote(self._process.records[0].text)
-        # What finishes the bag outlives its ssh by a moment.
-        wait = f"for i in $(seq {round(10 * _GRACE)}); do [ -e {remote}/done ] && break; sleep 0.1; done"
-        command = ssh_command(self._host, f"{wait}; tar -C {remote} -cf - . && rm -rf {remote}", config=self._config)
-        return _unpacked(command, self._folder)
-
-
-def recording(encoding: Encoding, topics: Sequence[str]) -> list[str]:
-    """Return the command that records topics into `bag.bag`, or into the folder `bag`, until it gets SIGINT."""
-    if encoding is Encoding.ROS1:
-        return ["rosbag", "record", "--quiet", "-O", "bag.bag", *topics]
-    return ["ros2", "bag", "record", "-o", "bag", *topics]
-
-
-def _unpacked(command: Sequence[str], folder: Path) -> str | None:
-    try:
-        packed = subprocess.run(  # noqa: S603  # an argument list; the host's name was checked
-            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=_FETCH, check=True, start_new_session=True
-        )
-        subprocess.run(  # noqa: S603  # an argument list
-            ["tar", "-C", str(folder), "-xf", "-"],  # noqa: S607  # the system's
-            input=packed.stdout,
-            capture_output=True,
-            timeout=_FETCH,
-            check=True,
-        )
-    except subprocess.TimeoutExpired:
-        return f"the bag could not be fetched within {_FETCH:g} s"
-    except subprocess.CalledProcessError as error:
-        return f"the bag could not be fetched: {error.stderr.decode(errors='replace').strip()[-200:]}"
-    return None
+__all__ = ["RosBag"]
 
 
 _FIX = "Look at the bag before you use this run."
+#: How long after the mission a bag may begin before that is told, s.
+_LATE = 0.02
 
 
 class _By(StrEnum):
@@ -248,6 +107,7 @@ class RosBag(Profiler):
         self._recorder: LinkRecorder | BagProgram | None = None
         self._is_simulated = False
         self._begun_at: float | None = None
+        self._measured_from_ns = 0
         self._recorded: Window | None = None
         self._messages: int | None = None
         self._size: int | None = None
@@ -268,6 +128,7 @@ class RosBag(Profiler):
         """
         self._recorder, self._messages, self._size = None, None, None
         self._begun_at, self._recorded, self._problems = None, None, []
+        self._measured_from_ns = 0
         link = connect_robot(context, namespace=self.namespace)
         self._is_simulated = is_simulation(link, self.namespace)
         found = found_topics(link, self.topics, self.namespace, context.clock, patience=self.patience)
@@ -279,15 +140,19 @@ class RosBag(Profiler):
         folder = context.raw_data_folder
         if self._is_by_program(PROGRAMS[link.encoding], is_embedded=link.is_simulated):
             names = [topic.full_name for topic in topics]
+            before = subscriptions_of(link, names)
             self._begun_at = context.clock.now()
             self._recorder = BagProgram(
                 link.encoding, names, folder, host=self.host, setup=self.setup, ssh_config=self.ssh_config
             )
+            for topic in await_subscriptions(link, before, seconds=self.patience):
+                self._problems.append(f"the recorder did not subscribe {topic} within {self.patience:g} s")
         else:
             self._recorder = LinkRecorder(link, topics, folder)
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
         """Begin to record."""
+        self._measured_from_ns = time.time_ns()
         if isinstance(self._recorder, LinkRecorder):
             self._begun_at = context.clock.now()
             self._recorder.begin()
@@ -309,6 +174,10 @@ class RosBag(Profiler):
             self._problems.append(problem)
         folder = context.raw_data_folder
         self._messages = recorder.messages if isinstance(recorder, LinkRecorder) else messages_in(folder)
+        if isinstance(recorder, BagProgram) and self._measured_from_ns and isinstance(context.clock, SystemClock):
+            late = began_late(folder, self._measured_from_ns)
+            if late > _LATE:
+                self._problems.append(f"the bag begins {late:.2f} s after the mission did")
         bags = [path for path in folder.rglob("*") if path.is_file() and path.suffix in {".bag", ".mcap", ".db3"}]
         self._size = sum(path.stat().st_size for path in bags) if bags else None
 

@@ -30,6 +30,8 @@ STANDARD_SERVICES = MappingProxyType(
 )
 
 _SEPARATOR = "---"
+#: What ROS 2 has in place of the fields of a type that has none, such as one of constants only.
+_PLACEHOLDER = "structure_needs_at_least_one_member"
 
 
 def filled_store(generation: int, distro: str | None, extra: Sequence[Path]) -> Typestore:
@@ -191,7 +193,8 @@ def _file_of(name: str, definitions: Mapping[str, tuple[str, str]]) -> str:
 
 
 def _check_same(name: str, fields: Any, store: Typestore, definitions: Mapping[str, tuple[str, str]]) -> None:
-    if list(fields[1]) != list(store.fielddefs[name][1]):
+    known = [field for field in store.fielddefs[name][1] if field[0] != _PLACEHOLDER]
+    if [field for field in fields[1] if field[0] != _PLACEHOLDER] != known:
         raise LinkError(
             f"{name} is defined otherwise in this distribution of ROS",
             where=_file_of(name, definitions),

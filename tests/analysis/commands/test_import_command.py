@@ -46,6 +46,48 @@ def test_with_a_yes_it_writes_and_lists_the_differences(root, tmp_path, capsys):
     assert len(load_results(tmp_path / "earlier_imported").done) == 3
 
 
+def unsure(tmp_path):
+    rows = "".join(f"{n % 7 == 0:d},{n}.25\n" for n in range(12))
+    write(tmp_path / "doubt" / "run_table.csv", f"level,energy_J\n{rows}")
+    return str(tmp_path / "doubt")
+
+
+def test_the_preview_shows_columns_with_role_unit_confidence_and_first_rows(tmp_path, capsys):
+    assert main(["import", unsure(tmp_path), "--dry-run"]) == 0
+    shown = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    for line in (
+        "column role unit sure? row 1 row 2 row 3 because",
+        "level factor unsure 1 0 0 2 numbers before the measures, unevenly repeated",
+        "energy_J measure J sure 0.25 1.25 2.25 numbers that differ in most runs",
+        "Design 2 (level), 2 to 10 runs a combination: 12 runs",
+    ):
+        assert line in shown
+
+
+def test_a_yes_is_refused_where_something_is_not_sure(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["import", unsure(tmp_path), "--yes", "--to", "ours"]) == 2
+    complaint = capsys.readouterr().err
+    assert "column 'level' is taken for a factor: 2 numbers before the measures, unevenly repeated" in complaint
+    assert "--factor level, --measure level or --ignore level" in complaint
+    assert not (tmp_path / "ours").exists()
+    assert main(["import", unsure(tmp_path), "--yes", "--to", "ours", "--measure", "level"]) == 0
+    assert load_results("ours").measures == ("level", "energy_J")
+
+
+def test_json_has_each_column_with_its_reason_and_the_questions(tmp_path, capsys):
+    assert main(["import", unsure(tmp_path), "--dry-run", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["columns"][1] == {
+        "name": "energy_J",
+        "role": "measure",
+        "unit": "J",
+        "confidence": "sure",
+        "reason": "numbers that differ in most runs",
+    }
+    assert [each["problem"].partition(":")[0] for each in told["questions"]] == ["column 'level' is taken for a factor"]
+
+
 @pytest.mark.parametrize(("answer", "code"), [("y", 0), ("n", 2), ("", 2)])
 def test_at_a_terminal_it_asks(root, tmp_path, monkeypatch, answer, code):
     monkeypatch.setattr("robot_runner.analysis.commands.import_.terminal_input", lambda: 0)

@@ -235,6 +235,34 @@ def test_contrasts_of_plans_are_combined_beside_the_pairs(lab):
     assert "differs from zero on average" in contrast.conclusion
 
 
+def test_an_experiment_is_analysed_as_its_own_plan_has_it(make_folder):
+    random = np.random.default_rng(6)
+
+    def make(name, day, **plan):
+        rows = []
+        for task in "ab":
+            for run in range(8):
+                warmth = 20 + run
+                value = 10.0 * (task == "b") + 0.7 * warmth + 0.3 * random.normal() + 40 * (run == 3 and task == "a")
+                rows.append((task, float(value), float(warmth)))
+        manifest = {"analysis": {"measures": ["Energy"], **plan}}
+        measures = {"Energy": "J", "Warmth": "degC"}
+        return make_folder(
+            factors={"Task": ["a", "b"]}, rows=rows, measures=measures, name=name, day=day, manifest=manifest
+        ).root
+
+    one = make("one", "2026-06-01", covariates=["Warmth"], outliers={"median_deviations": 4.0})
+    other = make("other", "2026-06-02")
+    found = meta_analyse(one, other)
+    told = found.measure("Energy").effects[0].experiments
+    for each, folder in zip(told, (one, other), strict=True):
+        pair = analyse(load_results(folder)).measure("Energy").post_hoc[0].comparisons[0]
+        assert (each.estimate, each.p_value) == pytest.approx((pair.difference, pair.p_value))
+    assert told[0].estimate == pytest.approx(-10, abs=1)
+    assert told[1].estimate > told[0].estimate + 3
+    assert [str(each) for each in found.findings] == ["one: its plan leaves out Energy of r_4"]
+
+
 def test_without_a_choice_primary_measures_are_combined(make_folder):
     random = np.random.default_rng(2)
 

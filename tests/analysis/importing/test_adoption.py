@@ -204,3 +204,75 @@ def test_when_and_how_long_is_not_made_up(tmp_path):
     assert "timeline" not in [figure.name for figure in document.figures]
     [runs] = [table for table in document.tables if table.name == "runs"]
     assert "Took" not in [column.name for column in runs.columns]
+
+
+def traces(tmp_path, heading, cells, files):
+    """Make runs with a trace each; return what is said of the traces."""
+    rows = "".join(f"run_{n},t{n % 2},{each}\n" for n, each in enumerate(cells))
+    write(tmp_path / "r" / "run_table.csv", f"__run_id,task,{heading}\n{rows}")
+    for number, text in enumerate(files):
+        write(tmp_path / "r" / f"run_{number}" / "power.csv", f"time_s,power_W\n{text}")
+    return adopted(tmp_path / "r", tmp_path / "ours").warnings
+
+
+def seconds(*times):
+    return "".join(f"{time},1\n" for time in times)
+
+
+def test_traces_that_outlast_the_run_or_end_before_it_are_told(tmp_path):
+    files = [seconds(0, 10), seconds(0, 10.2), seconds(0, 14), seconds(0, 10), seconds(0, 4)]
+    told = traces(tmp_path, "duration_s", ["10.0", "10.1", "9.9", "10.3", "10.2"], files)
+    assert told == (
+        "power.csv outlasts the run in 1 of 5 runs (run_2), by up to 3.6 s (run_2)",
+        "power.csv ends before the run does: cut off? in 1 of 5 runs (run_4), by up to 5.69 s (run_4)",
+    )
+    notes = json.loads((tmp_path / "ours" / "manifest.json").read_text("utf-8"))["imported"]["notes"]
+    assert told[0] in notes
+
+
+def test_a_log_of_events_may_end_before_its_run(tmp_path):
+    assert traces(tmp_path, "duration_s", ["10.0", "10.1", "9.9"], [seconds(0, 6), seconds(0, 7), seconds(0, 5)]) == ()
+
+
+def test_samples_before_and_after_the_moments_of_the_run_are_told(tmp_path):
+    moments = [f"{1_600_000_000 + n * 100}.5,{1_600_000_010 + n * 100}.5,{n}.5" for n in range(3)]
+    files = [
+        seconds(*(1_600_000_000 + n * 100 + each for each in (-4 * (n == 1), 1, 10 + 7 * (n == 2)))) for n in range(3)
+    ]
+    assert traces(tmp_path, "start_time,end_time,energy", moments, files) == (
+        "power.csv begins before the run in 1 of 3 runs (run_1), by up to 4.5 s (run_1)",
+        "power.csv outlasts the run in 1 of 3 runs (run_2), by up to 6.5 s (run_2)",
+    )
+
+
+def test_traces_that_were_cut_off_are_told(tmp_path):
+    told = traces(tmp_path, "energy", ["1.5", "2.5"], [seconds(0, 1, 2), "0,1\n1,1\n2"])
+    assert told == (
+        "1 row left out of power.csv, cut off or with other cells than its heading, in 1 of 2 runs (run_1)",
+    )
+
+
+def test_times_of_another_kind_than_in_other_runs_are_refused(tmp_path):
+    with pytest.raises(Exception, match="times are of another kind than in other runs"):
+        traces(tmp_path, "energy", ["1.5", "2.5"], [seconds(0, 1), seconds(1_600_000_000, 1_600_000_001)])
+
+
+def test_blocks_are_what_the_statistics_go_by(tmp_path):
+    rows = "".join(
+        f"tb_{robot},{task},{again},{robot * 10 + again + 5 * (task == 'a')}.5\n"
+        for robot in range(4)
+        for task in "ab"
+        for again in (1, 2)
+    )
+    write(tmp_path / "r" / "run_table.csv", f"robot,task,repetition,energy_J\n{rows}")
+    adopted(tmp_path / "r", tmp_path / "ours")
+    results = load_results(tmp_path / "ours")
+    design = analyse(results).design
+    assert (results.block, design.factors, design.block) == ("robot", ("task",), "robot")
+
+
+def test_the_repetition_can_be_the_block(tmp_path):
+    rows = "".join(f"{task},{again},{again}.{'ab'.index(task)}\n" for task in "ab" for again in (1, 2, 3))
+    write(tmp_path / "r" / "run_table.csv", f"task,repetition,energy_J\n{rows}")
+    adopted(tmp_path / "r", tmp_path / "ours", block="repetition")
+    assert load_results(tmp_path / "ours").block == "Repetition"

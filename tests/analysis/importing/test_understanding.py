@@ -272,6 +272,8 @@ def test_a_table_of_thousands_of_runs_is_looked_at_once(tmp_path, monkeypatch):
 
 
 REFUSED = {
+    "no text": ({"run_table.csv": "\x89PNG\x00\x00"}, {}, "the file is not text: it holds zero bytes"),
+    "no heading": ({"run_table.csv": "1,2\n3,4\n"}, {}, "the first row has only numbers, such as '1'"),
     "no folder": (None, {}, "there is no such folder"),
     "no table": ({}, {}, "there is no CSV file in the folder"),
     "which table": ({"a.csv": "x\n1\n", "b.csv": "x\n1\n"}, {}, "which of a.csv, b.csv is the run table?"),
@@ -303,6 +305,81 @@ REFUSED = {
         "the times in moment cannot be read",
     ),
 }
+
+
+def test_a_table_of_samples_is_no_run_table(tmp_path, monkeypatch):
+    monkeypatch.setattr(foreign_table, "_MOST_RUNS", 1000)
+    with pytest.raises(AnalysisError, match="more than 1,000 rows: are they samples rather than runs"):
+        table_only(tmp_path, "time,power\n" + "1,2\n" * 1001)
+
+
+def test_two_thousand_columns_are_looked_at(tmp_path):
+    names = [f"m{place}" for place in range(1, 2001)]
+    cells = [",".join(f"{n * place / 7:.3f}" for place in range(1, 2001)) for n in range(8)]
+    rows = "".join(f"run_{n},t{n % 2},{cells[n]}\n" for n in range(8))
+    found = table_only(tmp_path, f"__run_id,task,{','.join(names)}\n{rows}")
+    assert (found.roles.factors, found.roles.measures) == (("task",), tuple(names))
+
+
+def test_a_heading_that_cannot_stand_is_renamed(tmp_path):
+    found = table_only(tmp_path, "task\x1b[31m,energy\na\x1b[2J,1.5\nb,2.5\n")
+    assert found.headings["task\x1b[31m"] == "task[31m"
+    assert any("a heading cannot hold all of it" in note for note in found.notes)
+
+
+def test_what_the_design_would_be_is_said(tmp_path):
+    rows = "".join(
+        f"tb_{robot},{task},{again},{robot}.{again}\n" for robot in range(3) for task in "ab" for again in (1, 2)
+    )
+    found = table_only(tmp_path, f"robot,task,repetition,energy\n{rows}")
+    assert found.design_words == "2 (task), 6 runs a combination, in 3 blocks (robot): 12 runs"
+    found = table_only(
+        tmp_path, f"robot,task,repetition,energy\n{rows.replace('tb_2,b,2,2.2', 'tb_2,b,3,2.2')}", factors=("robot",)
+    )
+    assert found.design_words == "3 x 2 (robot x task), 2 runs a combination: 12 runs"
+
+
+def test_repetitions_that_count_all_runs_are_numbered_anew(tmp_path):
+    rows = "".join(f"{task},{n},{n}.5\n" for n, task in enumerate("aabbcc" * 2, start=1))
+    found = table_only(tmp_path, f"task,run,energy\n{rows}", repetition="run")
+    assert [run.repetition for run in found.runs] == [1, 2] * 3 + [3, 4] * 3
+    assert any("numbered anew within each combination" in note for note in found.notes)
+
+
+def test_questions_name_the_options_that_settle_them(tmp_path):
+    rows = "".join(f'{(n % 7 == 0) + (n % 11 == 0)},"1,{100 + n}"\n' for n in range(12))
+    level, energy = table_only(tmp_path, f"level x,energy\n{rows}").questions
+    assert level.problem == "column 'level x' is taken for a factor: 3 numbers before the measures, unevenly repeated"
+    assert level.fix == "Say what it is: --factor 'level x', --measure 'level x' or --ignore 'level x'."
+    assert energy.problem == "numbers of column 'energy' can be read in two ways: 1,100 may be 1.100 or 1100"
+    assert "--decimal point or --decimal comma" in energy.fix
+    assert not table_only(tmp_path, f"level x,energy\n{rows}", factors=("level x",), decimal=".").questions
+
+
+def test_files_and_folders_that_do_not_fit_the_table_are_noted(tmp_path):
+    root = tmp_path / "results"
+    for number in (0, 1, 2, 3, 7):
+        write(root / f"run_{number}" / "cpu.csv", "time_s,cpu\n0,1\n1,2\n")
+    for number in (0, 1, 2):
+        write(root / f"run_{number}" / "power.csv", "time_s,power_W\n0,1\n1,1\n" if number else "time_s,power_W\n")
+    write(root / "bags" / "0.bag", "")
+    rows = "".join(f"run_{n},t{n % 2},{n}.5,bags/{n}.bag\n" for n in range(5))
+    notes = table_only(tmp_path, f"__run_id,task,energy,bag\n{rows}").notes
+    for words in (
+        "1 run done without a folder of raw files, such as run_4",
+        "1 folder of raw files beside those of 4 runs that the table does not have: run_7",
+        "column 'bag' names 5 files, of which 4 are missing, such as bags/1.bag",
+        "power.csv is missing in 1 of 4 runs, such as run_3",
+        "power.csv has no samples in 1 of 3 runs, such as run_0",
+    ):
+        assert words in notes
+
+
+def test_numbers_with_a_unit_behind_them_are_measures(tmp_path):
+    rows = "".join(f"run_0_repetition_{n},{20 + n}.01%,52{n}.94mJ\n" for n in range(4))
+    found = table_only(tmp_path, f"__run_id,packet_loss,energy\n{rows}")
+    assert {name: unit.symbol for name, unit in found.units.items()} == {"packet_loss": "%", "energy": "mJ"}
+    assert found.runs[0].measures == {"packet_loss": 20.01, "energy": 520.94}
 
 
 @pytest.mark.parametrize(("files", "said", "problem"), REFUSED.values(), ids=REFUSED.keys())

@@ -18,6 +18,7 @@ from robot_runner.analysis.statistics.families import claim_of, effect_key
 from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Estimand, Family, Statistic
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.hypothesis import Hypothesis
+from robot_runner.core.design.outliers import Outliers
 from robot_runner.core.design.run_table_model import RunTableModel
 
 if TYPE_CHECKING:
@@ -70,10 +71,17 @@ STUDIES: dict[str, tuple[Study, int, int | None]] = {
     ),
     "ranks": (study_of([TASK, SPEED], AnalysisPlan("Energy", estimand=Estimand.RANK)), 12, None),
     "trimmed means": (study_of([SPEED], AnalysisPlan("Energy", estimand=Estimand.TRIMMED_MEAN)), 12, None),
+    "Welch-James": (study_of([SPEED], AnalysisPlan("Energy", statistic=Statistic.WELCH_JAMES)), 12, None),
     "ANOVA-type": (study_of([SPEED], AnalysisPlan("Energy", statistic=Statistic.ANOVA_TYPE)), 12, None),
     "blocks of repetitions": (study_of([TASK, SPEED], AnalysisPlan("Energy"), blocks="Repetition"), 8, None),
     "robots as blocks": (study_of([ROBOT, TASK], AnalysisPlan("Energy", blocks="Robot")), 3, None),
     "two batches": (study_of([TASK], AnalysisPlan("Energy")), 8, 5),
+    "outliers that are left out": (
+        study_of([TASK], AnalysisPlan("Energy", outliers=Outliers(interquartile_ranges=1.0))),
+        8,
+        None,
+    ),
+    "covariates": (study_of([TASK], AnalysisPlan("Energy", covariates=["order"])), 8, None),
     "an exclusion": (
         study_of([TASK, SPEED], AnalysisPlan("Energy"), exclude_combinations=[{"Task": "Network", "Speed": 0.3}]),
         4,

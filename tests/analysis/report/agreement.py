@@ -38,6 +38,8 @@ def disagreements(report: dict[str, Any]) -> list[str]:
         found += [f"{measure['name']}: {each}" for each in _of_measure(measure, alpha)]
     for outcome in statistics["hypotheses"]:
         found += [f"{outcome['hypothesis']['statement']}: {each}" for each in _of_hypothesis(outcome, statistics)]
+    for known in report.get("precision", ()):
+        found += [f"{known['measure']}: {each}" for each in _of_precision(known, statistics)]
     for standing in statistics.get("standings", ()):
         found += [f"{standing['measure']}: {each}" for each in _of_standing(standing, statistics)]
     return [*found, *_of_registration(report)]
@@ -72,6 +74,31 @@ def _of_registration(report: dict[str, Any]) -> Iterator[str]:
     for words, is_so in facts.items():
         if any(words in each for each in told) is not is_so:
             yield f"{words!r} is {'so' if is_so else 'not so'}, and the deviations are: {told}"
+
+
+def _of_precision(known: dict[str, Any], statistics: dict[str, Any]) -> Iterator[str]:
+    """What was repeated for has one interval of each mean, in the text as in the tables."""
+    measure = next(each for each in statistics["measures"] if each["name"] == known["measure"])
+    tabled = {" / ".join(each["treatments"].values()): each for each in _finest(measure)}
+    for mean in known["means"]:
+        group = tabled.get(mean["of"])
+        interval = group and group["mean_interval"]
+        if interval is None or mean["half_width"] is None:
+            continue
+        half_width = (interval["high"] - interval["low"]) / 2
+        if abs(half_width - mean["half_width"]) > _SAME * abs(half_width) or group["n"] != mean["n"]:
+            yield f"{mean['of']} is known to {mean['half_width']} (n = {mean['n']}), and to {half_width} in its table"
+    if "each difference" not in known["asked"]:
+        widths = [(each["half_width"], each["wanted"]) for each in known["means"]]
+        precise = all(half_width is not None and half_width <= wanted for half_width, wanted in widths)
+        if known["is_reached"] is not precise:
+            yield f"precision is {'' if known['is_reached'] else 'not '}reached, and its means say otherwise"
+    if known["asked"] not in known["sentence"] or f"After {known['repetitions']}," not in known["sentence"]:
+        yield f"the sentence tells another rule: {known['sentence']}"
+
+
+def _finest(measure: dict[str, Any]) -> list[dict[str, Any]]:
+    return measure["by_combination"] or measure["by_treatment"] or [measure["overall"]]
 
 
 def _of_measure(measure: dict[str, Any], alpha: float) -> Iterator[str]:

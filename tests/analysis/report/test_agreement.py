@@ -81,6 +81,25 @@ def test_reports_of_other_choices_agree_with_themselves(tmp_path: Path, choice: 
     assert disagreements(made(tmp_path, SPREADS["all differ"], (1, 1, 2), analysis={**PLAN, **choice})) == []
 
 
+#: What a plan may say of values and covariates; one run of each treatment is doubtful, and some are far out.
+DISCLOSED: dict[str, dict[str, Any]] = {
+    "outliers": {"outliers": {"interquartile_ranges": 1.5, "bounds": {"Energy": [45, None]}}},
+    "doubtful refused": {"doubtful": "refuse"},
+    "covariates and ranks": {"covariates": ["CPU"], "estimand": "rank"},
+    "all": {"covariates": ["CPU"], "outliers": {"median_deviations": 2.5}, "doubtful": "leave out"},
+    "blocks": {"covariates": ["CPU", "order"], "blocks": "Repetition"},
+}
+
+
+@pytest.mark.parametrize("choice", DISCLOSED.values(), ids=DISCLOSED)
+def test_reports_of_what_a_plan_leaves_out_or_adjusts_for_agree_with_themselves(
+    tmp_path: Path, choice: dict[str, Any]
+) -> None:
+    doubts = {"r_1": "the sensor was hot", "r_10": "the sensor was hot"}
+    report = made(tmp_path, SPREADS["all differ"], (1, 1, 2), analysis={**PLAN, **choice}, doubts=doubts)
+    assert disagreements(report) == []
+
+
 def test_reports_of_blocks_agree_with_themselves(tmp_path: Path) -> None:
     assert disagreements(made(tmp_path, SPREADS["all differ"], (1, 1, 2), blocks="Repetition")) == []
 
@@ -184,3 +203,29 @@ def test_what_contradicts_itself_is_found(tmp_path: Path) -> None:
     ]
     for change in changes:
         assert spoiled(change)
+
+
+def test_what_contradicts_the_plan_is_found(tmp_path: Path) -> None:
+    plan = {**PLAN, "covariates": ["CPU"], "outliers": {"median_deviations": 2}}
+    report = made(tmp_path, SPREADS["alike"], (3, 0, 0), analysis=plan)
+    assert disagreements(report) == []
+
+    def energy(statistics: dict[str, Any]) -> dict[str, Any]:
+        return statistics["measures"][0]  # type: ignore[no-any-return]
+
+    assert energy(report["statistics"])["left_out"]
+    changes = [
+        lambda statistics: energy(statistics)["left_out"].append(energy(statistics)["left_out"][0]),
+        lambda statistics: energy(statistics)["adjustment"]["slopes"][0].update(
+            p_value=0.9, interval={"low": 1, "high": 2}
+        ),
+        lambda statistics: energy(statistics)["adjustment"]["slopes"][0].update(treatments_p_value=0.001),
+        lambda statistics: energy(statistics)["adjustment"]["means"][0].update(adjusted=99.0),
+        lambda statistics: energy(statistics).update(adjustment=None),
+        lambda statistics: statistics["standings"][0].update(stands=not statistics["standings"][0]["stands"]),
+        lambda statistics: statistics["standings"][0].update(p_value_without=0.5),
+    ]
+    for change in changes:
+        other = copy.deepcopy(report)
+        change(other["statistics"])
+        assert disagreements(other)

@@ -204,6 +204,7 @@ def test_slopes_adjusted_means_and_what_stands_without_are_told(tmp_path: Path) 
     first, second = (each.adjusted for each in found.means)
     (pair,) = measure.post_hoc[0].comparisons
     assert first - second == pytest.approx(pair.difference)
+    assert measure.test.effects[0].statistic == pytest.approx(pair.statistic)
     assert "the adjusted mean of Video is higher" in measure.test.effects[0].conclusion
     (plain,) = statistics.without_covariates
     assert plain.test.method.value == "Welch's t-test"

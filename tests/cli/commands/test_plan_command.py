@@ -158,3 +158,18 @@ def test_columns_that_do_not_fit_are_named(write_config: Callable[..., Path], te
     shown = terminal("plan", "config.py", columns=27)
     assert shown.finish() == 0
     assert "No room for: Repetition, block." in " ".join(shown.text.split())
+
+
+def test_a_plan_that_may_be_repeated_says_until_when_and_how_often(
+    robot_runner: Callable, write_config: Callable[..., Path]
+) -> None:
+    body = 'repeat_until = Precision("Energy", half_width="5 %", at_most=30)\ndef duration_s(self, context): return 60'
+    table = BLOCKS.replace("repetitions=2", "repetitions=5, data_columns=['Energy']")
+    write_config(body, table=table)
+    answer = robot_runner("plan", "config.py")
+    until = "until the mean of Energy in each combination is known to ± 5 %; at least 5, at most 30 repetitions"
+    assert until in " ".join(answer.out.split())
+    assert "how often it is repeated until it is precise" in answer.out
+    assert "r_20" in answer.out
+    assert "r_21" not in answer.out
+    assert robot_runner("plan", "config.py", "--json").json["repeat_until"] == until

@@ -10,8 +10,10 @@ import pytest
 
 from robot_runner.cli.screens import live
 from robot_runner.cli.screens.live import LiveScreen
+from robot_runner.core.design.precise_estimates import Judgement, Known
+from robot_runner.core.design.precision import Precision
 from robot_runner.core.execution.durations import TimeLeft
-from robot_runner.core.execution.notices import GatePassed, GateWaiting, RunRecord, WaitingForUser
+from robot_runner.core.execution.notices import GatePassed, GateWaiting, PrecisionJudged, RunRecord, WaitingForUser
 
 if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
@@ -181,3 +183,14 @@ def test_what_a_gate_waits_for_is_shown_until_it_opens(shown: Shown, notices: An
         shown.take(GatePassed("r_1", "the load is below 10 %", "", 81.0, "timed out", "it still did not hold"))
         assert "r_1 waited 1 min 21 s until the load is below 10 %, in vain" in "\n".join(shown.lines)
         assert shown.screen.progress.gate_seconds == 162.0
+
+
+def test_a_repetition_that_is_added_is_told_with_why_and_counted(shown: Shown, notices: Any) -> None:
+    rule = Precision("Energy", half_width="2 %", at_most=30)
+    known = (Known(of="Video", n=5, mean=100.0, half_width=3.0, wanted=2.0),)
+    with shown.screen:
+        shown.take(notices.started(), notices.begun(1), notices.done(1, seconds=10))
+        shown.take(PrecisionJudged(5, [Judgement(rule, 0.99, 5, known)], 6, 2), notices.begun(2))
+        text = "\n".join(shown.lines)
+    assert "after 5 repetitions, Energy: ± 3 % for Video, ± 2 % is wanted (0 of 1 mean precise): once more, 2" in text
+    assert "1 of 6 done" in text

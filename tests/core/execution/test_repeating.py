@@ -184,6 +184,23 @@ def test_failed_and_excluded_runs_have_no_value_and_do_not_stop_it(execute: Exec
     assert of == {task: sum(row["Task"] == task for row in values) for task in of}
 
 
+def test_doubtful_values_count_unless_the_plan_leaves_them_out(execute: Execute, tmp_path: Path) -> None:
+    limited = TABLE.replace('Measure("Energy", "J")', 'Measure("Energy", "J", high=99.0)')
+    executed = execute(noisy(at_most=4), table=limited)
+    (known, *_) = executed.journal("judged")[0]["precision"]
+    assert {each["n"] for each in known["known"]} == {len(executed.table) // 2}
+    planned_so = 'analysis = AnalysisPlan("Energy", doubtful=Doubtful.LEAVE_OUT)\n' + noisy(at_most=4)
+    folder = tmp_path / "without"
+    folder.mkdir()
+    config = written_config(folder, planned_so, table=limited)
+    resume(config)
+    (record,) = read_journal(folder / "results" / "trial" / "journal.jsonl", kinds={"judged"})
+    plausible = [row["Task"] for row in rows_of(config) if float(row["Energy"]) <= 99]
+    found = {each["of"]: each.get("n", 0) for each in record["precision"][0]["known"]}
+    assert found == {task: plausible.count(task) for task in ("Video", "Network")}
+    assert found["Video"] < found["Network"] == 4
+
+
 def test_a_part_of_the_runs_is_not_repeated_and_a_redone_run_is_judged_anew(execute: Execute, tmp_path: Path) -> None:
     config = written_config(tmp_path, noisy(), table=TABLE)
     resume(config, only=("Task=Video",))

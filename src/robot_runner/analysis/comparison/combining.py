@@ -20,6 +20,7 @@ from robot_runner.analysis.comparison.harmonising import (
     renamed,
     repeated,
     unit_findings,
+    value_findings,
 )
 from robot_runner.analysis.comparison.matching import differing_circumstances, names_of
 from robot_runner.analysis.comparison.pooling import combine
@@ -28,8 +29,9 @@ from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import Interval, NotComputed
-from robot_runner.analysis.statistics.tests import model_of
+from robot_runner.analysis.statistics.tests import planned_model_of
 from robot_runner.core.design.analysis_plan import Correction, Estimand
+from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.errors import AnalysisError
 
 if TYPE_CHECKING:
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.analysis.comparison.harmonising import MeasureChoice
+    from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
     from robot_runner.analysis.statistics.cell_means import CellMeans
     from robot_runner.analysis.statistics.design import MeasureData
     from robot_runner.analysis.statistics.linear_model import FittedModel
@@ -88,7 +91,8 @@ def meta_analyse(
     alike, found = renamed(given, same)
     findings += [*found, *differing_names(alike)]
     chosen, found = chosen_measures_of_all(alike, measures)
-    findings += [*found, *(finding for choice in chosen for finding in unit_findings(choice, alike))]
+    findings += found
+    findings += [finding for of in (unit_findings, value_findings) for each in chosen for finding in of(each, alike)]
     if errors := [each for each in findings if each.is_error]:
         raise AnalysisError.of_findings(errors)
     factors = [name for each in alike for name in each.design.factors]
@@ -107,7 +111,7 @@ class _Estimated(NamedTuple):
 
     experiment: str
     data: MeasureData
-    model: CellMeans | FittedModel
+    model: CellMeans | FittedModel | AdjustedMeans
 
 
 class _Question(NamedTuple):
@@ -149,8 +153,10 @@ def _combined(choice: MeasureChoice, experiments: Sequence[Experiment], alpha: f
 
 def _estimated(experiment: Experiment, choice: MeasureChoice) -> _Estimated | NotComputed:
     """Estimate the means of an experiment's combinations, as its report does."""
-    what = f"{choice.name} in {experiment.name}"
-    data = experiment.data(choice.columns[experiment.name], choice.unit)
+    what, column, plan = f"{choice.name} in {experiment.name}", choice.columns[experiment.name], experiment.results.plan
+    if plan is not None and plan.doubtful is Doubtful.REFUSE and column in experiment.doubtful:
+        return NotComputed(what, "its plan draws no conclusion on a measure with doubtful values.")
+    data = experiment.data(column, choice.unit)
     if data is None or not len(data.frame):
         return NotComputed(what, "its values are no numbers." if data is None else "no run that is done has a value.")
     if float(np.max(np.abs(data.values))) > _LARGEST:
@@ -158,7 +164,7 @@ def _estimated(experiment: Experiment, choice: MeasureChoice) -> _Estimated | No
     compared, _, apart = comparable(data)
     if not compared.factors:
         return NotComputed(what, apart[0].why if apart else "all runs that have a value have the same treatments.")
-    model = model_of(compared, Estimand.MEAN)
+    model = planned_model_of(compared, Estimand.MEAN)
     return (
         NotComputed(what, model.why) if isinstance(model, NotComputed) else _Estimated(experiment.name, compared, model)
     )

@@ -10,9 +10,11 @@ import numpy as np
 
 from robot_runner.analysis.comparison.matching import can_be_converted, in_unit
 from robot_runner.analysis.statistics.design import VALUE, design_of
+from robot_runner.analysis.statistics.left_out import left_out_of
+from robot_runner.analysis.statistics.robustness import doubtful_runs
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import Finding, did_you_mean, nearest
-from robot_runner.core.words import enumerated
+from robot_runner.core.words import enumerated, listed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -30,6 +32,7 @@ __all__ = [
     "renamed",
     "repeated",
     "unit_findings",
+    "value_findings",
 ]
 
 #: Attempts that two experiments share, as a part of the smaller one: a copy that went on, or lost runs, is a copy.
@@ -43,17 +46,21 @@ class Experiment:
 
     Attributes:
         name: what it is called among them.
-        design: of its runs that are done, renamed.
+        design: of its runs that are done, renamed; with the blocks and covariates of its own plan.
+        doubtful: the runs whose value is doubtful, by measure.
     """
 
     name: str
     results: Results
     design: Design
+    doubtful: Mapping[str, Sequence[str]]
 
     @classmethod
     def of_results(cls, name: str, results: Results) -> Experiment:
-        """Take an experiment as its own plan has its blocks."""
-        return cls(name, results, design_of(results, blocks=results.plan.blocks if results.plan else None))
+        """Take an experiment as its own plan has it."""
+        plan = results.plan
+        design = design_of(results, blocks=plan.blocks if plan else None)
+        return cls(name, results, replace(design, covariates=plan.covariates if plan else ()), doubtful_runs(results))
 
     def treatments(self, factor: str) -> tuple[str, ...]:
         """Return the treatments of a factor that runs which are done have had, in their order."""
@@ -61,9 +68,15 @@ class Experiment:
             return ()
         return tuple(map(str, self.design.frame[factor].cat.categories))
 
+    def left_out(self, column: str) -> tuple[str, ...]:
+        """Return the runs whose value of a measure the experiment's own plan leaves out."""
+        left_out = left_out_of(self.design, column, self.results.plan, self.doubtful.get(column, ()))
+        return tuple(each.run_id for each in left_out)
+
     def data(self, column: str, unit: str) -> MeasureData | None:
-        """Return the values of a measure in this unit; None where they are no numbers."""
-        found, own = self.design.data(column), self.results.unit(column)
+        """Return the values of a measure in this unit, as the plan has them; None where they are no numbers."""
+        design = replace(self.design, without=frozenset(self.left_out(column)))
+        found, own = design.data(column), self.results.unit(column)
         if found is None or own == unit:
             return found
 
@@ -277,6 +290,19 @@ def _shared(experiments: Sequence[Experiment]) -> list[str]:
 def _call(names: Sequence[str], results: Results) -> str:
     near = nearest(names[0], results.measures)
     return "" if near is None else f"If {near!r} is the same, say so: --measure {'='.join((*names, near))}."
+
+
+def value_findings(choice: MeasureChoice, experiments: Sequence[Experiment]) -> Iterator[Finding]:
+    """Yield what is to be said of values of a measure: those that a plan leaves out, and doubtful ones among others."""
+    for each in experiments:
+        column = choice.columns.get(each.name, "")
+        left_out = each.left_out(column) if column else ()
+        doubtful = [run_id for run_id in each.doubtful.get(column, ()) if run_id not in left_out]
+        if left_out:
+            yield Finding.warning(each.name, f"its plan leaves out {column} of {listed(left_out)}")
+        if doubtful:
+            fix = "Look at its report, which says what stands without them."
+            yield Finding.warning(each.name, f"{column} of {listed(doubtful)} is doubtful", fix)
 
 
 def unit_findings(choice: MeasureChoice, experiments: Sequence[Experiment]) -> Iterator[Finding]:

@@ -292,13 +292,12 @@ class _Guessing:
         """Return the factor that is better taken for a block; others that may be one are noted."""
         found: str | None = None
         for name in self._named(Role.FACTOR):
-            others = [
-                each for each in self._named(Role.FACTOR) if each != name and len(self._evidence.values(each)) > 1
-            ]
+            varied = [each for each in self._named(Role.FACTOR) if len(self._evidence.values(each)) > 1]
+            others = [each for each in varied if each != name]
             likely, maybe = _BLOCK.fullmatch(_folded(name)), _MAYBE_BLOCK.fullmatch(_folded(name))
             values = self._evidence.values(name)
             is_free = (likely or maybe) and name not in (self._said.factors or ())
-            if not is_free or len(values) == 1 or not others or not self._evidence.crosses(name, others):
+            if not is_free or name not in varied or not others or not self._evidence.crosses(name, others):
                 continue
             is_numbered = all(map(_NUMBERED_NAME.fullmatch, values))
             if found is None and likely and is_numbered and len(values) >= _FEWEST_BLOCKS and self._said.guess:

@@ -30,6 +30,8 @@ _BOOLEANS = frozenset({"true", "false"})
 
 #: As much of a file as is needed to see how it is written.
 _HEAD = 1 << 16
+#: More rows are no experiment: at a second a run these take two days, and nobody could look at the report.
+_MOST_RUNS = 200_000
 _LONGEST_CHARACTER = 4  # bytes in UTF-8
 _LINES_LOOKED_AT = 50
 
@@ -142,7 +144,7 @@ def read_foreign_table(path: Path, decimal: str | None = None) -> ForeignTable:
 
     Raises:
         StorageError: the file cannot be read.
-        AnalysisError: it has no heading, or rows that do not fit the heading.
+        AnalysisError: it has no heading, rows that do not fit the heading, or too many of them.
     """
     dialect = dialect_of(path)
     filled: list[tuple[int, list[str]]] = []
@@ -153,6 +155,10 @@ def read_foreign_table(path: Path, decimal: str | None = None) -> ForeignTable:
             for row in lines:
                 if any(cells := [cell.strip() for cell in row]):
                     filled.append((before + 1, cells))
+                if len(filled) > _MOST_RUNS:
+                    problem = f"the table has more than {_MOST_RUNS:,} rows: are they samples rather than runs?"
+                    fix = "Name the table that has a row for each run: --table FILE."
+                    raise AnalysisError(problem, where=str(path), fix=fix)
                 before = lines.line_num
     except OSError as error:
         raise storage_error(path, "read", error) from error
@@ -169,6 +175,7 @@ def dialect_of(path: Path) -> CsvDialect:
 
     Raises:
         StorageError: the file cannot be read.
+        AnalysisError: it is not text.
     """
     try:
         with path.open("rb") as file:
@@ -176,6 +183,9 @@ def dialect_of(path: Path) -> CsvDialect:
     except OSError as error:
         raise storage_error(path, "read", error) from error
     encoding = _encoding(head)
+    if encoding != "utf-16" and b"\0" in head:
+        fix = "Name the CSV file that holds the runs: --table FILE."
+        raise AnalysisError("the file is not text: it holds zero bytes", where=str(path), fix=fix)
     lines = head.decode(encoding, "replace").splitlines()
     blank = next((place for place, line in enumerate(lines) if line.strip(" ,;\t|")), len(lines))
     heading, *body = lines[blank : blank + _LINES_LOOKED_AT] or [""]
@@ -202,6 +212,9 @@ def _table(
         if headings.count(name) > 1:
             problem = f"heading {name!r} is there twice"
             raise AnalysisError(problem, where=f"{path}:{line}", fix="Name each column, each differently.")
+    if body and all(number_of(name) is not None for name in headings):
+        problem = f"the first row has only numbers, such as {headings[0]!r}: the table has no heading"
+        raise AnalysisError(problem, where=f"{path}:{line}", fix="Write the names of the columns above it.")
     width = len(headings)
     for number, row in body:
         if any(row[width:]):

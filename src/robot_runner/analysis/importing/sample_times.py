@@ -116,7 +116,7 @@ def time_kind(unit: str, column: pa.ChunkedArray) -> TimeKind:
 
 
 def nanoseconds_since_1970(number: float) -> int | None:
-    """Return a moment that is counted since 1970 in s, ms, us or ns, by its size; None where it is too small for one."""
+    """Return a moment that is counted since 1970 in s, ms, us or ns, by its size; None where it is too small."""
     unit = next((unit for unit, least in _EPOCHS.items() if number >= least), None)
     return None if unit is None else round(number * _NANOSECONDS[unit])
 

@@ -18,7 +18,7 @@ from robot_runner.analysis.importing.recomputation import check_recipes, guess_r
 from robot_runner.analysis.importing.role_guesses import Role
 from robot_runner.analysis.importing.sample_times import TimeKind
 from robot_runner.analysis.importing.units import Unit, unit_of
-from robot_runner.core.design.columns import REPETITION, name_findings
+from robot_runner.core.design.columns import REPETITION, is_fit_for_heading, name_findings
 from robot_runner.core.errors import AnalysisError, Finding, StorageError, did_you_mean
 from robot_runner.core.storage.cells import number_of
 from robot_runner.core.words import counted, one_line
@@ -224,10 +224,12 @@ def _headings(roles: ColumnRoles, names: Iterable[str], notes: list[str]) -> dic
     headings: dict[str, str] = {}
     repeated = 2 if roles.repetition or roles.repetition_in_run_id else 1
     for name in names:
-        here = name
-        while any(name_findings(here, kind="column", repetitions=repeated)) or here == REPETITION:
-            here = f"{here.strip()}_"
+        here = "".join(character for character in name if is_fit_for_heading(character)).strip() or "column"
+        taken = {REPETITION, *headings.values()}
+        while here in taken or any(name_findings(here, kind="column", repetitions=repeated)):
+            here = f"{here}_"
         if here != name:
-            notes.append(f"column {name!r} is called {here!r} here: the name is taken")
+            why = "the name is taken" if here.strip("_") == name.strip("_") else "a heading cannot hold all of it"
+            notes.append(f"column {name!r} is called {here!r} here: {why}")
         headings[name] = here
     return headings

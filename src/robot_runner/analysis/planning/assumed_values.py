@@ -201,6 +201,7 @@ def assumed_scenario(
     if missing:
         fix = "Give " + " ".join(f"--sd {name}=..." for name in missing) + ", or a pilot: --pilot FOLDER."
         raise AnalysisError(f"nothing is assumed of {enumerated(missing)}", where="power", fix=fix)
+    _refuse_bounds(study, [name for name in measures if name not in base])
     made = []
     for name in measures:
         known = base.get(name)
@@ -216,6 +217,21 @@ def assumed_scenario(
             )
         )
     return Scenario(title, tuple(made), frozenset(effect_key(each.measure, each.factors) for each in differences))
+
+
+def _refuse_bounds(study: Study, measures: Sequence[str]) -> None:
+    """Refuse to assume differences alone where the plan leaves out values beyond bounds.
+
+    Raises:
+        AnalysisError: it does, of one of these measures.
+    """
+    rule = study.plan.outliers if study.plan is not None else None
+    bound = [name for name in measures if rule is not None and name in rule.bounds]
+    if bound:
+        problem = (
+            f"the plan leaves out values of {enumerated(bound)} beyond bounds, and nothing says how large they are"
+        )
+        raise AnalysisError(problem, where="power", fix="Give their means: --means FILE, or --pilot FOLDER.")
 
 
 def means_file(study: Study, path: Path, spreads: Mapping[str, float]) -> dict[str, AssumedMeasure]:

@@ -217,6 +217,8 @@ def _notes(study: Study, measures: Sequence[str], pilot: Pilot | None, found: Se
         yield "The config has no analysis plan: each measure's effects are a family at 5 %, corrected after Holm."
     if len(measures) > 1:
         yield "Measures are drawn independently of each other; where theirs go together, so do their verdicts."
+    if study.plan is not None and study.plan.covariates:
+        yield "Covariates are drawn as if they told nothing of the measures: where they do, fewer repetitions suffice."
     yield "Values are drawn from normal distributions; skewed ones, and runs that fail, take more repetitions."
     blocks = study.blocks if study.plan is None or study.plan.blocks is None else study.plan.blocks
     if blocks is not None and blocks in study.factors and any(each.needed is None for each in found):

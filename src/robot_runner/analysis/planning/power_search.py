@@ -25,11 +25,11 @@ __all__ = ["Found", "Needed", "PowerPoint", "ScenarioPower", "Search", "search_r
 #: Simulated experiments of each number of repetitions: at first, and at most. At 80 % the standard error is 1.3 and 0.4
 #: points.
 FEWEST, MOST = 1_000, 10_000
-#: Models of incomplete blocks and single runs are fitted one by one, in some 20 ms each.
-MOST_OF_MODELS = 1_000
+#: What is fitted one experiment at a time takes some 5 (outliers) to 50 ms (mixed models) each.
+FEWEST_OF_MODELS, MOST_OF_MODELS = 100, 400
 
 #: Numbers of repetitions that the curve has at least.
-_POINTS = 9
+_POINTS, _POINTS_OF_MODELS = 9, 5
 #: Of intervals of shares, which tell the Monte Carlo error.
 _LEVEL = 0.95
 
@@ -150,8 +150,8 @@ def search_repetitions(
         AnalysisError: nothing that is sought is tested, or no test can be made of so few runs.
     """
     curve = _Curve(study, scenario, search, progress)
-    for repetitions in _spread(search.first, search.last):
-        curve.grow(repetitions, FEWEST)
+    for repetitions in _spread(search.first, search.last, _POINTS_OF_MODELS if curve.is_slow else _POINTS):
+        curve.grow(repetitions, curve.fewest)
     target = search.power
     needed = curve.first_where(lambda found: found.share >= target)
     if needed is not None:
@@ -161,9 +161,9 @@ def search_repetitions(
     return ScenarioPower(scenario, curve.claims, curve.sought, curve.points(), None if needed is None else answer)
 
 
-def _spread(first: int, last: int) -> list[int]:
+def _spread(first: int, last: int, count: int) -> list[int]:
     """Return numbers from first to last that grow by about the same factor."""
-    return sorted({round(each) for each in np.geomspace(first, last, _POINTS)} | {first, last})
+    return sorted({round(each) for each in np.geomspace(first, last, count)} | {first, last})
 
 
 class _Curve:
@@ -189,7 +189,17 @@ class _Curve:
     def _most(self) -> int:
         if self._search.simulations is not None:
             return self._search.simulations
-        return MOST_OF_MODELS if self._simulation(self._search.last).is_slow else MOST
+        return MOST_OF_MODELS if self.is_slow else MOST
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether experiments are computed one at a time."""
+        return self._simulation(self._search.last).is_slow
+
+    @property
+    def fewest(self) -> int:
+        """How many experiments each number of repetitions has at first."""
+        return FEWEST_OF_MODELS if self.is_slow else FEWEST
 
     def _simulation(self, repetitions: int) -> Simulation:
         if repetitions not in self._simulations:
@@ -228,7 +238,7 @@ class _Curve:
 
     def settled(self, repetitions: int) -> Found:
         """Simulate until it is plain on which side of the target the power lies, or as often as may be."""
-        experiments = FEWEST
+        experiments = self.fewest
         self.grow(repetitions, experiments)
         while self._done[repetitions] < self._most:
             low, high = self.least(repetitions).interval

@@ -15,11 +15,12 @@ import numpy as np
 from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
-from robot_runner.analysis.statistics.design import VALUE, design_of
+from robot_runner.analysis.statistics.design import design_of
 from robot_runner.analysis.statistics.families import claim_of, contrast_key, effect_key, families_of
+from robot_runner.analysis.statistics.left_out import left_out_of
 from robot_runner.analysis.statistics.post_hoc import adjusted, contrast_of, p_value_of_contrast
 from robot_runner.analysis.statistics.tested import NotComputed
-from robot_runner.analysis.statistics.tests import Choices, model_of
+from robot_runner.analysis.statistics.tests import Choices, planned_model_of
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.words import enumerated
@@ -31,7 +32,8 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.planning.assumed_values import AssumedMeasure, Scenario
     from robot_runner.analysis.planning.study import Cell, Study
-    from robot_runner.analysis.statistics.design import MeasureData
+    from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
+    from robot_runner.analysis.statistics.design import Design, MeasureData
     from robot_runner.analysis.statistics.families import Key
     from robot_runner.analysis.statistics.linear_model import FittedModel
     from robot_runner.core.design.hypothesis import Hypothesis
@@ -68,17 +70,15 @@ class _Prepared:
     """A measure, ready to be simulated.
 
     Attributes:
-        data: what of it is compared, with the values of one experiment.
-        rows: which of the runs are.
+        rows: which of the runs are compared.
         blocks: the block of each run.
-        model: of these values.
+        model: of the values of one experiment.
     """
 
     assumed: AssumedMeasure
-    data: MeasureData
     rows: NDArray[np.intp]
     blocks: tuple[str, ...]
-    model: CellMeans | FittedModel
+    model: CellMeans | FittedModel | AdjustedMeans
 
 
 class Simulation:
@@ -102,37 +102,58 @@ class Simulation:
     ) -> None:
         self._study = study
         self._plan = study.plan
+        self._repetitions, self._first_batch = repetitions, first_batch
         self._seed = (*seed, repetitions)
         self._cells: tuple[Cell, ...] = tuple(study.cells[place] for place in study.cells_of(repetitions))
         plan = study.plan
         self._choices = (
             Choices() if plan is None else Choices(plan.alpha, plan.correction, plan.estimand, plan.statistic)
         )
-        self._measures = self._prepared(scenario, repetitions, first_batch)
-        self.is_slow = any(not isinstance(each.model, CellMeans) for each in self._measures)
+        self._measures = self._prepared(scenario)
+        self.is_slow = not all(map(self._is_fast, self._measures))
 
-    def _prepared(self, scenario: Scenario, repetitions: int, first_batch: int | None) -> list[_Prepared]:
+    def _prepared(self, scenario: Scenario) -> list[_Prepared]:
         random = np.random.default_rng(self._seed)
-        values = {each.name: random.normal(size=len(self._cells)) for each in scenario.measures}
-        results = self._study.results(repetitions, values, first_batch)
-        design = design_of(results, blocks=self._plan.blocks if self._plan is not None else None)
+        design = self._design({each.name: random.normal(size=len(self._cells)) for each in scenario.measures}, random)
         prepared = []
         for assumed in scenario.measures:
-            data = design.data(assumed.name)
-            if data is None:
+            every = design.data(assumed.name)
+            if every is None:
                 raise TypeError(f"{assumed.name} was drawn, and is no number")
-            blocks = tuple(map(str, data.blocks)) if data.is_blocked else ("",) * len(self._cells)
-            compared = comparable(data).data
-            model = model_of(compared, self._choices.estimand, self._choices.statistic)
+            blocks = tuple(map(str, every.blocks)) if every.is_blocked else ("",) * len(self._cells)
+            data, model = self._analysed(design, assumed.name)
             if isinstance(model, NotComputed):
-                problem = f"with {repetitions} repetitions nothing can be tested of {assumed.name}: {model.why}"
-                raise AnalysisError(
-                    problem.rstrip("."), where="power", fix="Give more repetitions: --repetitions FROM..TO."
-                )
-            places = {run_id: place for place, run_id in enumerate(data.frame[RUN_ID])}
-            rows = np.array([places[run_id] for run_id in compared.frame[RUN_ID]])
-            prepared.append(_Prepared(assumed, compared, rows, blocks, model))
+                problem = f"with {self._repetitions} repetitions nothing can be tested of {assumed.name}: {model.why}"
+                fix = "Give more repetitions: --repetitions FROM..TO."
+                raise AnalysisError(problem.rstrip("."), where="power", fix=fix)
+            places = {run_id: place for place, run_id in enumerate(every.frame[RUN_ID])}
+            rows = np.array([places[run_id] for run_id in data.frame[RUN_ID]])
+            prepared.append(_Prepared(assumed, rows, blocks, model))
         return prepared
+
+    def _design(self, values: Mapping[str, Floats], random: np.random.Generator) -> Design:
+        """Return the design of an experiment with these values; covariates tell nothing of them."""
+        covariates = self._plan.covariates if self._plan is not None else ()
+        drawn = {name: random.normal(size=len(self._cells)) for name in covariates if name in self._study.units}
+        results = self._study.results(self._repetitions, {**drawn, **values}, self._first_batch)
+        design = design_of(results, blocks=self._plan.blocks if self._plan is not None else None)
+        return replace(design, covariates=covariates)
+
+    def _analysed(
+        self, design: Design, name: str
+    ) -> tuple[MeasureData, CellMeans | FittedModel | AdjustedMeans | NotComputed]:
+        """Return what of a measure is compared, without the values that the plan leaves out, and the estimates."""
+        gone = frozenset(each.run_id for each in left_out_of(design, name, self._plan, ()))
+        data = replace(design, without=gone).data(name)
+        if data is None:
+            raise TypeError(f"{name} was drawn, and is no number")
+        compared = comparable(data).data
+        return compared, planned_model_of(compared, self._choices.estimand, self._choices.statistic)
+
+    def _is_fast(self, prepared: _Prepared) -> bool:
+        """Return whether many experiments can be computed at once: the same runs count in all of them."""
+        leaves_out = self._plan is not None and self._plan.outliers is not None
+        return isinstance(prepared.model, CellMeans) and not leaves_out
 
     @cached_property
     def claims(self) -> tuple[Claim, ...]:
@@ -193,7 +214,8 @@ class Simulation:
         found: dict[Key, Floats] = {}
         with quiet():
             for prepared, values in zip(self._measures, self.values(part, experiments).values(), strict=True):
-                found |= self._p_values_of(prepared, values[:, prepared.rows])
+                of = self._of_all if self._is_fast(prepared) else self._of_each
+                found |= of(prepared, values, part)
         return found
 
     def values(self, part: int, experiments: int = AT_ONCE) -> dict[str, Floats]:
@@ -205,23 +227,25 @@ class Simulation:
             for place, each in enumerate(self._measures)
         }
 
-    def _p_values_of(self, prepared: _Prepared, values: Floats) -> dict[Key, Floats]:
-        model = prepared.model
-        if isinstance(model, CellMeans):
-            choices = (self._choices.estimand, self._choices.statistic)
-            return self._tested(prepared.assumed.name, CellMeans.of_values(model.layout, values, *choices, _DRAWS))
-        each = [self._of_one(prepared, row) for row in values]
+    def _of_all(self, prepared: _Prepared, values: Floats, part: int) -> dict[Key, Floats]:
+        del part  # nothing is drawn
+        if not isinstance(prepared.model, CellMeans):
+            raise TypeError(f"{prepared.assumed.name} has to be fitted one experiment at a time")
+        choices = (self._choices.estimand, self._choices.statistic)
+        model = CellMeans.of_values(prepared.model.layout, values[:, prepared.rows], *choices, _DRAWS)
+        return self._tested(prepared.assumed.name, model)
+
+    def _of_each(self, prepared: _Prepared, values: Floats, part: int) -> dict[Key, Floats]:
+        random, name = np.random.default_rng((*self._seed, part)), prepared.assumed.name
+        found = []
+        for row in values:
+            _, model = self._analysed(self._design({name: row}, random), name)
+            found.append({} if isinstance(model, NotComputed) else self._tested(name, model))
         missing = np.asarray(np.nan)
-        keys = dict.fromkeys(key for one in each for key in one)
-        return {key: np.array([float(one.get(key, missing)) for one in each]) for key in keys}
+        keys = dict.fromkeys(key for each in found for key in each)
+        return {key: np.array([float(each.get(key, missing)) for each in found]) for key in keys}
 
-    def _of_one(self, prepared: _Prepared, values: Floats) -> dict[Key, Floats]:
-        """Return the p-values of one experiment, for what has to be fitted by itself."""
-        data = replace(prepared.data, frame=prepared.data.frame.assign(**{VALUE: values}))
-        model = model_of(data, self._choices.estimand, self._choices.statistic)
-        return {} if isinstance(model, NotComputed) else self._tested(prepared.assumed.name, model)
-
-    def _tested(self, name: str, model: CellMeans | FittedModel) -> dict[Key, Floats]:
+    def _tested(self, name: str, model: CellMeans | FittedModel | AdjustedMeans) -> dict[Key, Floats]:
         found = {effect_key(name, test.factors): np.asarray(test.p_value) for test in model.effects()}
         for hypothesis in self._contrasts(name):
             contrast = contrast_of(model, hypothesis)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pandas as pd
 
 from robot_runner.analysis.results import Results
@@ -27,6 +28,11 @@ if TYPE_CHECKING:
 
 __all__ = ["Cell", "PlannedResults", "Study"]
 
+#: When a run was measured.
+_STAMP = "start_measurement_at"
+#: The order of the runs is the same each time.
+_SEED = 20210525
+
 #: The texts of one treatment of each factor, in the order of the factors.
 Cell = tuple[str, ...]
 
@@ -40,6 +46,7 @@ class Study:
         factors: the treatments of each factor, as texts.
         cells: the combinations that are executed.
         blocks: what the order is randomised within: a factor, the repetition, or nothing.
+        shuffle: whether the order is randomised.
         repetitions: how many the config plans.
         plan: what is fixed for the analysis; None where nothing is.
         units: the measures of the run table, with their units.
@@ -49,6 +56,7 @@ class Study:
     factors: Mapping[str, tuple[str, ...]]
     cells: tuple[Cell, ...]
     blocks: str | None
+    shuffle: bool
     repetitions: int
     plan: AnalysisPlan | None
     units: Mapping[str, str]
@@ -69,6 +77,7 @@ class Study:
             {factor.name: tuple(factor.texts) for factor in model.factors},
             tuple(tuple(map(treatment_text, each.values())) for each in combinations),
             model.blocks,
+            model.shuffle,
             model.repetitions,
             plan,
             units,
@@ -126,6 +135,9 @@ class Study:
         if first_batch is not None:
             frame[BATCH] = pd.array([1 + (number > first_batch) for _, number in rows], dtype="Int64")
             roles[BATCH] = ColumnRole.BATCH
+        if self.plan is not None and self.plan.covariates:
+            frame[_STAMP] = self._stamps(repetitions)
+            roles[_STAMP] = ColumnRole.TIMESTAMP
         roles |= dict.fromkeys(values, ColumnRole.MEASURE)
         columns = {
             name: ColumnDescription(name=name, role=role, unit=self.units.get(name, "")) for name, role in roles.items()
@@ -136,6 +148,14 @@ class Study:
             "analysis": self.plan.as_mapping() if self.plan is not None else None,
         }
         return PlannedResults(Path(), manifest, columns, table=pd.DataFrame({**frame, **values}))
+
+    def _stamps(self, repetitions: int) -> pd.DatetimeIndex:
+        """Return when each run is measured: a minute each, in an order that is randomised as the config says."""
+        sizes = [len(self.cells)] * repetitions if self.blocks == REPETITION else [self.runs(repetitions)]
+        random = np.random.default_rng(_SEED)
+        orders = [random.permutation(size) if self.shuffle else np.arange(size) for size in sizes]
+        places = np.concatenate([number * len(order) + order for number, order in enumerate(orders)])
+        return pd.Timestamp(0, tz="UTC") + pd.to_timedelta(places, unit="min")
 
     def cells_of(self, repetitions: int) -> Sequence[int]:
         """Return the number of each run's combination, in the order of `results`."""

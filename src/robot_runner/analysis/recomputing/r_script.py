@@ -22,7 +22,7 @@ def r_script(study: StudyFacts) -> str:
         table=_table,
         keys=lambda reported: r_literal([label for label, _ in reported.rows]),
         separator=lambda is_last: Code("" if is_last else ","),
-        tolerance=lambda kind: Code(", tolerance = 1e-3" if kind == "mixed" else ""),
+        tolerance=lambda kind: Code(", tolerance = 1e-4" if kind == "mixed" else ""),
         chosen=_chosen,
         x_of=lambda it: Code("ranks" if it.estimand == "rank" else "x"),
         beside_of=lambda it: Code("x" if it.estimand == "rank" else "ranks"),

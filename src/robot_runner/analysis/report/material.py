@@ -165,7 +165,8 @@ class Material:
     @cached_property
     def precisions(self) -> Mapping[str, KnownPrecision]:
         """How precisely each measure is known that the experiment was repeated for, by its name."""
-        return {each.measure: each for each in known_precisions(self.results)}
+        left_out = {each.name: [one.run_id for one in each.left_out] for each in self.statistics.measures}
+        return {each.measure: each for each in known_precisions(self.results, left_out)}
 
     @cached_property
     def labels(self) -> Mapping[str, str]:

@@ -96,7 +96,9 @@ class AdjustedMeans:
             effects = cells[:, place]
             variance = float(np.mean((effects @ self.fit.beta[place]) ** 2))
             weights = np.zeros((count, len(self.fit.beta)))
-            weights[:, place] = np.linalg.qr(effects)[1]
+            rotation = np.linalg.qr(effects)[1]
+            # The sign of a rotation is arbitrary; that of t is to be that of the first treatment less the second.
+            weights[:, place] = rotation * np.sign(np.diag(rotation))[:, None]
             if count == 1:
                 found = self.fit.contrast(weights[0])
                 yield EffectTest(factors, T, "t", found.t_value, (found.freedom,), found.p_value, variance)

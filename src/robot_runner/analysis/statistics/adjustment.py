@@ -68,7 +68,8 @@ def _slope(
     if choices.estimand is Estimand.RANK:
         unit = "ranks per rank"
     else:
-        unit = f"{unit_of(data.name)} per {_UNITS.get(name) or unit_of(name) or 'unit'}".strip()
+        per = _UNITS.get(name) or unit_of(name) or f"unit of {name}"
+        unit = f"{unit_of(data.name)} per {per}".strip()
     found = model.slope(covariate)
     freedom, p_value = float(found.freedom), float(found.p_value)
     is_known = math.isfinite(p_value)

@@ -11,9 +11,10 @@ from robot_runner.core.design.precise_estimates import Observed, judge
 from robot_runner.core.design.precision import PreciseOf, Precision, most_repetitions, rule_in_words
 from robot_runner.core.design.repeated_intervals import CONFIDENCE, METHOD, level_at_each_look
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Collection, Iterator, Mapping
 
     from robot_runner.analysis.results import Results
     from robot_runner.core.design.precise_estimates import Judgement, Known
@@ -49,9 +50,16 @@ class KnownPrecision:
     sentence: str
 
 
-def known_precisions(results: Results) -> tuple[KnownPrecision, ...]:
-    """Return how precisely each measure is known that the experiment was repeated for; nothing where it was not."""
-    return tuple(_known(results, measure, rules) for measure, rules in _rules(results).items())
+def known_precisions(results: Results, left_out: Mapping[str, Collection[str]]) -> tuple[KnownPrecision, ...]:
+    """Return how precisely each measure is known that the experiment was repeated for; nothing where it was not.
+
+    Args:
+        results: the experiment.
+        left_out: the runs whose value the analysis does not use, by measure.
+    """
+    return tuple(
+        _known(results, measure, rules, left_out.get(measure, ())) for measure, rules in _rules(results).items()
+    )
 
 
 def level_of_looks(results: Results, measure: str) -> float | None:
@@ -86,9 +94,9 @@ def _repetitions(results: Results) -> int:
     return int(results.runs[results.repetition].max())
 
 
-def _known(results: Results, measure: str, rules: list[Precision]) -> KnownPrecision:
+def _known(results: Results, measure: str, rules: list[Precision], left_out: Collection[str]) -> KnownPrecision:
     least, repetitions = _least(results), _repetitions(results)
-    observed = list(_observed(results, measure))
+    observed = list(_observed(results, measure, left_out))
     judged = [judge(rule, least, repetitions, observed) for rule in rules]
     # Several rules about one measure are looked at until the last of them gives up.
     last = max(rules, key=lambda rule: rule.at_most)
@@ -104,7 +112,7 @@ def _known(results: Results, measure: str, rules: list[Precision]) -> KnownPreci
         is_reached,
         of[PreciseOf.MEANS],
         of[PreciseOf.DIFFERENCES],
-        _sentence(measure, asked, least, judged),
+        _sentence(measure, asked, least, judged) + _without(left_out),
     )
 
 
@@ -115,14 +123,20 @@ def _of_kind(
     return judge(same, least, repetitions, observed).known
 
 
-def _observed(results: Results, measure: str) -> Iterator[Observed]:
+def _observed(results: Results, measure: str, left_out: Collection[str]) -> Iterator[Observed]:
     runs = results.runs
     values = runs[measure].where(runs[STATUS] == RunStatus.DONE.value)
     treatments = zip(*(runs[name].astype("str") for name in results.factors), strict=True)
     rows = zip(runs[RUN_ID], treatments, runs[results.repetition], values, values.isna(), strict=True)
     for run_id, texts, repetition, value, is_missing in rows:
-        plain = None if is_missing else value.item() if hasattr(value, "item") else value
+        plain = None if is_missing or run_id in left_out else value.item() if hasattr(value, "item") else value
         yield Observed(run_id, dict(zip(results.factors, texts, strict=True)), int(repetition), plain)
+
+
+def _without(left_out: Collection[str]) -> str:
+    if not left_out:
+        return ""
+    return f" This is without {counted(len(left_out), 'value')} that the analysis leaves out; see there."
 
 
 def _sentence(measure: str, asked: str, least: int, judged: list[Judgement]) -> str:
@@ -130,7 +144,7 @@ def _sentence(measure: str, asked: str, least: int, judged: list[Judgement]) -> 
     reached = "; ".join(each.in_words() for each in judged)
     level = f"{judged[0].level:.1%}".replace("%", " %")
     sized = (
-        "within 3.5 to 6.5 %"
+        "3.5 to 6.5 %"
         if least >= _FIRST_LOOK_FOR_TESTS
         else f"up to 8 % where spreads differ, as the first look was after {least} repetitions"
     )

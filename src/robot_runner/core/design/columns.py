@@ -20,6 +20,7 @@ __all__ = [
     "WARM_UP",
     "NamedColumn",
     "column_name",
+    "is_fit_for_heading",
     "name_findings",
     "numbered_run_id",
     "numbered_warm_up_id",
@@ -83,6 +84,11 @@ def reserved_names(repetitions: int, *, warms_up: bool = False) -> tuple[str, ..
     return (*_TAKEN, *([REPETITION] if repetitions > 1 else []), *([WARM_UP] if warms_up else []))
 
 
+def is_fit_for_heading(character: str) -> bool:
+    """Return whether a heading can hold a character: control characters and the like it cannot."""
+    return unicodedata.category(character) not in _UNFIT_CATEGORIES
+
+
 def name_findings(name: object, *, kind: str, repetitions: int = 1, warms_up: bool = False) -> Iterator[Finding]:
     """Say what keeps `name` from heading a column.
 
@@ -102,7 +108,7 @@ def name_findings(name: object, *, kind: str, repetitions: int = 1, warms_up: bo
         yield Finding.error(where, "the name is empty", "Give it a name.")
     elif name != name.strip():
         yield Finding.error(where, "the name begins or ends with a blank", f"Write {name.strip()!r}.")
-    elif odd := [character for character in name if unicodedata.category(character) in _UNFIT_CATEGORIES]:
+    elif odd := [character for character in name if not is_fit_for_heading(character)]:
         yield Finding.error(where, f"the name holds {odd[0]!r}, which no heading can hold", "Leave it out.")
     elif name.casefold() in {taken.casefold() for taken in reserved_names(repetitions, warms_up=warms_up)}:
         yield Finding.error(where, "the run table has a column of that name already", _other_name(name))

@@ -18,6 +18,7 @@ from robot_runner.core.execution.notices import (
     AttemptStarted,
     ExperimentFinished,
     ExperimentStarted,
+    PrecisionJudged,
     SilentObserver,
 )
 from robot_runner.core.execution.orchestrator import execute_experiment
@@ -224,6 +225,8 @@ class _Teller(SilentObserver):
         match notice:
             case ExperimentStarted():
                 self._say(f"{notice.experiment_name}: {notice.run_count} runs, {notice.done_count} of them done before")
+            case PrecisionJudged():
+                self._say(notice.in_words())
             case AttemptStarted(task):
                 treatments = ", ".join(f"{name}={value}" for name, value in task.combination.items())
                 self._say(f"run {task.run_number} of {task.run_count} ({task.run_id}) starts: {treatments}")

@@ -209,7 +209,7 @@ class ProgressManager:
             what is known by now; None where nothing is to be known, or runs are left to do.
         """
         is_partial = self._resumption.only or self._resumption.skip or self.todo_count
-        return None if is_partial else self._repeating.judge(self, self._rows)
+        return None if is_partial else self._repeating.judge(self, self._table)
 
     def grow(self, growth: Growth) -> None:
         """Add the runs of a repetition, and write down why."""

@@ -18,6 +18,7 @@ from robot_runner.core.design.batches import (
     repetition_record,
 )
 from robot_runner.core.design.growing import Begun, GrownDesign
+from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.design.planned_runs import RunOrder
 from robot_runner.core.design.precise_estimates import Observed, judge
 from robot_runner.core.design.precision import LEAST_REPETITIONS, most_repetitions
@@ -28,15 +29,16 @@ from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Container, Iterator, Mapping, Sequence
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.design.precise_estimates import Judgement
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.execution.progress_manager import ProgressManager
+    from robot_runner.core.execution.recovered_table import RecoveredTable
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
-__all__ = ["Growth", "Repeating", "observed_runs"]
+__all__ = ["Growth", "Repeating"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +72,8 @@ class Repeating:
         model = experiment.model
         self._config = as_configured(model)
         self._model = model
+        plan = experiment.parameters.analysis
+        self._leaves_out = plan is not None and plan.doubtful is Doubtful.LEAVE_OUT
         self._seed = int(manifest["seed"])
         planned_often = self._config.repetitions >= LEAST_REPETITIONS  # one run that is only tried is not
         self._rules = experiment.parameters.repeat_until if planned_often and not is_by_hand else ()
@@ -79,18 +83,22 @@ class Repeating:
         """Whether there may be a repetition more."""
         return self._model.repetitions < most_repetitions(self._rules)
 
-    def judge(self, progress: ProgressManager, rows: RunTableRows) -> PrecisionJudged | None:
+    def judge(self, progress: ProgressManager, table: RecoveredTable) -> PrecisionJudged | None:
         """Have a repetition added where one is needed, and else take down why not.
 
         Args:
             progress: takes it down.
-            rows: a run table of which no run is to do.
+            table: a run table of which no run is to do.
 
         Returns:
             what is known by now; None without rules.
         """
         least, now = self._config.repetitions, self._model.repetitions
-        judged = [judge(rule, least, now, observed_runs(rows, rule.measure)) for rule in self._rules]
+        rows = table.rows
+        doubtful = {rule.measure: table.reasons[rule.measure] if self._leaves_out else () for rule in self._rules}
+        judged = [
+            judge(rule, least, now, _observed(rows, rule.measure, doubtful[rule.measure])) for rule in self._rules
+        ]
         if not judged:
             return None
         facts = list(map(_facts, judged))
@@ -131,12 +139,12 @@ class Repeating:
         return RunOrder(shuffle=self._config.shuffle, blocks=self._config.blocks, seed=seed, seed_is_given=True)
 
 
-def observed_runs(rows: RunTableRows, measure: str) -> Iterator[Observed]:
+def _observed(rows: RunTableRows, measure: str, doubtful: Container[str]) -> Iterator[Observed]:
     """Yield what each run yielded; those that were excluded and those that only warm up are left out."""
     for place, (run, value) in enumerate(zip(rows.planned, rows.values(measure), strict=True)):
         if not run.is_warm_up and rows.excluded(place) is None:
             treatments = {name: str(treatment) for name, treatment in run.combination.items()}
-            is_done = rows.status(place) is RunStatus.DONE
+            is_done = rows.status(place) is RunStatus.DONE and run.run_id not in doubtful
             yield Observed(run.run_id, treatments, run.repetition, value if is_done else None)
 
 

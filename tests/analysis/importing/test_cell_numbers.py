@@ -1,0 +1,60 @@
+"""Numbers are read in whichever way people write them, and what is not clear is asked."""
+
+from __future__ import annotations
+
+import pytest
+
+from robot_runner.analysis.importing.cell_numbers import plain_cells
+
+
+@pytest.mark.parametrize(
+    ("cells", "plain", "words"),
+    [
+        (["1.5", "2"], ["1.5", "2"], ""),
+        (["1,5", "2,25", "nan", ""], ["1.5", "2.25", "nan", ""], "decimal commas"),
+        (["1,234.5", "2,345.25"], ["1234.5", "2345.25"], "commas between thousands"),
+        (["1.234,5", "2.345.678,25"], ["1234.5", "2345678.25"], "points between thousands"),
+        (["1 234,5", "12"], ["1234.5", "12"], "blanks between thousands"),
+        (["1\u202f234.5", "-2\u00a0000"], ["1234.5", "-2000"], "blanks between thousands"),
+        (["1'234.5", "12"], ["1234.5", "12"], "apostrophes between thousands"),
+        (["1,5e3", "2,0E-2"], ["1.5e3", "2.0E-2"], "decimal commas"),
+        (["22.01%", "21.5 %", "-"], ["22.01", "21.5", "-"], "the unit % behind each"),
+        (["529,94mJ", "810,5mJ"], ["529.94", "810.5"], "decimal commas, the unit mJ behind each"),
+        (["1.5 kJ", "2 J"], ["1.5 kJ", "2 J"], ""),
+        (["video", "1,5"], ["video", "1,5"], ""),
+        (["1;2", "3;4"], ["1;2", "3;4"], ""),
+        ([], [], ""),
+    ],
+)
+def test_numbers_are_written_plainly(cells, plain, words):
+    found = plain_cells(cells, decimal=None, has_decimal_commas=False)
+    assert (list(found.cells), found.words, found.doubt) == (plain, words, "")
+
+
+@pytest.mark.parametrize(
+    ("decimal", "plain", "doubt"),
+    [
+        (None, ["1.234", "12.5"], ""),
+        (",", ["1.234", "12.5"], ""),
+    ],
+)
+def test_one_clear_number_settles_a_column(decimal, plain, doubt):
+    found = plain_cells(["1,234", "12,5"], decimal=decimal, has_decimal_commas=False)
+    assert (list(found.cells), found.doubt) == (plain, doubt)
+
+
+def test_what_can_be_read_in_two_ways_is_doubted():
+    found = plain_cells(["1,234", "5,678"], decimal=None, has_decimal_commas=False)
+    assert found.doubt == "1,234 may be 1.234 or 1234"
+
+
+@pytest.mark.parametrize(("decimal", "plain"), [(".", ["1234", "5678"]), (",", ["1.234", "5.678"])])
+def test_the_decimal_sign_settles_it(decimal, plain):
+    found = plain_cells(["1,234", "5,678"], decimal=decimal, has_decimal_commas=False)
+    assert (list(found.cells), found.doubt) == (plain, "")
+
+
+def test_points_may_group_thousands_where_others_have_decimal_commas():
+    found = plain_cells(["1.234", "12"], decimal=None, has_decimal_commas=True)
+    assert found.doubt == "1.234 may be 1234 or 1.234"
+    assert list(plain_cells(["1.5", "12"], decimal=None, has_decimal_commas=True).cells) == ["1.5", "12"]
