@@ -91,10 +91,16 @@ def _print(console: UserConsole, config: str, preparation: Preparation, probe: P
             *_seen(probe),
             ("Robot", experiment.parameters.robot or "none"),
             ("Mode", experiment.parameters.operation_type.name),
+            ("Registered", _registered(experiment)),
             ("Results", shown_path(experiment.folder.root)),
             ("Set", ", ".join(f"{name}={value}" for name, value in experiment.overrides.items())),
         ],
     )
+
+
+def _registered(experiment: Experiment) -> str:
+    found = experiment.registration
+    return "" if found is None else f"{found.registered_at}, SHA-256 {found.sha256}"
 
 
 def _repeated(experiment: Experiment) -> str:
