@@ -105,11 +105,11 @@ class Repeating:
         Returns:
             what is known by now; None without rules.
         """
-        least, now = self._config.repetitions, self._model.repetitions
+        looks, now = (self._config.repetitions, most_repetitions(self._rules)), self._model.repetitions
         rows = table.rows
         doubtful = {rule.measure: table.reasons[rule.measure] if self._leaves_out else () for rule in self._rules}
         judged = [
-            judge(rule, least, now, _observed(rows, rule.measure, doubtful[rule.measure])) for rule in self._rules
+            judge(rule, looks, now, _observed(rows, rule.measure, doubtful[rule.measure])) for rule in self._rules
         ]
         if not judged:
             return None
