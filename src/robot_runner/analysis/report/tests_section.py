@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 from robot_runner.analysis.plan_file import choices_in_words
 from robot_runner.analysis.report.blocks import (
     Badge,
+    Beside,
     Block,
     Cell,
     Column,
-    Gallery,
     Paragraph,
     Part,
     Place,
@@ -123,6 +123,9 @@ def _beside(material: Material, measure: MeasureStatistics, label: str) -> Itera
 
 def _assumptions(material: Material, measure: MeasureStatistics) -> Iterator[Block]:
     blocks: list[Block] = []
+    figure = quantile_figure(material, measure) if measure.name in material.drawn else None
+    if figure is not None:
+        blocks.append(figure)
     if measure.assumptions:
         fields = (
             text("Check", "name"),
@@ -134,11 +137,8 @@ def _assumptions(material: Material, measure: MeasureStatistics) -> Iterator[Blo
         caption = f"{material.results.label(measure.name)}: how values are distributed."
         note = "They describe the values; no test is chosen by them."
         blocks.append(build_table(f"assumptions {measure.name}", caption, measure.assumptions, fields, note))
-    figure = quantile_figure(material, measure) if measure.name in material.drawn else None
-    if figure is not None:
-        blocks.append(Gallery((figure,)))
     if blocks:
-        yield Part(f"assumptions-{measure.name}", "Distribution", tuple(blocks), is_folded=True)
+        yield Part(f"assumptions-{measure.name}", "Distribution", (Beside(tuple(blocks)),), is_folded=True)
 
 
 def _power(power: Power) -> str:
@@ -221,18 +221,18 @@ def _pair_table(measure: MeasureStatistics, label: str, post_hoc: PostHoc) -> Ta
     fields: list[Field | tuple[Field, ...]] = [
         text("First", "first"),
         text("Second", "second"),
-        number(f"Difference of {post_hoc.quantity}", "difference"),
-        interval("CI", "interval"),
-        *map(_size_fields, sizes[:1]),
+        field(f"Difference of {post_hoc.quantity}", _difference_on_two_lines, is_number=True, place=Place.PAGE),
+        number(f"Difference of {post_hoc.quantity}", "difference", place=Place.FILE),
+        *interval("CI", "interval")[1:],
+        *map(_size_fields, sizes),
         p_value("p", "p_value"),
         p_value("Adjusted p", "adjusted_p_value", "is_significant"),
         p_value(f"p of {'means' if post_hoc.quantity.endswith('ranks') else 'ranks'}", "check_p_value"),
-        *map(_size_fields, sizes[1:]),
     ]
     name, caption = f"pairs {measure.name} {' '.join(post_hoc.factors)}", f"all pairs of {' / '.join(post_hoc.factors)}"
     note = (
-        f"{post_hoc.method}; intervals belong to p. Adjusted after {correction_in_words(post_hoc.correction)}, and no "
-        "smaller than the p-value of the effect."
+        f"{post_hoc.method}; intervals, in brackets, belong to p. Adjusted after "
+        f"{correction_in_words(post_hoc.correction)}, and no smaller than the p-value of the effect."
     )
     return build_table(name, f"{label}: {caption}.", post_hoc.comparisons, fields, note)
 
@@ -256,6 +256,11 @@ def _size_fields(name: str) -> tuple[Field, ...]:
         part("high", lambda size: None if size.interval is None else size.interval.high),
         part("magnitude", lambda size: size.magnitude.value),
     )
+
+
+def _difference_on_two_lines(pair: Comparison) -> Cell:
+    ends = "" if pair.interval is None else f"\n{shown_interval(pair.interval)}"
+    return Cell(pair.difference, f"{shown_number(pair.difference)}{ends}")
 
 
 def _size_on_two_lines(size: EffectSize) -> str:

@@ -103,7 +103,8 @@ def analyse(
         otherwise = Otherwise(which, {each.planned.name: each.runs[which] for each in analysed}, design.covariates)
         standings += standing_effects(told, beside[which], otherwise)
         standings += standing_hypotheses(judged, rejudged, otherwise, tuple(again))
-    numeric = [data for each in told if each.overall and (data := design.data(each.name)) is not None]
+    measured = replace(design, covariates=())  # beside a covariate that is taken out of one, no correlation is left
+    numeric = [data for each in told if each.overall and (data := measured.data(each.name)) is not None]
     correlations, missing = correlations_of(numeric[:_MOST_CORRELATED], chosen_correction)
     return ExperimentStatistics(
         alpha=chosen_alpha,
