@@ -177,7 +177,7 @@ def _write(document: Document, written: Mapping[str, Path | None]) -> None:
 
 def _combine(arguments: Namespace, folders: Sequence[Path], written: Mapping[str, Path | None]) -> int:
     from robot_runner.analysis.comparison import combined_document as document  # noqa: PLC0415 - slow, and an extra
-    from robot_runner.analysis.comparison.combining import meta_analyse  # noqa: PLC0415 - slow, and an extra
+    from robot_runner.analysis.comparison.averaging import meta_analyse  # noqa: PLC0415 - slow, and an extra
     from robot_runner.analysis.report.writing import made_by  # noqa: PLC0415 - slow, and an extra
 
     found = meta_analyse(*folders, measures=arguments.measure, alpha=arguments.alpha, same=arguments.same or ())

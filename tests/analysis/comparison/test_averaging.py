@@ -14,8 +14,8 @@ from scipy import stats
 from tests.analysis.comparison.combined_agreement import disagreements_of_combined
 
 from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.comparison.averaging import hedges_g, meta_analyse
 from robot_runner.analysis.comparison.combined_document import combined_document, json_of_meta_analysis
-from robot_runner.analysis.comparison.combining import hedges_g, meta_analyse
 from robot_runner.analysis.figures.style import FigureFormat, figure_bytes
 from robot_runner.core.errors import AnalysisError
 
