@@ -224,6 +224,9 @@ PLAN = {
 }
 
 
+JOBS = json.loads(json.dumps(PLAN).replace("Task", "Job").replace('"Idle"', '"Nothing"'))
+
+
 def test_contrasts_of_plans_are_combined_beside_the_pairs(lab):
     planned = lab(TASKS, manifest={"analysis": PLAN})
     found = meta_analyse(planned, lab(TASKS), lab(TASKS))
@@ -233,6 +236,10 @@ def test_contrasts_of_plans_are_combined_beside_the_pairs(lab):
     assert contrast.label == "Idle needs less than half of both."
     assert contrast.difference.random.estimate == pytest.approx(-10, abs=2)
     assert "differs from zero on average" in contrast.conclusion
+    other = lab({"Video": 30.0, "Network": 20.0, "Nothing": 20.0}, factor="Job")
+    renamed = lab({"Video": 30.0, "Network": 20.0, "Nothing": 20.0}, factor="Job", manifest={"analysis": JOBS})
+    *_, contrast = meta_analyse(renamed, other, same=["Task=Job", "Idle=Nothing"]).measure("Energy").effects
+    assert (contrast.factor, contrast.weights) == ("Task", {"Idle": 2.0, "Video": -1.0, "Network": -1.0})
 
 
 def test_an_experiment_is_analysed_as_its_own_plan_has_it(make_folder):
