@@ -95,7 +95,7 @@ def _circumstances(found: MetaAnalysis) -> Iterator[Block]:
     fields = (
         text("Name here", "name"),
         text("Experiment", "experiment"),
-        text("Folder", lambda each: str(each.folder)),
+        text("Folder", "folder.name"),
         number("Runs done", "runs"),
     )
     yield build_table(
