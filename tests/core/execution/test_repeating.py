@@ -237,10 +237,10 @@ def test_a_table_that_was_written_by_hand_is_not_repeated_and_that_is_told(tmp_p
     folder.mkdir(parents=True)
     rows = [f"hand_{task}_{number},{task}" for number in range(4) for task in ("Video", "Network")]
     (folder / "run_table.csv").write_text("\n".join(["run_id,Task", *rows, ""]), encoding="utf-8")
-    _, observer = resume(config)
+    finished, _ = resume(config)
     assert len(rows_of(config)) == 8
     assert any(
-        "written by hand" in each and "nothing is repeated" in each for each in problems(observer.finished.findings)
+        "written by hand and is executed as it is: nothing is repeated" in each for each in problems(finished.findings)
     )
 
 
