@@ -232,7 +232,10 @@ _INTERVALS = (
     ),
     _Covered("difference within blocks", _within_blocks, others=_skewed((96, 98.5), (95.5, 98)), why=_SKEWS_CANCEL),
     _Covered(
-        "difference of marginal means, sd 1 and 4", _marginal, others=_skewed((88, 92), (90, 94), (92, 95)), why=_SKEWED
+        "difference of marginal means, sd 1 and 4",
+        _marginal,
+        others=_skewed((88, 92), (90, 94), (92, 95)) | _skewed((92, 97), name="uniform"),
+        why=_SKEWED.replace("skewed", "such"),
     ),
     _Covered("contrast of three means, sd 1:2:3", _contrast),
     _Covered(
