@@ -11,7 +11,7 @@ from tests.analysis.statistics import reference_data as data
 from robot_runner.analysis.statistics.assumptions import equal_variances, normality
 from robot_runner.analysis.statistics.correlations import correlations_of
 from robot_runner.analysis.statistics.detectable_effect import _power, repetitions_needed
-from robot_runner.analysis.statistics.effect_sizes import cliffs_delta, cohens_d, vargha_delaney
+from robot_runner.analysis.statistics.effect_sizes import cliffs_delta, cohens_d, noncentralities_of_f, vargha_delaney
 from robot_runner.analysis.statistics.linear_model import fit_model
 from robot_runner.analysis.statistics.post_hoc import adjusted, compare_pairs
 from robot_runner.analysis.statistics.tested import Magnitude, TestMethod
@@ -128,6 +128,15 @@ def test_welch_anova_of_plant_growth():
     assert together == pytest.approx(0.0174386556462, rel=1e-9)
     (alone,) = computed(data.one_factor(data.PLANT_GROWTH), statistic=Statistic.WELCH_JAMES)[0].effects
     assert (alone.test, alone.p_value, alone.parts) == ("Welch's ANOVA", effect.parts[0].p_value, ())
+
+
+def test_noncentralities_of_plant_growth():
+    # uniroot(function(n) pf(5.180972408, 2, 17.12841862, ncp = n) - p, c(0, 500)) at p = 0.95 and 0.05; and
+    # effectsize: F_to_eta2(5.180972408, 2, 17.12841862, ci = 0.9, alternative = "two.sided"): 0.0540366391, 0.586884784
+    low, high = noncentralities_of_f(5.180972408, (2, 17.12841862), 0.9)
+    assert (low, high) == pytest.approx((0.97843402, 24.33318318), abs=5e-8)
+    shares = (low / (low + 17.12841862), high / (high + 17.12841862))
+    assert shares == pytest.approx((0.0540366391, 0.586884784), abs=5e-8)
 
 
 def test_welch_anova_of_insect_sprays_and_of_their_ranks():
