@@ -84,8 +84,9 @@ class Browser:
             self.call("Input.dispatchMouseEvent", type="mouseMoved", x=place[0] - step, y=place[1])
         self.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
-    def pdf(self) -> bytes:
-        return base64.b64decode(self.call("Page.printToPDF")["data"])
+    def pdf(self, *, paper: tuple[float, float] = (8.5, 11.0)) -> bytes:
+        """Print on paper of this width and height, inches."""
+        return base64.b64decode(self.call("Page.printToPDF", paperWidth=paper[0], paperHeight=paper[1])["data"])
 
     @property
     def complaints(self) -> list[tuple[str, dict[str, Any]]]:

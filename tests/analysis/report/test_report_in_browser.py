@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from robot_runner.analysis.comparison.comparing import compare
@@ -31,6 +33,97 @@ def test_the_demo_s_report_shows_its_sections_and_asks_for_nothing(browser, exec
     assert browser.evaluate("[...document.images].every(each => each.complete && each.naturalWidth > 0)")
     assert browser.evaluate(f"{VISIBLE.format('figure.chart canvas')}.length") >= 4
     assert "simulated" in browser.evaluate("document.querySelector('.masthead').textContent")
+
+
+@pytest.fixture(scope="module")
+def demo_page(executed_demo, tmp_path_factory):
+    """Return the page of the demo."""
+    folder = tmp_path_factory.mktemp("demo_page")
+    return write_report(executed_demo / "robot-runner-demo" / "basic_experiment", output=folder, figures=()).document
+
+
+def test_tables_of_the_demo_fit_on_a_small_desktop(browser, demo_page):
+    browser.open(demo_page, width=1280)
+    browser.evaluate("document.querySelectorAll('details').forEach(each => { each.open = true; })")
+    cut = "[...document.querySelectorAll('.scroller')].filter(each => each.scrollWidth > each.clientWidth + 1)"
+    assert browser.evaluate(f"{cut}.map(each => each.getAttribute('aria-label'))") == []
+    sizes = "[...document.querySelectorAll('th')].filter(each => /Cohen|Effect size/.test(each.textContent))"
+    assert browser.evaluate(f"{sizes}.map(each => each.getBoundingClientRect().right)")
+    assert max(browser.evaluate(f"{sizes}.map(each => each.getBoundingClientRect().right)")) <= 1280
+
+
+def test_the_demo_is_printed_on_fewer_than_ten_pages_in_black_on_white(browser, demo_page):
+    browser.open(demo_page)
+    browser.evaluate("document.documentElement.dataset.scheme = 'dark'")
+    pages = re.findall(rb"/Type\s*/Page\b", browser.pdf(paper=(8.27, 11.69)))
+    assert 0 < len(pages) < 10
+    browser.call("Emulation.setEmulatedMedia", media="print")
+    style = "getComputedStyle(document.body).{}, getComputedStyle(document.querySelector('figure img')).filter"
+    printed = browser.evaluate(f"[{style.format('backgroundColor')}]")
+    browser.call("Emulation.setEmulatedMedia", media="")
+    assert printed == ["rgb(255, 255, 255)", "none"]
+
+
+#: The contrast of each text with what lies behind it, by the formula of WCAG 2.2.
+CONTRASTS = """
+(() => {
+  const channel = value => (value /= 255) <= 0.04045 ? value / 12.92 : ((value + 0.055) / 1.055) ** 2.4;
+  const light = ([r, g, b]) => 0.2126 * channel(r) + 0.7152 * channel(g) + 0.0722 * channel(b);
+  const parts = colour => colour.match(/[\\d.]+/g).map(Number);
+  const behind = element => {
+    for (let each = element; each; each = each.parentElement) {
+      const found = parts(getComputedStyle(each).backgroundColor);
+      if (found.length < 4 || found[3] === 1) { return found; }
+    }
+    return [255, 255, 255];
+  };
+  const low = [];
+  document.querySelectorAll("body *").forEach(each => {
+    const text = [...each.childNodes].filter(node => node.nodeType === 3).map(node => node.textContent.trim()).join("");
+    if (!text || !each.getClientRects().length || each.closest("script, style, .skip")) { return; }
+    const pair = [light(parts(getComputedStyle(each).color)), light(behind(each))].sort((a, b) => b - a);
+    const contrast = (pair[0] + 0.05) / (pair[1] + 0.05);
+    if (contrast < 4.5) { low.push([text.slice(0, 30), each.className, Math.round(contrast * 100) / 100]); }
+  });
+  return low;
+})()
+"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_all_text_stands_out_from_what_is_behind_it(browser, demo_page, scheme):
+    browser.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+    browser.open(demo_page)
+    browser.evaluate("document.querySelectorAll('details').forEach(each => { each.open = true; })")
+    low, page = browser.evaluate(CONTRASTS), browser.evaluate("getComputedStyle(document.body).backgroundColor")
+    browser.call("Emulation.setEmulatedMedia", features=[])
+    assert low == []
+    assert (page == "rgb(255, 255, 255)") is (scheme == "light")
+
+
+def test_light_and_dark_can_be_chosen_by_a_button_that_keys_reach(browser, demo_page):
+    browser.open(demo_page)
+    shown = "getComputedStyle(document.body).backgroundColor"
+    before = browser.evaluate(shown)
+    browser.evaluate("document.querySelector('.scheme').focus()")
+    for kind in ("keyDown", "keyUp"):
+        browser.call("Input.dispatchKeyEvent", type=kind, key=" ", code="Space", windowsVirtualKeyCode=32, text=" ")
+    assert browser.evaluate(shown) != before
+    assert browser.evaluate("document.querySelector('.scheme').textContent") == "Light"
+    browser.evaluate("document.querySelector('.scheme').click()")
+    assert browser.evaluate(shown) == before
+    assert browser.complaints == []
+
+
+def test_every_picture_says_what_it_shows_and_stands_beside_numbers(browser, demo_page):
+    browser.open(demo_page)
+    assert browser.evaluate("[...document.images].filter(each => each.alt.length < 10).length") == 0
+    assert browser.evaluate("[...document.querySelectorAll('.plot')].every(each => each.ariaLabel.length > 10)")
+    [picture, table] = browser.evaluate(
+        "[...document.querySelectorAll('#trajectory .beside > *')].map(each => each.getBoundingClientRect().toJSON())"
+    )
+    assert picture["right"] <= table["left"]
+    assert abs(picture["top"] - table["top"]) < 20
 
 
 def test_links_lead_to_sections(browser, sampled_page):

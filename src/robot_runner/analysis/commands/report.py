@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.libraries import require_libraries
+from robot_runner.analysis.plan_file import read_plan
 from robot_runner.cli.console import output, print_facts, shown_path
 from robot_runner.cli.parser import UsageError, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
@@ -57,6 +58,11 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument(
         "--alpha", metavar="LEVEL", type=float, help="the level of significance (that of the config's plan, or 0.05)"
     )
+    parser.add_argument(
+        "--plan",
+        metavar="FILE",
+        help="a plan of the analysis, as TOML, in the place of the config's; everything is exploratory then",
+    )
 
 
 def execute(arguments: Namespace) -> int:
@@ -77,6 +83,7 @@ def execute(arguments: Namespace) -> int:
         "output": Path(arguments.output).expanduser() if arguments.output else None,
         "measures": arguments.measure,
         "alpha": arguments.alpha,
+        "plan": None if arguments.plan is None else read_plan(Path(arguments.plan).expanduser()),
     }
     written = write_report(results, ReportFormat(kind), figures=figures, **chosen)
     kinds = [Recomputation.NOTEBOOK] * arguments.notebook + [Recomputation.R] * arguments.r

@@ -35,6 +35,7 @@ def facts_of_study(
     *,
     measures: Sequence[str] | None = None,
     alpha: float | None = None,
+    plan: AnalysisPlan | None = None,
     made: str = "",
 ) -> StudyFacts:
     """Return what a recomputation has to know of a study.
@@ -45,18 +46,20 @@ def facts_of_study(
         measures: which measures the report is of; None for all. Primary measures of the plan come in addition, as
             errors are controlled among these.
         alpha: the level of significance; None for the one that was fixed beforehand, or 0.05.
+        plan: what the report follows in the place of what was fixed before the experiment.
         made: when and by what.
 
     Raises:
         StorageError: the run table cannot be read.
         AnalysisError: there is no such measure, or alpha is no probability.
     """
-    planned = results.plan.measures if results.plan is not None else ()
+    followed = plan or results.plan
+    planned = followed.measures if followed is not None else ()
     primary = [name for name in planned if name in results.columns]
     names = None if measures is None else list(dict.fromkeys([*measures, *primary]))
-    statistics = analyse(results, measures=names, alpha=alpha)
-    shown = statistics if names in (None, measures) else analyse(results, measures=measures, alpha=alpha)
-    plan = results.plan if statistics.is_planned else None
+    statistics = analyse(results, measures=names, alpha=alpha, plan=plan)
+    shown = statistics if names in (None, measures) else analyse(results, measures=measures, alpha=alpha, plan=plan)
+    plan = plan or (results.plan if statistics.is_planned else None)
     design = design_of(results, blocks=plan.blocks if plan is not None else None)
     facts = dict(_measures(design, statistics, plan))
     cells = Cells(ExperimentFolder.found_at(results.folder).run_table, results)

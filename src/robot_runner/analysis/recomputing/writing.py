@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from robot_runner.core.design.analysis_plan import AnalysisPlan
+
 __all__ = ["Recomputation", "write_recomputations"]
 
 
@@ -38,6 +40,7 @@ def write_recomputations(
     output: Path | None = None,
     measures: Sequence[str] | None = None,
     alpha: float | None = None,
+    plan: AnalysisPlan | None = None,
 ) -> tuple[Path, ...]:
     """Write what computes the numbers of a report again from the run table alone, and return the files.
 
@@ -47,6 +50,7 @@ def write_recomputations(
         output: the folder to write into, that of the report; None is `report/` in the experiment's folder.
         measures: which measures the report is of; None for all.
         alpha: the level of significance; None for the one that was fixed beforehand, or 0.05.
+        plan: what the report follows in the place of what was fixed before the experiment.
 
     Raises:
         StorageError: there is no experiment, or the folder cannot be written.
@@ -59,7 +63,7 @@ def write_recomputations(
     except OSError as error:
         raise storage_error(folder, "made", error) from error
     made = made_by("Report", datetime.now(UTC))
-    study = facts_of_study(results, folder, measures=measures, alpha=alpha, made=made)
+    study = facts_of_study(results, folder, measures=measures, alpha=alpha, plan=plan, made=made)
     written = []
     for kind in kinds:
         written.append(folder / kind.value)

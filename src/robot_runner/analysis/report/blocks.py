@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Badge",
+    "Beside",
     "Block",
     "Card",
     "Cards",
@@ -170,6 +171,7 @@ class FigureBlock:
         alternative: what somebody who cannot see it should know.
         draw: called once.
         is_wide: whether it takes the whole width of a page.
+        has_photographs: whether it holds pictures whose colours a dark page must not change.
     """
 
     name: str
@@ -177,6 +179,7 @@ class FigureBlock:
     alternative: str
     draw: Callable[[], Figure]
     is_wide: bool = False
+    has_photographs: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,6 +187,13 @@ class Gallery:
     """Figures beside each other, where there is room."""
 
     figures: tuple[FigureBlock, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """A picture and what belongs to it, beside each other where there is room."""
+
+    blocks: tuple[Block, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,7 +253,7 @@ class Part:
     is_printed: bool = True
 
 
-Block = Paragraph | Facts | Cards | Table | FigureBlock | Gallery | Chart | Remarks | Code | Part
+Block = Paragraph | Facts | Cards | Table | FigureBlock | Gallery | Beside | Chart | Remarks | Code | Part
 
 
 @dataclass(frozen=True, slots=True)
@@ -299,7 +309,7 @@ class Document:
 def _flat(blocks: Sequence[Block]) -> Iterator[Block]:
     for block in blocks:
         yield block
-        if isinstance(block, Part):
+        if isinstance(block, Part | Beside):
             yield from _flat(block.blocks)
         elif isinstance(block, Gallery):
             yield from block.figures

@@ -9,9 +9,10 @@ import pandas as pd
 
 from robot_runner.analysis.figures.courses import Course, MissionCourses, PhaseSpan, bin_width, course_of_run
 from robot_runner.analysis.figures.missions import Way, draw_mean_courses, draw_single_courses, draw_trajectories
-from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Tone
+from robot_runner.analysis.report.blocks import Beside, Block, FigureBlock, Gallery, Paragraph, Part, Tone
 from robot_runner.analysis.report.charts import course_chart
 from robot_runner.analysis.report.material import origin_badges, origin_in_words
+from robot_runner.analysis.report.means_table import means_table
 from robot_runner.analysis.sample_files import split_unit
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.columns import RUN_ID
@@ -214,7 +215,8 @@ def trajectory_part(material: Material) -> Iterator[Part]:
         if is_way(file.columns) and runs:
             figures.append(_figure(material, file, runs))
     if figures:
-        yield Part("trajectory", "The way of the robot", (Gallery(tuple(figures)),))
+        beside = Beside((Gallery(tuple(figures)), *means_table(material, "means beside ways")))
+        yield Part("trajectory", "The way of the robot", (beside,))
 
 
 def _figure(material: Material, file: SampleFile, runs: list[str]) -> FigureBlock:

@@ -6,7 +6,8 @@ import json
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.figures.stills import RunStills, draw_stills
-from robot_runner.analysis.report.blocks import FigureBlock, Gallery, Part
+from robot_runner.analysis.report.blocks import Beside, FigureBlock, Gallery, Part
+from robot_runner.analysis.report.means_table import means_table
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import counted
@@ -38,7 +39,8 @@ def stills_part(material: Material) -> Iterator[Part]:
                 cameras.setdefault(path.parent.name, []).append(RunStills(name, stills))
     if cameras:
         figures = tuple(_figure(camera, runs) for camera, runs in cameras.items())
-        yield Part("stills", "What the camera saw", (Gallery(figures),))
+        beside = Beside((Gallery(figures), *means_table(material, "means beside stills")))
+        yield Part("stills", "What the camera saw", (beside,))
 
 
 def _figure(camera: str, runs: Sequence[RunStills]) -> FigureBlock:
@@ -50,6 +52,7 @@ def _figure(camera: str, runs: Sequence[RunStills]) -> FigureBlock:
         f"Stills of {counted(len(shown), 'run')}.",
         lambda: draw_stills(shown),
         is_wide=True,
+        has_photographs=True,
     )
 
 

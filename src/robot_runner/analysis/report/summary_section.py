@@ -9,30 +9,25 @@ from robot_runner.analysis.report.blocks import (
     Block,
     Card,
     Cards,
-    Cell,
     Code,
     Facts,
     Paragraph,
     Remark,
     Remarks,
     Section,
-    Table,
     Tone,
 )
-from robot_runner.analysis.report.material import JOINT
-from robot_runner.analysis.report.tables import Field, build_table, field, text
-from robot_runner.analysis.wording import MISSING, TIMES, listed, shown_number
+from robot_runner.analysis.report.means_table import means_table
+from robot_runner.analysis.wording import TIMES, listed
 from robot_runner.core.storage.cells import RunStatus
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from robot_runner.analysis.report.material import Material
-    from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics
+    from robot_runner.analysis.statistics.outcome import MeasureStatistics
 
 __all__ = ["replication_section", "summary_section"]
-
-_MOST_GROUPS = 6
 
 _CONTENTS = (
     ("run_table.csv", "all runs with their treatments and measures; run_table.schema.json says what each column means"),
@@ -54,37 +49,11 @@ def summary_section(material: Material, threats: Sequence[Remark]) -> Section:
     if material.results.is_running:
         note = "The experiment is being executed: this report is of the runs that were done when it was made."
         blocks.append(Remarks((Remark("The experiment is not over", note, Tone.WARNING, "Note"),)))
-    blocks += _means(material)
+    blocks += means_table(material, "means")
     hypotheses = material.statistics.hypotheses
     blocks += [Paragraph(each.conclusion, Tone.GOOD, lead=each.hypothesis.statement) for each in hypotheses]
     blocks += [_conclusion(material, measure) for measure in material.statistics.measures]
     return Section("in-brief", "In brief", tuple(blocks))
-
-
-def _means(material: Material) -> Iterator[Table]:
-    """Yield the means of all measures beside each other, where there are few enough treatments."""
-    groups = {
-        measure.name: {each.label: each for each in measure.by_combination or measure.by_treatment}
-        for measure in material.statistics.measures
-        if measure.overall is not None and measure.overall.n
-    }
-    names = [name for name in material.order if any(name in described for described in groups.values())]
-    if not groups or not 1 < len(names) <= _MOST_GROUPS:
-        return
-
-    def means(treatment: str) -> Field:
-        return field(treatment, lambda measure: _mean(groups[measure].get(treatment)), is_number=True)
-
-    caption = f"Means by {JOINT.join(material.results.factors)}."
-    note = "Mean of the runs that are done, and their standard deviation (± SD)."
-    yield build_table("means", caption, groups, (text("Measure", material.results.label), *map(means, names)), note)
-
-
-def _mean(group: Description | None) -> Cell:
-    if group is None or group.mean is None:
-        return Cell(None, MISSING)
-    spread = "" if group.sd is None else f" ± {shown_number(group.sd, 2)}"
-    return Cell(group.mean, f"{shown_number(group.mean)}{spread}")
 
 
 def _cards(material: Material, threats: Sequence[Remark]) -> Iterator[Card]:

@@ -55,9 +55,9 @@ def build_table(
     return Table(name, caption, tuple(each.column for each in flat), rows, note)
 
 
-def field(name: str, cell: Callable[[Any], Cell], *, is_number: bool = False) -> Field:
+def field(name: str, cell: Callable[[Any], Cell], *, is_number: bool = False, place: Place = Place.EVERYWHERE) -> Field:
     """Return a column whose cells are made by a function."""
-    return Field(Column(name, is_number=is_number), cell)
+    return Field(Column(name, is_number=is_number, place=place), cell)
 
 
 def text(name: str, read: Read, tone: Callable[[Any], Tone] = lambda _: Tone.PLAIN) -> Field:

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 from robot_runner.analysis.report.blocks import (
     Badge,
+    Beside,
     Block,
     Cell,
     Column,
-    Gallery,
     Paragraph,
     Part,
     Place,
@@ -21,7 +21,7 @@ from robot_runner.analysis.report.blocks import (
 )
 from robot_runner.analysis.report.material import correction_in_words
 from robot_runner.analysis.report.measure_figures import quantile_figure
-from robot_runner.analysis.report.plan_part import besides, planned_parts, standing_parts
+from robot_runner.analysis.report.plan_part import besides, choices_in_words, planned_parts, standing_parts
 from robot_runner.analysis.report.tables import Field, build_table, field, interval, number, p_value, text
 from robot_runner.analysis.wording import ALPHA, MISSING, RHO, listed, sentence, shown_interval, shown_number
 from robot_runner.core.design.analysis_plan import Estimand
@@ -67,6 +67,9 @@ def _planned(material: Material) -> str:
         f"The level of significance is {ALPHA} = {statistics.alpha:g}; p-values of several comparisons are adjusted "
         f"after {correction_in_words(statistics.correction)}."
     )
+    if not statistics.is_planned and statistics.plan is not None:
+        choices = "; ".join(choices_in_words(statistics.plan, material.results.unit))
+        return f"{level} The plan was given for this report{f' ({choices})' * bool(choices)}: all of it is exploratory."
     if not statistics.is_planned:
         return f"{level} Nothing was fixed for the analysis before the experiment: all of it is exploratory."
     rest = f" Exploratory: {listed(exploratory)}." if exploratory else ""
@@ -119,6 +122,9 @@ def _beside(material: Material, measure: MeasureStatistics, label: str) -> Itera
 
 def _assumptions(material: Material, measure: MeasureStatistics) -> Iterator[Block]:
     blocks: list[Block] = []
+    figure = quantile_figure(material, measure) if measure.name in material.drawn else None
+    if figure is not None:
+        blocks.append(figure)
     if measure.assumptions:
         fields = (
             text("Check", "name"),
@@ -130,11 +136,8 @@ def _assumptions(material: Material, measure: MeasureStatistics) -> Iterator[Blo
         caption = f"{material.results.label(measure.name)}: how values are distributed."
         note = "They describe the values; no test is chosen by them."
         blocks.append(build_table(f"assumptions {measure.name}", caption, measure.assumptions, fields, note))
-    figure = quantile_figure(material, measure) if measure.name in material.drawn else None
-    if figure is not None:
-        blocks.append(Gallery((figure,)))
     if blocks:
-        yield Part(f"assumptions-{measure.name}", "Distribution", tuple(blocks), is_folded=True)
+        yield Part(f"assumptions-{measure.name}", "Distribution", (Beside(tuple(blocks)),), is_folded=True)
 
 
 def _power(power: Power) -> str:
@@ -217,18 +220,18 @@ def _pair_table(measure: MeasureStatistics, label: str, post_hoc: PostHoc) -> Ta
     fields: list[Field | tuple[Field, ...]] = [
         text("First", "first"),
         text("Second", "second"),
-        number(f"Difference of {post_hoc.quantity}", "difference"),
-        interval("CI", "interval"),
-        *map(_size_fields, sizes[:1]),
+        field(f"Difference of {post_hoc.quantity}", _difference_on_two_lines, is_number=True, place=Place.PAGE),
+        number(f"Difference of {post_hoc.quantity}", "difference", place=Place.FILE),
+        *interval("CI", "interval")[1:],
+        *map(_size_fields, sizes),
         p_value("p", "p_value"),
         p_value("Adjusted p", "adjusted_p_value", "is_significant"),
         p_value(f"p of {'means' if post_hoc.quantity.endswith('ranks') else 'ranks'}", "check_p_value"),
-        *map(_size_fields, sizes[1:]),
     ]
     name, caption = f"pairs {measure.name} {' '.join(post_hoc.factors)}", f"all pairs of {' / '.join(post_hoc.factors)}"
     note = (
-        f"{post_hoc.method}; intervals belong to p. Adjusted after {correction_in_words(post_hoc.correction)}, and no "
-        "smaller than the p-value of the effect."
+        f"{post_hoc.method}; intervals, in brackets, belong to p. Adjusted after "
+        f"{correction_in_words(post_hoc.correction)}, and no smaller than the p-value of the effect."
     )
     return build_table(name, f"{label}: {caption}.", post_hoc.comparisons, fields, note)
 
@@ -252,6 +255,11 @@ def _size_fields(name: str) -> tuple[Field, ...]:
         part("high", lambda size: None if size.interval is None else size.interval.high),
         part("magnitude", lambda size: size.magnitude.value),
     )
+
+
+def _difference_on_two_lines(pair: Comparison) -> Cell:
+    ends = "" if pair.interval is None else f"\n{shown_interval(pair.interval)}"
+    return Cell(pair.difference, f"{shown_number(pair.difference)}{ends}")
 
 
 def _size_on_two_lines(size: EffectSize) -> str:

@@ -94,6 +94,15 @@
       return found ? ", " + found.name : "";
     }
 
+    function upright(context, text, x, y, align) {
+      context.save();
+      context.translate(x, y);
+      context.rotate(-Math.PI / 2);
+      context.textAlign = align;
+      context.fillText(text, 0, 0);
+      context.restore();
+    }
+
     function shade(u) {
       const context = u.ctx;
       const top = u.bbox.top, height = u.bbox.height, left = u.bbox.left, right = left + u.bbox.width;
@@ -105,12 +114,15 @@
         const to = Math.min(right, u.valToPos(phase.end, "x", true));
         if (to <= from) { return; }
         if (place % 2) { context.fillStyle = "#f3f5f8"; context.fillRect(from, top, to - from, height); }
-        context.fillStyle = "#7b8794";
+        context.fillStyle = INK;
         if (context.measureText(phase.name).width + 4 < to - from) {
           context.fillText(phase.name, (from + to) / 2, top + 13 * devicePixelRatio);
+        } else if (to - from > 12 * devicePixelRatio) {
+          upright(context, phase.name, (from + to) / 2 + 4 * devicePixelRatio, top + 4 * devicePixelRatio, "right");
         }
       });
       context.strokeStyle = "#9aa5b1";
+      context.fillStyle = INK;
       context.setLineDash([4, 4]);
       data.events.forEach(function (event) {
         const at = Math.round(u.valToPos(event.at, "x", true));
@@ -119,6 +131,12 @@
         context.moveTo(at, top);
         context.lineTo(at, top + height);
         context.stroke();
+        if (right - left < 400 * devicePixelRatio) { return; }
+        const isEarly = at < (left + right) / 2;
+        const courses = data.groups.map(function (group) { return group.middle[isEarly ? 2 : group.middle.length - 3]; });
+        const isHigh = courses.some(function (value) { return value !== null && u.valToPos(value, "y", true) < top + height * 0.4; });
+        const y = isHigh ? top + height - 4 * devicePixelRatio : top + 20 * devicePixelRatio;
+        upright(context, event.name, at + (isEarly ? 11 : -4) * devicePixelRatio, y, isHigh ? "left" : "right");
       });
       context.restore();
     }

@@ -1,6 +1,14 @@
-// The link of the section that is read is marked; what is folded is unfolded for paper.
+// The link of the section that is read is marked; what is folded is unfolded for paper; light and dark can be chosen.
 (function () {
   "use strict";
+  const scheme = document.querySelector(".scheme");
+  const preferred = window.matchMedia("(prefers-color-scheme: dark)");
+  function isDark() { return (document.documentElement.dataset.scheme || (preferred.matches ? "dark" : "light")) === "dark"; }
+  function name() { scheme.textContent = isDark() ? "Light" : "Dark"; scheme.setAttribute("aria-label", "Show the page " + (isDark() ? "light" : "dark")); }
+  scheme.addEventListener("click", function () { document.documentElement.dataset.scheme = isDark() ? "light" : "dark"; name(); });
+  preferred.addEventListener("change", name);
+  name();
+  scheme.hidden = false;
   const links = new Map();
   document.querySelectorAll(".contents a").forEach(function (link) {
     links.set(link.getAttribute("href").slice(1), link);
