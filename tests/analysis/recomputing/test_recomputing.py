@@ -51,7 +51,13 @@ PLAN = {
 }
 #: What would be executed if a name became code, in R or in Python.
 EVIL = '"); system("touch hacked'
-EVILS = [EVIL, "'); import os; os.system('touch hacked') #", 'a\\"b` $HOME', "# %% é \N{GREEK SMALL LETTER OMEGA}", "TRUE"]
+EVILS = [
+    EVIL,
+    "'); import os; os.system('touch hacked') #",
+    'a\\"b` $HOME',
+    "# %% é \N{GREEK SMALL LETTER OMEGA}",
+    "TRUE",
+]
 
 #: Factors, how often combinations are repeated, the runs that are not done, and what else makes the experiment.
 DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
@@ -60,7 +66,12 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
     "many small groups": ([Factor("Speed", [0.5, 1.0, 1.5, 2.0, 2.5, 3.0])], 3, set(), {}),
     "two factors, unequal numbers": ([TASKS, MAPS], 4, {1, 8}, {}),
     "a planned contrast, doubtful values": ([TASKS], 6, set(), {"analysis": PLAN, "doubts": {"r_2": "weak"}}),
-    "outliers left out": ([TASKS], 8, set(), {"analysis": {"measures": ["Energy"], "outliers": {"interquartile_ranges": 0.4}}}),
+    "outliers left out": (
+        [TASKS],
+        8,
+        set(),
+        {"analysis": {"measures": ["Energy"], "outliers": {"interquartile_ranges": 0.4}}},
+    ),
     "adjusted for a covariate": ([TASKS], 5, set(), {"analysis": {"measures": ["Energy"], "covariates": ["CPU"]}}),
     "blocks": ([TASKS], 7, set(), {"blocks": "Repetition"}),
     "few blocks, two factors, one lacking": ([TASKS, MAPS], 5, {2}, {"blocks": "Repetition"}),
@@ -86,7 +97,13 @@ def experiment(folder: Path, name: str) -> Path:
         return None if next(runs) in missing else {"Energy": float(energy), "CPU": float(random.lognormal())}
 
     made = make_experiment(
-        folder / "made", factors, values, repetitions=repetitions, measures=["Energy", "CPU"], units={"Energy": "J"}, **more
+        folder / "made",
+        factors,
+        values,
+        repetitions=repetitions,
+        measures=["Energy", "CPU"],
+        units={"Energy": "J"},
+        **more,
     )
     return made.root
 
@@ -113,7 +130,12 @@ def executed(path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 def rscript(path: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        ["Rscript", "--vanilla", path], capture_output=True, text=True, check=False, timeout=200, env=environment or None
+        ["Rscript", "--vanilla", path],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=200,
+        env=environment or None,
     )
 
 
@@ -151,7 +173,9 @@ def test_a_table_that_was_changed_does_not_agree(tmp_path: Path, monkeypatch: py
     table = folder / "run_table.csv"
     *rows, last = table.read_text(encoding="utf-8").splitlines()
     cells = last.split(",")
-    table.write_text("\n".join([*rows, ",".join([*cells[:-1], f"{float(cells[-1]) + 0.001}"])]) + "\n", encoding="utf-8")
+    table.write_text(
+        "\n".join([*rows, ",".join([*cells[:-1], f"{float(cells[-1]) + 0.001}"])]) + "\n", encoding="utf-8"
+    )
     finished = rscript(script)
     assert finished.returncode == 1
     assert "The run table was changed since the report was made." in finished.stdout
