@@ -25,8 +25,8 @@ from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.recomputing.literals import _templates
 from robot_runner.analysis.recomputing.notebook import notebook as notebook_of
 from robot_runner.analysis.recomputing.r_script import r_script
-from robot_runner.analysis.recomputing.study import facts_of_study
-from robot_runner.analysis.recomputing.writing import Recomputation, write_recomputations
+from robot_runner.analysis.recomputing.fact_finding import facts_of_study
+from robot_runner.analysis.recomputing.recomputations import Recomputation, write_recomputations
 from robot_runner.analysis.report.document import plain
 from robot_runner.core.design.factor import Factor
 
@@ -58,13 +58,7 @@ PLAN = {
 }
 #: What would be executed if a name became code, in R or in Python.
 EVIL = '"); system("touch hacked'
-EVILS = [
-    EVIL,
-    "'); import os; os.system('touch hacked') #",
-    'a\\"b` $HOME',
-    "# %% é \N{GREEK SMALL LETTER OMEGA}",
-    "TRUE",
-]
+EVILS = [EVIL, "'); import os; os.system('touch hacked') #", 'a\\"b` $HOME # %% é \N{GREEK SMALL LETTER OMEGA}']
 
 #: Factors, how often combinations are repeated, the runs that are not done, and what else makes the experiment.
 DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
@@ -212,7 +206,8 @@ def test_a_table_that_was_changed_does_not_agree(tmp_path: Path, monkeypatch: py
 
 #: Settings, points of figures, and what is simulated of a rule for outliers, are no results of the runs.
 NO_RESULTS = {
-    "alpha", "plan", "level", "target_power", "effect_size", "family_size", "places", "residuals", "theoretical", "observed",
+    "alpha", "plan", "level", "target_power", "effect_size", "family_size", "places", "residuals", "theoretical",
+    "observed",
     "contrast", "within", "outliers", "left_out", "is_extreme",
     "rule_false_positives",
 }  # fmt: skip
