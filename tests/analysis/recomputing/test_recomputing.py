@@ -9,26 +9,33 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-import math
+import os
 import shutil
 import subprocess
 import warnings
-from typing import TYPE_CHECKING, Any
+from functools import cache
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from tests.analysis.made_experiment import make_experiment
 
-from robot_runner.analysis import load_results
-from robot_runner.analysis.recomputing.study import facts_of_study
-from robot_runner.analysis.recomputing.writing import Recomputation, write_recomputations
-from robot_runner.analysis.report.writing import ReportFormat, write_report
+from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.recomputing.literals import _templates
+from robot_runner.analysis.recomputing.notebook import notebook as notebook_of
+from robot_runner.analysis.recomputing.r_script import r_script
+from robot_runner.analysis.recomputing.fact_finding import facts_of_study
+from robot_runner.analysis.recomputing.recomputations import Recomputation, write_recomputations
+from robot_runner.analysis.report.document import plain
 from robot_runner.core.design.factor import Factor
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
+
+    from robot_runner.analysis import Results
+    from robot_runner.analysis.recomputing.study_facts import StudyFacts
 
 needs_r = pytest.mark.skipif(
     shutil.which("Rscript") is None, reason="R is not installed (Debian: apt install r-base-core r-cran-nlme)"
@@ -51,7 +58,7 @@ PLAN = {
 }
 #: What would be executed if a name became code, in R or in Python.
 EVIL = '"); system("touch hacked'
-EVILS = [EVIL, "'); import os; os.system('touch hacked') #", 'a\\"b` $HOME', "# %% é \N{GREEK SMALL LETTER OMEGA}", "TRUE"]
+EVILS = [EVIL, "'); import os; os.system('touch hacked') #", 'a\\"b` $HOME # %% é \N{GREEK SMALL LETTER OMEGA}']
 
 #: Factors, how often combinations are repeated, the runs that are not done, and what else makes the experiment.
 DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
@@ -60,7 +67,12 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
     "many small groups": ([Factor("Speed", [0.5, 1.0, 1.5, 2.0, 2.5, 3.0])], 3, set(), {}),
     "two factors, unequal numbers": ([TASKS, MAPS], 4, {1, 8}, {}),
     "a planned contrast, doubtful values": ([TASKS], 6, set(), {"analysis": PLAN, "doubts": {"r_2": "weak"}}),
-    "outliers left out": ([TASKS], 8, set(), {"analysis": {"measures": ["Energy"], "outliers": {"interquartile_ranges": 0.4}}}),
+    "outliers left out": (
+        [TASKS],
+        8,
+        set(),
+        {"analysis": {"measures": ["Energy"], "outliers": {"interquartile_ranges": 0.4}}},
+    ),
     "adjusted for a covariate": ([TASKS], 5, set(), {"analysis": {"measures": ["Energy"], "covariates": ["CPU"]}}),
     "blocks": ([TASKS], 7, set(), {"blocks": "Repetition"}),
     "few blocks, two factors, one lacking": ([TASKS, MAPS], 5, {2}, {"blocks": "Repetition"}),
@@ -72,6 +84,13 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
     "a run in a cell": ([TASKS, MAPS], 2, {1, 4}, {}),
     "odd names": ([Factor(EVIL, EVILS), Factor("is on", [True, False])], 2, set(), {}),
 }
+
+
+class Written(NamedTuple):
+    results: Results
+    facts: StudyFacts
+    notebook: Path
+    script: Path
 
 
 def experiment(folder: Path, name: str) -> Path:
@@ -86,7 +105,13 @@ def experiment(folder: Path, name: str) -> Path:
         return None if next(runs) in missing else {"Energy": float(energy), "CPU": float(random.lognormal())}
 
     made = make_experiment(
-        folder / "made", factors, values, repetitions=repetitions, measures=["Energy", "CPU"], units={"Energy": "J"}, **more
+        folder / "made",
+        factors,
+        values,
+        repetitions=repetitions,
+        measures=["Energy", "CPU"],
+        units={"Energy": "J"},
+        **more,
     )
     return made.root
 
@@ -113,45 +138,64 @@ def executed(path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 def rscript(path: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        ["Rscript", "--vanilla", path], capture_output=True, text=True, check=False, timeout=200, env=environment or None
+        ["Rscript", "--vanilla", path],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=200,
+        env=environment or None,
     )
 
 
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Written]:
+    """Return what writes the notebook and the script of a design, once for all tests."""
+
+    @cache
+    def write(name: str) -> Written:
+        results = load_results(experiment(tmp_path_factory.mktemp("study"), name))
+        study = facts_of_study(results, results.folder)
+        notebook, script = (results.folder / kind.value for kind in Recomputation)
+        notebook.write_text(notebook_of(study), encoding="utf-8")
+        script.write_text(r_script(study), encoding="utf-8")
+        return Written(results, study, notebook, script)
+
+    return write
+
+
 @pytest.mark.parametrize("name", DESIGNS)
-def test_the_notebook_agrees_with_the_report(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (notebook,) = write_recomputations(experiment(tmp_path, name), [Recomputation.NOTEBOOK])
-    told = executed(notebook, monkeypatch)
+def test_the_notebook_agrees_with_the_report(
+    name: str, written: Callable[[str], Written], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study = written(name)
+    told = executed(study.notebook, monkeypatch)
     count, _, total, *_ = told.split("numbers agree")[0].split()[-3:]
     assert (count, int(total) > 100) == (total, True), told
-    assert not list(tmp_path.rglob("hacked"))
+    assert not list(study.notebook.parent.rglob("hacked"))
     assert ("not computed again" in told) is (name == "adjusted for a covariate")
 
 
 @needs_r
 @pytest.mark.parametrize("name", DESIGNS)
-def test_the_r_script_agrees_with_the_report(name: str, tmp_path: Path) -> None:
-    (script,) = write_recomputations(experiment(tmp_path, name), [Recomputation.R])
-    finished = rscript(script)
+def test_the_r_script_agrees_with_the_report(name: str, written: Callable[[str], Written]) -> None:
+    # The odd names in a locale that knows ASCII alone.
+    environment = {"LC_ALL": "C", "PATH": os.environ["PATH"]} if name == "odd names" else {}
+    finished = rscript(written(name).script, **environment)
     assert finished.returncode == 0, finished.stdout[-3000:] + finished.stderr
     assert "numbers agree" in finished.stdout
-    assert not list(tmp_path.rglob("hacked"))
-
-
-@needs_r
-def test_r_reads_names_in_any_locale(tmp_path: Path) -> None:
-    (script,) = write_recomputations(experiment(tmp_path, "odd names"), [Recomputation.R])
-    finished = rscript(script, LC_ALL="C", PATH="/usr/local/bin:/usr/bin:/bin")
-    assert finished.returncode == 0, finished.stdout[-3000:] + finished.stderr
+    assert not list(written(name).script.parent.rglob("hacked"))
 
 
 @needs_r
 def test_a_table_that_was_changed_does_not_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = experiment(tmp_path, "two treatments")
-    notebook, script = write_recomputations(folder)
+    notebook, script = write_recomputations(folder, output=tmp_path / "else where")
     table = folder / "run_table.csv"
     *rows, last = table.read_text(encoding="utf-8").splitlines()
     cells = last.split(",")
-    table.write_text("\n".join([*rows, ",".join([*cells[:-1], f"{float(cells[-1]) + 0.001}"])]) + "\n", encoding="utf-8")
+    table.write_text(
+        "\n".join([*rows, ",".join([*cells[:-1], f"{float(cells[-1]) + 0.001}"])]) + "\n", encoding="utf-8"
+    )
     finished = rscript(script)
     assert finished.returncode == 1
     assert "The run table was changed since the report was made." in finished.stdout
@@ -162,30 +206,51 @@ def test_a_table_that_was_changed_does_not_agree(tmp_path: Path, monkeypatch: py
 
 #: Settings, points of figures, and what is simulated of a rule for outliers, are no results of the runs.
 NO_RESULTS = {
-    "alpha", "level", "target_power", "effect_size", "family_size", "places", "residuals", "theoretical", "observed",
+    "alpha", "plan", "level", "target_power", "effect_size", "family_size", "places", "residuals", "theoretical",
+    "observed",
     "contrast", "within", "outliers", "left_out", "is_extreme",
     "rule_false_positives",
 }  # fmt: skip
 
 
-def numbers(plain: Any) -> Iterator[float]:
-    if isinstance(plain, dict):
-        for name, value in plain.items():
-            if name not in NO_RESULTS or (name == "within" and isinstance(value, float) and "pearson" in plain):
+def numbers(found: Any) -> Iterator[float]:
+    if isinstance(found, dict):
+        for name, value in found.items():
+            if name not in NO_RESULTS or (name == "within" and isinstance(value, float) and "pearson" in found):
                 yield from numbers(value)
-    elif isinstance(plain, list):
-        for value in plain:
+    elif isinstance(found, list):
+        for value in found:
             yield from numbers(value)
-    elif isinstance(plain, int | float) and not isinstance(plain, bool):
-        yield float(plain)
+    elif isinstance(found, int | float) and not isinstance(found, bool):
+        yield float(found)
 
 
 @pytest.mark.parametrize("name", [name for name in DESIGNS if name != "adjusted for a covariate"])
-def test_no_number_of_the_report_is_left_out(name: str, tmp_path: Path) -> None:
-    folder = experiment(tmp_path, name)
-    report = json.loads(write_report(folder, ReportFormat.JSON).document.read_text(encoding="utf-8"))
-    study = facts_of_study(load_results(folder), folder)
-    known = {number for table in study.reported for number in table.numbers}
-    missing = {each for each in numbers(report["statistics"]) if each not in known and not math.isnan(each)}
+def test_no_number_of_the_report_is_left_out(name: str, written: Callable[[str], Written]) -> None:
+    study = written(name)
+    known = {number for table in study.facts.reported for number in table.numbers}
+    missing = {each for each in numbers(plain(analyse(study.results))) if each not in known}
     assert missing == set()
-    assert study.skipped == 0
+    assert study.facts.skipped == 0
+
+
+def test_a_template_cannot_print_a_text_as_it_is() -> None:
+    with pytest.raises(TypeError, match="without saying as what"):
+        _templates().from_string("{{ name }}").render(name=EVIL)
+
+
+def test_the_command_writes_both_beside_the_report(robot_runner: Any, tmp_path: Path) -> None:
+    folder = experiment(tmp_path, "two treatments")
+    words = ("report", folder, "--notebook", "--r", "--figures", "none", "--measure", "Energy", "--alpha", "0.01")
+    answer = robot_runner(*words)
+    assert answer.code == 0
+    assert "made/report/recompute.ipynb" in answer.out
+    assert "made/report/recompute.R" in answer.out
+    notebook = json.loads((folder / "report" / "recompute.ipynb").read_text(encoding="utf-8"))
+    assert (notebook["nbformat"], notebook["nbformat_minor"]) == (4, 5)
+    assert all(set(cell) >= {"cell_type", "id", "metadata", "source"} for cell in notebook["cells"])
+    code = "".join("".join(cell["source"]) for cell in notebook["cells"])
+    assert "../run_table.csv" in code
+    assert "robot_runner" not in code
+    assert "CPU" not in code
+    assert "level=0.99" in code

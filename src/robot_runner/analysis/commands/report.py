@@ -71,7 +71,7 @@ def execute(arguments: Namespace) -> int:
     kind = _one_of(_FORMATS, arguments.format, "--format")
     figures = _figures(arguments.figures)
     folder = folder_of_target(arguments.target, arguments.set).root
-    from robot_runner.analysis.recomputing.writing import (  # noqa: PLC0415 - slow, and an extra
+    from robot_runner.analysis.recomputing.recomputations import (  # noqa: PLC0415 - slow, and an extra
         Recomputation,
         write_recomputations,
     )

@@ -19,6 +19,8 @@ __all__ = ["cells_of", "notebook"]
 
 _CELL = re.compile(r"^# %%( \[markdown\])?\n", re.MULTILINE)
 _BLANK_LINES = re.compile(r"\n{4,}")
+#: Of what is found by iteration.
+_ITERATED = Code(", tolerance=1e-4")
 
 
 def notebook(study: StudyFacts) -> str:
@@ -43,7 +45,8 @@ def cells_of(study: StudyFacts) -> list[tuple[str, str]]:
         mapping=_mapping,
         levels=_levels,
         level=lambda measure: Code("" if measure.level == LEVEL else f", level={python_literal(measure.level)}"),
-        tolerance=lambda kind: Code(", tolerance=1e-4" if kind == "mixed" else ""),
+        tolerance=lambda kind: _ITERATED if kind == "mixed" else Code(""),
+        adjusted_tolerance=_ITERATED if study.has("mixed") else Code(""),
         **procedures("None", "lambda groups, contrasts: {}"),
         terms=lambda it: Code(f"[{', '.join(_names(effect.factors) for effect in it.effects)}]"),
     )

@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 __all__ = ["r_script"]
 
 
+#: Of what is found by iteration.
+_ITERATED = Code(", tolerance = 1e-4")
+
+
 def r_script(study: StudyFacts) -> str:
     """Return the script, for R 4.0 and its own packages."""
     return rendered(
@@ -24,7 +28,8 @@ def r_script(study: StudyFacts) -> str:
         table=_table,
         keys=lambda reported: r_literal([label for label, _ in reported.rows]),
         separator=lambda is_last: Code("" if is_last else ","),
-        tolerance=lambda kind: Code(", tolerance = 1e-4" if kind == "mixed" else ""),
+        tolerance=lambda kind: _ITERATED if kind == "mixed" else Code(""),
+        adjusted_tolerance=_ITERATED if study.has("mixed") else Code(""),
         chosen=_chosen,
         level=lambda measure: Code("" if measure.level == LEVEL else f", {r_literal(measure.level)}"),
         **procedures("NULL", "function(groups, contrasts) {}"),

@@ -59,7 +59,7 @@ def facts_of_study(
     names = None if measures is None else list(dict.fromkeys([*measures, *primary]))
     statistics = analyse(results, measures=names, alpha=alpha, plan=plan)
     shown = statistics if names in (None, measures) else analyse(results, measures=measures, alpha=alpha, plan=plan)
-    plan = plan or (results.plan if statistics.is_planned else None)
+    plan = statistics.plan
     design = design_of(results, blocks=plan.blocks if plan is not None else None)
     facts = dict(_measures(design, statistics, plan))
     cells = Cells(ExperimentFolder.found_at(results.folder).run_table, results)
