@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from benchmarks.table import Row, print_table
-from robot_runner.analysis.comparison.compared import Bound
 from robot_runner.analysis.comparison.pooling import combine
-from robot_runner.analysis.comparison.practical import practical_equivalence
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -25,8 +23,6 @@ if TYPE_CHECKING:
 _SEED = 2021
 _ALPHA = 0.05
 _REPLICATIONS = 2000
-#: Integrals take their time.
-_SHARE = 4
 _COUNTS = (3, 5, 10)
 #: Standard deviations between experiments, in those between runs; runs a treatment of one experiment after another.
 _BETWEEN = (0.0, 0.5, 1.5)
@@ -68,9 +64,6 @@ def main(arguments: list[str] | None = None) -> None:
     cases = [_Case(*each) for each in ((k, tau, runs) for k in _COUNTS for tau in _BETWEEN for runs in _RUNS)]
     rows = [row for case in cases for row in _rows_of(case, random, count)]
     print_table(f"Meta-analyses of two treatments ({count:,} a case): 95 % intervals and tests at 5 %", rows)
-    print_table(
-        "Credible intervals of a difference, seen as confidence intervals", list(_credible(random, count // _SHARE))
-    )
 
 
 def _rows_of(case: _Case, random: np.random.Generator, count: int) -> Iterator[Row]:
@@ -93,18 +86,6 @@ def _predicted(case: _Case) -> str:
     if case.experiments == _COUNTS[0]:
         return "98 % and more: with one degree of freedom"
     return "87 % and more: tau is often taken for 0" if case.between < 1 else ""
-
-
-def _credible(random: np.random.Generator, count: int) -> Iterator[Row]:
-    for runs in (3, 5, 10):
-        for spread in (1.0, 4.0):
-            values = random.normal(size=(count, 2, runs)) * np.array([1.0, spread])[:, None]
-            found = [
-                practical_equivalence(pair[0], pair[1], Bound(1.0), alpha=_ALPHA, is_paired=False) for pair in values
-            ]
-            covered = [_holds(each.interval, 0.0) for each in found if each is not None]
-            few = "more: the prior is careful of few runs" if runs < 10 else ""
-            yield _row(f"difference, n {runs}, sd 1:{spread:g}", covered, _COVERED, few)
 
 
 def _holds(interval: Interval | None, truth: float) -> bool:

@@ -45,7 +45,8 @@ class NullDesign:
         response: the standard deviation of the blocks' own effects of treatments.
         lacking: how many combinations each block lacks, in turn.
         shift: an effect that is there: that of the last factor's first treatment, which is then not counted.
-        expectation: in words, where theory does not let the level hold.
+        bounds: between which every single effect is to be found, in percent at alpha = 5 %.
+        why: they are others than those of all designs; empty otherwise.
     """
 
     levels: tuple[int, ...]
@@ -57,7 +58,8 @@ class NullDesign:
     response: float = 0.0
     lacking: int = 0
     shift: float = 0.0
-    expectation: str = ""
+    bounds: tuple[float, float] = (3.5, 6.5)
+    why: str = ""
 
     @property
     def name(self) -> str:
@@ -135,9 +137,10 @@ def _one_large(count: int, large: float = 4.0) -> tuple[float, ...]:
     return (*[1.0] * (count - 1), large)
 
 
-_SKEWED = "below: the t of small skewed samples is careful"
-_SKEWED_UNEQUAL = "above: skewed and unequal spreads bias t"
-_TINY = "2 to 8 %: variances of three runs are hardly known"
+_SKEWED = "few skewed values: t is careful"
+_SKEWED_UNEQUAL = "skewed values of unequal spreads bias t"
+_TINY = "variances of three runs are hardly known"
+_FEW_BLOCKS = "Greenhouse-Geisser is careful of few blocks"
 
 NULL_DESIGNS: tuple[NullDesign, ...] = (
     # Two treatments: Welch's t.
@@ -150,7 +153,7 @@ NULL_DESIGNS: tuple[NullDesign, ...] = (
     NullDesign((2,), 10, (1, 10)),
     NullDesign((2,), 10, distribution="exponential"),
     NullDesign((2,), 30, distribution="lognormal"),
-    # More treatments: Welch's ANOVA, by a bootstrap where groups are many and small.
+    # More treatments: Welch-James and ANOVA-type together, by a bootstrap where groups are many and small.
     *(NullDesign((3,), runs) for runs in (5, 10, 30)),
     NullDesign((3,), 5, _one_large(3)),
     NullDesign((3,), 10, _one_large(3)),
@@ -159,13 +162,19 @@ NULL_DESIGNS: tuple[NullDesign, ...] = (
     NullDesign((3,), 10, distribution="uniform"),
     NullDesign((3,), 10, distribution="exponential"),
     NullDesign((3,), 10, distribution="t5"),
+    NullDesign((3,), 4, _one_large(3)),
+    NullDesign((3,), 10, _one_large(3, 10.0)),
+    NullDesign((4,), 5, _one_large(4)),
     NullDesign((5,), 5),
+    NullDesign((5,), 5, _one_large(5)),
     NullDesign((5,), 10, (1, 1.5, 2, 2.5, 3)),
     NullDesign((5,), 10, _one_large(5)),
+    NullDesign((6,), 5, _one_large(6)),
+    NullDesign((6,), 7, _one_large(6)),
     NullDesign((8,), 5),
     NullDesign((8,), 5, _one_large(8)),
     NullDesign((8,), 10, _one_large(8)),
-    # Factorials: Welch-James.
+    # Factorials: Welch's t, and the same two together.
     NullDesign((2, 2), 5),
     NullDesign((2, 2), 5, _one_large(4)),
     NullDesign((2, 2), 10, _one_large(4)),
@@ -187,13 +196,17 @@ NULL_DESIGNS: tuple[NullDesign, ...] = (
     NullDesign((3, 3), 5, _one_large(9)),
     NullDesign((3, 3), 10, _one_large(9)),
     NullDesign((4, 3), 5),
+    NullDesign((4, 3), 5, _one_large(12)),
     NullDesign((4, 3), 10, _one_large(12)),
     # Complete blocks: t of differences, Greenhouse-Geisser, Huynh-Feldt.
     *(NullDesign((2,), 1, (1, 3), blocks=blocks) for blocks in (5, 10, 30)),
     *(NullDesign((3,), 1, blocks=blocks) for blocks in (6, 10, 30)),
     *(NullDesign((3,), 1, _one_large(3), blocks=blocks) for blocks in (5, 6, 10, 30)),
+    NullDesign((3,), 1, blocks=5),
+    NullDesign((4,), 1, _one_large(4), blocks=7),
     NullDesign((4,), 1, blocks=8),
     NullDesign((4,), 1, _one_large(4), blocks=8),
+    NullDesign((3, 3), 1, _one_large(9), blocks=9),
     NullDesign((4,), 1, (1, 2, 3, 4), blocks=15),
     NullDesign((6,), 1, _one_large(6), blocks=20),
     NullDesign((2, 2), 1, _one_large(4), blocks=8),
@@ -208,21 +221,24 @@ NULL_DESIGNS: tuple[NullDesign, ...] = (
     NullDesign((2, 2), 1, blocks=6, between=1),
     NullDesign((2, 2), 1, (1, 1, 3, 3), blocks=6, between=1),
     NullDesign((2, 3), 1, (1, 1, 1, 3, 3, 3), blocks=8, between=1),
+    NullDesign((2, 3), 1, _one_large(6), blocks=9, between=1),
+    NullDesign((3, 2), 1, (1, 1, 2, 2, 4, 4), blocks=6, between=1),
     # Incomplete blocks (mixed model), single runs (one variance).
     NullDesign((3,), 1, blocks=12, lacking=1),
     NullDesign((4,), 1, blocks=16, lacking=2),
     NullDesign((3,), 4, blocks=12, lacking=1, response=1.0),
     NullDesign((4, 3), 1),
     # Where no test of means holds its level, and what is expected then.
-    NullDesign((2,), 5, distribution="lognormal", expectation=_SKEWED),
-    NullDesign((3,), 5, distribution="lognormal", expectation=_SKEWED),
-    NullDesign((2, 2), 5, distribution="lognormal", expectation=_SKEWED),
-    NullDesign((2,), 10, (1, 4), distribution="lognormal", expectation=_SKEWED_UNEQUAL),
-    NullDesign((3,), (5, 10, 15), (3, 2, 1), distribution="lognormal", expectation=_SKEWED_UNEQUAL),
-    NullDesign((2,), 3, expectation=_TINY),
-    NullDesign((3,), 3, _one_large(3), expectation=_TINY),
-    NullDesign((5,), 3, expectation=_TINY),
-    NullDesign((8,), 3, _one_large(8), expectation=_TINY),
-    NullDesign((3,), 1, blocks=5, expectation="below: Greenhouse-Geisser is careful of few blocks"),
-    NullDesign((4,), 1, blocks=6, expectation="below: Greenhouse-Geisser is careful of few blocks"),
+    NullDesign((2,), 5, distribution="lognormal", bounds=(1.0, 3.0), why=_SKEWED),
+    NullDesign((3,), 5, distribution="lognormal", bounds=(1.0, 3.0), why=_SKEWED),
+    NullDesign((2, 2), 5, distribution="lognormal", bounds=(1.5, 3.5), why=_SKEWED),
+    NullDesign((2,), 10, (1, 4), distribution="lognormal", bounds=(10.0, 20.0), why=_SKEWED_UNEQUAL),
+    NullDesign((3,), (5, 10, 15), (3, 2, 1), distribution="lognormal", bounds=(10.0, 20.0), why=_SKEWED_UNEQUAL),
+    NullDesign((2,), 3, bounds=(2.5, 5.0), why=_TINY),
+    NullDesign((3,), 3, _one_large(3), bounds=(5.0, 7.0), why=_TINY),
+    NullDesign((5,), 3, bounds=(2.0, 5.0), why=_TINY),
+    NullDesign((8,), 3, _one_large(8), bounds=(4.0, 7.0), why=_TINY),
+    NullDesign((4,), 1, blocks=6, bounds=(2.0, 4.0), why=_FEW_BLOCKS),
+    NullDesign((2, 3), 1, blocks=4, between=1, bounds=(2.5, 6.5), why=_FEW_BLOCKS),
+    NullDesign((6,), 1, blocks=8, bounds=(1.5, 3.5), why=_FEW_BLOCKS),
 )

@@ -11,7 +11,7 @@ from rich.table import Table
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = ["Row", "print_table"]
+__all__ = ["Judged", "Row", "print_table"]
 
 
 class Row(NamedTuple):
@@ -27,6 +27,40 @@ class Row(NamedTuple):
     floor: str = ""
     ratio: str = ""
     bound: str = ""
+
+
+class Judged(NamedTuple):
+    """A share in percent, with the bounds that it is expected between.
+
+    Attributes:
+        lowest, highest: of several shares, or of one.
+        why: the bounds are others than usual; empty otherwise.
+        slack: what chance may add to either side.
+
+    Example:
+        >>> Judged("t-test, n 5", 4.2, 4.9, (3.5, 6.5)).holds
+        True
+    """
+
+    figure: str
+    lowest: float
+    highest: float
+    bounds: tuple[float, float]
+    why: str = ""
+    beside: str = ""
+    slack: float = 0.0
+
+    @property
+    def holds(self) -> bool:
+        """Whether all shares lie between the bounds."""
+        return self.bounds[0] - self.slack <= self.lowest and self.highest <= self.bounds[1] + self.slack
+
+    @property
+    def row(self) -> Row:
+        """The line of a table."""
+        value = f"{self.lowest:.1f}" + (f" to {self.highest:.1f}" if self.highest != self.lowest else "") + " %"
+        bounds = f"{self.bounds[0]:g} to {self.bounds[1]:g} %" + (f": {self.why}" if self.why else "")
+        return Row(self.figure, value, self.beside, "holds" if self.holds else "DOES NOT HOLD", bounds)
 
 
 def print_table(title: str, rows: Iterable[Row]) -> None:

@@ -60,16 +60,20 @@ def _section(command: str) -> str:
     parser = parser_of(command, command_module(installed_commands()[command]))
     lines = [f"## robot-runner {command}", "", parser.description or "", "", "```text", _usage(parser), "```", ""]
     lines += ["| argument | means |", "|---|---|"]
-    lines += [f"| `{_name(action)}` | {_cell(action.help or '')} |" for action in parser.documented]
+    lines += [f"| `{_name(action)}` | {_cell((action.help or '') % vars(action))} |" for action in parser.documented]
     return "\n".join([line.rstrip() for line in lines]) + "\n"
 
 
 # Not argparse's own: it words and folds a usage differently in each version of Python.
+#: How often a word may be given, by argparse's sign of it.
+_FORMS = {"?": "[{}]", "*": "[{} ...]", "+": "{} ..."}
+
+
 def _usage(parser: Parser) -> str:
     words = [parser.prog]
     for action in parser.documented:
         if not action.option_strings:
-            words.append(f"[{_name(action)}]" if action.nargs == "?" else _name(action))
+            words.append(_FORMS.get(str(action.nargs), "{}").format(_name(action)))
         elif action.option_strings[0] != "-h":
             words.append(f"[{_name(action)}]")
     return " ".join(words)

@@ -63,6 +63,7 @@ def test_a_registered_study_is_cited_by_its_report_and_its_package(
     assert "no power analysis was registered" in answer.out
     # The config gives no seed: the one that is drawn now is the one that the experiment uses.
     assert f"from seed {registration['seed']}" in robot_runner("plan", study).out
+    assert registration["sha256"] in robot_runner("check", study).out
     assert robot_runner("run", study, "--plain").code == 0
     folder = tmp_path / "experiments" / "two_tasks"
     manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
@@ -156,6 +157,8 @@ def test_a_registration_that_was_changed_or_is_missing_keeps_the_experiment_from
     changed = robot_runner("check", study)
     assert changed.code == 2
     assert "changed after it was made" in changed.out
+    assert robot_runner("run", study, "--plain").code == 2
+    assert not (tmp_path / "experiments").exists()
     for damaged in ("", "[]", '{"format": 99}', '{"format": 1}', "\x00"):
         path.write_text(damaged, encoding="utf-8")
         answer = robot_runner("check", study)
@@ -180,6 +183,18 @@ def test_a_study_is_registered_once_and_before_its_first_run(
     assert "has begun" in late.err
 
 
+def test_a_design_that_is_too_large_to_be_listed_is_refused_at_once(
+    robot_runner: Callable[..., Answer], study: Path
+) -> None:
+    many = 'Factor("Task", ["Idle", "Video"]), Factor("A", range(3000)), Factor("B", range(3000))'
+    study.write_text(CONFIG.replace('Factor("Task", ["Idle", "Video"])', many), encoding="utf-8")
+    for words in (("preregister",), ("power", "--sd", "1", "--difference", "Task=1")):
+        answer = robot_runner(*words, study)
+        assert answer.code == 2
+        assert "54,000,000" in answer.err + answer.out
+        assert "Traceback" not in answer.err
+
+
 def test_the_power_of_the_same_study_is_registered_with_it(
     robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
 ) -> None:
@@ -194,3 +209,30 @@ def test_the_power_of_the_same_study_is_registered_with_it(
     refused = robot_runner("preregister", study, "--power", "power/power.json", "--replace")
     assert refused.code == 2
     assert "the factors differ" in refused.err
+
+
+def test_repetitions_that_the_registered_rule_adds_are_no_deviation_and_another_rule_is_one(
+    robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
+) -> None:
+    precise = 'experiment_name = "two_tasks"\n    repeat_until = Precision("Energy", half_width=4, at_most=6)'
+    config = CONFIG.replace("import AnalysisPlan,", "import AnalysisPlan, Precision,")
+    study.write_text(config.replace('experiment_name = "two_tasks"', precise), encoding="utf-8")
+    answer = robot_runner("preregister", study)
+    assert answer.code == 0, answer.err
+    registration = json.loads((tmp_path / "study.registration.json").read_text(encoding="utf-8"))
+    assert registration["repeat_until"]["rules"][0]["half_width"] == "4"
+    assert robot_runner("run", study, "--plain").code == 0
+    report = report_of(robot_runner, tmp_path / "report")
+    assert report["precision"][0]["repetitions"] == 6
+    assert report["registration"]["deviations"] == ["measures tested that were not planned: CPU"]
+    study.write_text(study.read_text(encoding="utf-8").replace("at_most=6", "at_most=7"), encoding="utf-8")
+    assert robot_runner("run", study, "--plain", "--accept-changes").code == 0
+    told = report_of(robot_runner, tmp_path / "report")["registration"]["deviations"]
+    until = "until the mean of Energy in each combination is known to ± 4; at least 3, at most"
+    expected = (
+        f"combinations are repeated {until} 7 repetitions, and {until} 6 repetitions was registered",
+        "the file study.py was changed after the registration",
+        "how precisely measures are to be known was changed after runs had been executed",
+        "measures tested that were not planned: CPU",
+    )
+    assert sorted(told) == sorted(expected)

@@ -90,3 +90,58 @@ def test_its_help_imports_nothing_slow(robot_runner):
     assert robot_runner("report", "--help").code == 0
     new = {name.partition(".")[0] for name in set(sys.modules) - before}
     assert not new & {"pandas", "matplotlib", "scipy", "statsmodels"}
+
+
+PLAN = """
+measures = ["Energy"]
+covariates = ["order"]
+doubtful = "leave out"
+
+[outliers]
+median_deviations = 3
+bounds = {Energy = [0, 5000]}
+
+[[hypotheses]]
+statement = "The task matters."
+measure = "Energy"
+factors = ["Task"]
+"""
+
+
+def test_a_plan_in_a_file_is_followed_and_all_is_exploratory(robot_runner, experiment, tmp_path):
+    (tmp_path / "plan.toml").write_text(PLAN)
+    words = ("report", "trial", "--format", "json", "--plan", tmp_path / "plan.toml", "--output", tmp_path)
+    assert robot_runner(*words).code == 0
+    statistics = json.loads((tmp_path / "report.json").read_text())["statistics"]
+    energy = next(each for each in statistics["measures"] if each["name"] == "Energy")
+    assert energy["test"]["method"] == "analysis of covariance"
+    assert (statistics["is_planned"], energy["is_planned"], statistics["plan"]["covariates"]) == (
+        False,
+        False,
+        ["order"],
+    )
+    assert [each["hypothesis"]["statement"] for each in statistics["hypotheses"]] == ["The task matters."]
+    assert robot_runner(*words[:2], *words[4:], "--format", "md", "--figures", "none").code == 0
+    said = (tmp_path / "report.md").read_text()
+    assert "The plan was given for this report" in said
+    assert "adjusted for order): all of it is exploratory." in said
+
+
+@pytest.mark.parametrize(
+    ("text", "problem", "fix"),
+    [
+        (PLAN.replace('"order"', '"ordr"'), "there is no measure 'ordr' that could be a covariate", "'order'"),
+        (PLAN.replace("doubtful", "doubtfull"), "there is no choice 'doubtfull'", "'doubtful'"),
+        (PLAN.replace("= 3", "= -3"), "median_deviations is -3", "above 0"),
+        ("measures = ", "the file is not TOML", "Mend this line."),
+        (None, "cannot be read", ""),
+    ],
+)
+def test_a_plan_that_cannot_be_followed_is_refused(robot_runner, experiment, tmp_path, text, problem, fix):
+    if text is not None:
+        (tmp_path / "plan.toml").write_text(text)
+    answer = robot_runner("report", "trial", "--plan", tmp_path / "plan.toml")
+    assert answer.code == 2
+    assert problem in answer.err
+    assert fix in answer.err
+    assert "Traceback" not in answer.err

@@ -26,6 +26,24 @@ from robot_runner.analysis.importing.units import known_units, si_heading, split
         ("cpu_util", "cpu_util", None),
         ("mem_usage", "mem_usage", None),
         ("_s", "_s", None),
+        ("time(s)", "time", "s"),
+        ("Core(s)", "Core(s)", None),
+        ("cpu (%)", "cpu", "%"),
+        ("cpu_usage [avg %]", "cpu_usage", "%"),
+        ("Battery Power* [uW] (Delta)", "Battery Power* (Delta)", "uW"),
+        ("Peak_Memory_KB_RSS", "Peak_Memory_RSS", "KB"),
+        ("energy_kJ_per_km", "energy", "kJ/km"),
+        ("Throughput (ops/sec)", "Throughput", "ops/sec"),
+        ("Total Energy (Watt⋅sec)", "Total Energy", "Watt⋅sec"),
+        ("Energy Consumption (Joule)", "Energy Consumption", "J"),
+        ("Joules", "Joules", "J"),
+        ("estimated_CO2_kg", "estimated_CO2", "kg"),
+        ("latency_min", "latency_min", None),
+        ("time (min)", "time", "min"),
+        ("time (m)", "time (m)", None),
+        ("temp [C]", "temp", "degC"),
+        ("var_energy_J", "var_energy_J", None),
+        ("Carbon intensity (gCO2/kWh)", "Carbon intensity (gCO2/kWh)", None),
     ],
 )
 def test_headings_are_split(heading, base, symbol):
@@ -41,6 +59,38 @@ def test_values_in_si_are_rounded_once(unit, value, si):
     assert unit_of(unit).to_si(value) == si
 
 
+@pytest.mark.parametrize(
+    ("written", "si", "value", "converted"),
+    [
+        ("mWh", "J", 2.0, 7.2),
+        ("°C", "K", 20.0, 293.15),
+        ("count/s", "1/s", 3.0, 3.0),
+        ("fps", "1/s", 30.0, 30.0),
+        ("MiB", "B", 1.0, 1048576.0),
+        ("kB/s", "B/s", 2.0, 2000.0),
+        ("J/m", "J/m", 2.0, 2.0),
+        ("kJ/km", "J/m", 2.0, 2.0),
+        ("W*h", "J", 1.0, 3600.0),
+        ("N*m", "N*m", 2.0, 2.0),
+        ("m/s^2", "m/s^2", 9.8, 9.8),
+        ("rpm", "rad/s", 60.0, 6.283185307179586),
+        ("mAh", "C", 1000.0, 3600.0),
+        ("%", "%", 12.5, 12.5),
+    ],
+)
+def test_units_are_converted_part_by_part(written, si, value, converted):
+    unit = unit_of(written)
+    assert unit.si == si
+    assert unit.to_si(value) == pytest.approx(converted)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "2", "C", "G", "foo", "dBm", "J + W", "avg %", "joules/mission", "__import__('os')"]
+)
+def test_what_is_no_unit_or_could_be_several_is_none(text):
+    assert unit_of(text) is None
+
+
 @given(st.sampled_from(known_units()), st.floats(-1e9, 1e9))
 def test_an_array_is_converted_as_a_number_is(symbol, value):
     unit = unit_of(symbol)
@@ -51,4 +101,5 @@ def test_headings_in_si_say_so():
     assert si_heading("power_mW", unit_of("mW")) == "power_W"
     assert si_heading("cpu", unit_of("%")) == "cpu_percent"
     assert si_heading("count", unit_of("1")) == "count"
+    assert si_heading("energy [kJ/km]", unit_of("kJ/km")) == "energy_J_per_m"
     assert si_heading(" as is ", None) == "as is"

@@ -11,9 +11,9 @@ from tests.analysis.made_experiment import make_experiment
 from robot_runner.analysis import load_results
 from robot_runner.analysis.planning.assumed_values import AssumedMeasure
 from robot_runner.analysis.planning.pilot_values import pilot_values
+from robot_runner.analysis.planning.planned_study import Study
 from robot_runner.analysis.planning.power_analysis import Assumptions, power_analysis
 from robot_runner.analysis.planning.power_search import Search
-from robot_runner.analysis.planning.study import Study
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.run_table_model import RunTableModel

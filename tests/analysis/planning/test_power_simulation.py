@@ -6,14 +6,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from scipy import stats
 from statsmodels.stats.power import FTestAnovaPower, TTestIndPower, TTestPower
 from tests.analysis.made_experiment import make_experiment
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.planning.assumed_values import assumed_scenario, differences_of, numbers_of, with_blocks
+from robot_runner.analysis.planning.planned_study import Study
 from robot_runner.analysis.planning.power_search import Search, search_repetitions
 from robot_runner.analysis.planning.power_simulation import Simulation
-from robot_runner.analysis.planning.study import Study
 from robot_runner.analysis.statistics.families import claim_of, effect_key
 from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Estimand, Family, Statistic
 from robot_runner.core.design.factor import Factor
@@ -168,6 +169,18 @@ def test_power_within_blocks_is_that_of_the_paired_t() -> None:
     found = np.concatenate([simulation.found(part)[effect_key("Energy", ["Task"])] for part in range(8)])
     exact = TTestPower().power(1 / np.sqrt(2), 15, 0.05)
     assert abs(found.mean() - exact) < 4 * np.sqrt(exact * (1 - exact) / len(found))
+
+
+def test_equivalence_is_found_where_both_of_scipys_one_sided_tests_find_it() -> None:
+    hypothesis = Hypothesis("Tasks are alike.", measure="Energy", factors="Task", within=1.0)
+    study = study_of([TASK], AnalysisPlan(hypotheses=[hypothesis], family=Family.HYPOTHESES))
+    simulation = Simulation(study, scenario_of(study, "Task=0.2"), 20, seed=(1,))
+    found, values = simulation.found(0)[claim_of(hypothesis)], simulation.values(0)["Energy"]
+    one, other = values[:, 0::2], values[:, 1::2]
+    above = stats.ttest_ind(one, other - 1.0, axis=1, equal_var=False, alternative="greater").pvalue
+    below = stats.ttest_ind(one, other + 1.0, axis=1, equal_var=False, alternative="less").pvalue
+    assert np.array_equal(found, np.maximum(above, below) < 0.05)
+    assert 0.6 < found.mean() < 0.9
 
 
 def test_nothing_that_is_not_there_is_found_more_often_than_alpha() -> None:

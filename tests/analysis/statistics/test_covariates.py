@@ -146,6 +146,36 @@ def test_blocks_are_tested_as_clubsandwich_does() -> None:
     assert [float(joint.f_value), float(joint.within)] == pytest.approx([17.8996511453, 5.29051876618], rel=1e-8)
 
 
+#: Adjusted means, the difference of the first and the last, and the slope, each with its standard error.
+EMMEANS = {
+    "L": (37.0221723966, 3.28301058542),
+    "M": (26.3888888889, 2.19037058847),
+    "H": (21.0333831589, 1.83093920753),
+}
+LOW_LESS_HIGH = (15.98878923767, 3.77167421304)
+SLOPE = (1.42488789238, 0.640424186979)
+
+
+def test_adjusted_means_of_factorials_are_those_of_emmeans() -> None:
+    # emmeans(lm(breaks ~ wool * tension + x, warpbreaks), "tension", vcov. = vcovHC(m, "HC2")), with x as above
+    rows = [(*cell, float(value)) for cell, values in data.WARP_BREAKS.items() for value in values]
+    frame = pd.DataFrame(rows, columns=["wool", "tension", VALUE])
+    frame["run_id"] = [f"r_{number}" for number in range(1, 55)]
+    frame[covariate_column("x")] = np.arange(1.0, 55) % 7
+    for name, levels in (("wool", ["A", "B"]), ("tension", ["L", "M", "H"])):
+        frame[name] = pd.Categorical(frame[name], levels, ordered=True)
+    measure = MeasureData("breaks", frame, frame, ("wool", "tension"), is_blocked=False, covariates=("x",))
+    model = planned_model_of(measure, Estimand.MEAN)
+    assert isinstance(model, AdjustedMeans)
+    for level, figures in EMMEANS.items():
+        found = model.difference([({"tension": level}, 1.0)])
+        assert [float(found.estimate), float(found.error)] == pytest.approx(figures, rel=1e-8)
+    found = model.difference([({"tension": "L"}, 1.0), ({"tension": "H"}, -1.0)])
+    assert [float(found.estimate), float(found.error)] == pytest.approx(LOW_LESS_HIGH, rel=1e-8)
+    slope = model.slope(model.covariates[0])
+    assert [float(slope.estimate), float(slope.error)] == pytest.approx(SLOPE, rel=1e-8)
+
+
 # The level and the power of the whole procedure; `python -m benchmarks covariates` has more designs.
 
 

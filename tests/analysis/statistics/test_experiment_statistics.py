@@ -14,8 +14,8 @@ from tests.analysis.statistics.reference_data import one_factor
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.statistics.correlations import drift_of
+from robot_runner.analysis.statistics.detectable_effect import repetitions_needed
 from robot_runner.analysis.statistics.post_hoc import adjusted
-from robot_runner.analysis.statistics.power import repetitions_needed
 from robot_runner.analysis.statistics.tested import TestMethod
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.design.factor import Factor

@@ -10,10 +10,10 @@ from tests.analysis.statistics import reference_data as data
 
 from robot_runner.analysis.statistics.assumptions import equal_variances, normality
 from robot_runner.analysis.statistics.correlations import correlations_of
+from robot_runner.analysis.statistics.detectable_effect import _power, repetitions_needed
 from robot_runner.analysis.statistics.effect_sizes import cliffs_delta, cohens_d, vargha_delaney
 from robot_runner.analysis.statistics.linear_model import fit_model
 from robot_runner.analysis.statistics.post_hoc import adjusted, compare_pairs
-from robot_runner.analysis.statistics.power import _power, repetitions_needed
 from robot_runner.analysis.statistics.tested import Magnitude, TestMethod
 from robot_runner.analysis.statistics.tests import Choices, carry_out, model_of
 from robot_runner.core.design.analysis_plan import Correction, Estimand, Statistic

@@ -72,6 +72,7 @@ def test_json_holds_everything(robot_runner: Callable, write_config: Callable[..
             "plugins": [],
             "measures": [{"name": "Energy", "unit": "", "owner": "config"}],
             "set": {"operation_type": "semi"},
+            "repeat_until": None,
             "run_count": 4,
             "factors": {"Task": ["Video", "Network"]},
             "repetitions": 2,

@@ -70,6 +70,8 @@ def test_json_holds_everything(robot_runner: Callable, half_done: Path) -> None:
         "pause_is_requested": False,
         "is_of_older_tool": False,
         "order": "",
+        "precision": [],
+        "repeated": "",
     }
 
 

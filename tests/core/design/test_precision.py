@@ -7,7 +7,14 @@ from typing import Any
 import pytest
 
 from robot_runner.core.design.precise_estimates import Judgement, Observed, judge
-from robot_runner.core.design.precision import PreciseOf, Precision, precision_findings, rule_in_words
+from robot_runner.core.design.precision import (
+    PreciseOf,
+    Precision,
+    precision_findings,
+    rule_in_words,
+    rules_as_mapping,
+    rules_of_mapping,
+)
 from robot_runner.core.design.repeated_intervals import half_width_of, level_at_each_look
 from robot_runner.core.errors import DesignError
 
@@ -134,3 +141,12 @@ def test_the_rule_says_how_often_at_least_and_at_most() -> None:
         "is known to ± 1 s; at least 5, at most 30 repetitions"
     )
     assert rule_in_words((), 5) == ""
+
+
+def test_rules_come_back_from_what_is_kept_and_damaged_ones_are_refused() -> None:
+    rules = (rule("5 J"), rule("2 %", of="differences"))
+    assert rules_of_mapping(rules_as_mapping(rules, 5)) == (rules, 5)
+    assert rules_of_mapping(rules_as_mapping((), 5)) == ((), 0)
+    for damaged in (3, {}, {"rules": 1, "least": 5}, {"rules": [{}], "least": 5}, {"rules": [], "least": "few"}):
+        with pytest.raises(DesignError, match="rules of repetition are damaged"):
+            rules_of_mapping(damaged)

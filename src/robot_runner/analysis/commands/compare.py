@@ -8,10 +8,10 @@ equivalent, different, or undecided.
 Three and more (or two, with --meta) are replications of each other, of which a meta-analysis is made: the difference
 of each pair of treatments, on average over all experiments, how far these differ, and what a further one may find.
 
-  robot-runner compare original replication --bound 5%
-  robot-runner compare real simulated --rope "5 J" --measure Energy
-  robot-runner compare lab_a lab_b lab_c --html combined.html
-  robot-runner compare lab_a lab_b lab_c --measure Energy=E_total --same Task=Job --same Video=video
+    robot-runner compare original replication --bound 5%
+    robot-runner compare real simulated --rope "5 J" --measure Energy
+    robot-runner compare lab_a lab_b lab_c --html combined.html
+    robot-runner compare lab_a lab_b lab_c --measure Energy=E_total --same Task=Job --same Video=video
 """
 
 from __future__ import annotations

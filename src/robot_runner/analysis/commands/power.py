@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,9 +41,9 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Callable
 
+    from robot_runner.analysis.planning.planned_study import Study
     from robot_runner.analysis.planning.power_analysis import PowerAnalysis
     from robot_runner.analysis.planning.power_search import PowerPoint, ScenarioPower, Search
-    from robot_runner.analysis.planning.study import Study
     from robot_runner.cli.parser import Parser
 
 __all__ = ["add_arguments", "add_assumptions", "computed_power", "execute"]
@@ -143,7 +144,7 @@ def computed_power(arguments: Namespace) -> PowerAnalysis:
 
 
 def _study(arguments: Namespace) -> Study:
-    from robot_runner.analysis.planning.study import Study  # noqa: PLC0415 - slow, and an extra
+    from robot_runner.analysis.planning.planned_study import Study  # noqa: PLC0415 - slow, and an extra
 
     with quiet_loading():
         preparation = prepare(Path(arguments.config), parse_assignments(arguments.set), is_for_here=False)
@@ -153,7 +154,8 @@ def _study(arguments: Namespace) -> Study:
     show_findings([each for each in preparation.findings if each.where.startswith("analysis")])
     model = experiment.model.as_configured if isinstance(experiment.model, GrownRunTableModel) else experiment.model
     units = {column.name: column.measure.unit for column in experiment.columns.in_table if not column.tells_of}
-    return Study.of_model(experiment.parameters.experiment_name, model, experiment.parameters.analysis, units)
+    study = Study.of_model(experiment.parameters.experiment_name, model, experiment.parameters.analysis, units)
+    return replace(study, is_repeated=bool(experiment.parameters.repeat_until))
 
 
 def _search(arguments: Namespace) -> Search:

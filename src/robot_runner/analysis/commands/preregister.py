@@ -16,7 +16,7 @@ from robot_runner.cli.parser import UsageError, add_config, add_json, add_set
 from robot_runner.core.config.dialects import load_config
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import prepare
-from robot_runner.core.config.registration import registration_content, registration_path
+from robot_runner.core.config.registered_config import registration_content, registration_path
 from robot_runner.core.errors import ConfigError, StorageError
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.registration import (

@@ -1,15 +1,17 @@
 """Write the report of an experiment: tables, figures, tests, threats to validity.
 
 HTML is one file that needs nothing beside it. Tables (CSV, LaTeX) and figures (SVG, PDF, PNG) are written beside it. An
-experiment that is not over, or that failed in part, has a report too. Nothing but the folder is needed.
+experiment that is not over, or that failed in part, has a report too. Nothing but the folder is needed. A notebook or
+an R script beside it computes every number again from the run table alone.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.libraries import require_libraries
+from robot_runner.analysis.plan_file import read_plan
 from robot_runner.cli.console import output, print_facts, shown_path
 from robot_runner.cli.parser import UsageError, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
@@ -18,6 +20,7 @@ from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from argparse import Namespace
+    from collections.abc import Sequence
 
     from robot_runner.analysis.figures.style import FigureFormat
     from robot_runner.analysis.report.writing import WrittenReport
@@ -49,7 +52,16 @@ def add_arguments(parser: Parser) -> None:
         help="analyse this measure only; may be given several times",
     )
     parser.add_argument(
+        "--notebook", action="store_true", help="write a Jupyter notebook too that computes every number again"
+    )
+    parser.add_argument("--r", action="store_true", help="write an R script too that computes every number again")
+    parser.add_argument(
         "--alpha", metavar="LEVEL", type=float, help="the level of significance (that of the config's plan, or 0.05)"
+    )
+    parser.add_argument(
+        "--plan",
+        metavar="FILE",
+        help="a plan of the analysis, as TOML, in the place of the config's; everything is exploratory then",
     )
 
 
@@ -59,25 +71,32 @@ def execute(arguments: Namespace) -> int:
     kind = _one_of(_FORMATS, arguments.format, "--format")
     figures = _figures(arguments.figures)
     folder = folder_of_target(arguments.target, arguments.set).root
-    from robot_runner.analysis.report.writing import ReportFormat, write_report  # noqa: PLC0415 - slow, and an extra
-
-    written = write_report(
-        folder,
-        ReportFormat(kind),
-        output=Path(arguments.output).expanduser() if arguments.output else None,
-        figures=figures,
-        measures=arguments.measure,
-        alpha=arguments.alpha,
+    from robot_runner.analysis.recomputing.writing import (  # noqa: PLC0415 - slow, and an extra
+        Recomputation,
+        write_recomputations,
     )
-    _print(written)
+    from robot_runner.analysis.report.writing import ReportFormat, write_report  # noqa: PLC0415 - as above
+    from robot_runner.analysis.results import load_results  # noqa: PLC0415 - as above
+
+    results = load_results(folder)
+    chosen: dict[str, Any] = {
+        "output": Path(arguments.output).expanduser() if arguments.output else None,
+        "measures": arguments.measure,
+        "alpha": arguments.alpha,
+        "plan": None if arguments.plan is None else read_plan(Path(arguments.plan).expanduser()),
+    }
+    written = write_report(results, ReportFormat(kind), figures=figures, **chosen)
+    kinds = [Recomputation.NOTEBOOK] * arguments.notebook + [Recomputation.R] * arguments.r
+    _print(written, write_recomputations(results, kinds, **chosen) if kinds else ())
     return 0
 
 
-def _print(written: WrittenReport) -> None:
+def _print(written: WrittenReport, recomputations: Sequence[Path]) -> None:
     facts = [("Report", shown_path(written.document.resolve()))]
     for name, paths in (("Tables", written.tables), ("Figures", written.figures)):
         if paths:
             facts.append((name, f"{counted(len(paths), 'file')} in {shown_path(paths[0].parent.resolve())}/"))
+    facts += [("Computes it again", shown_path(path.resolve())) for path in recomputations]
     print_facts(output(), facts)
 
 

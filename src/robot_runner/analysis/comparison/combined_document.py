@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import math
 from datetime import UTC, datetime
-from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple
 
 from robot_runner.analysis.comparison.combined_conclusions import difference_unit
+from robot_runner.analysis.comparison.comparison_document import circumstances_table
 from robot_runner.analysis.figures.forest import ForestLine, draw_forest
 from robot_runner.analysis.report.blocks import (
     Block,
@@ -115,9 +115,7 @@ def _circumstances(found: MetaAnalysis) -> Iterator[Block]:
     )
     yield Paragraph(_METHOD, Tone.NOTE)
     if found.differing:
-        headings = ("What differs", *(each.name for each in found.experiments))
-        columns = [text(name, itemgetter(place)) for place, name in enumerate(headings)]
-        yield build_table("circumstances", "Circumstances that differ.", found.differing, columns)
+        yield circumstances_table([each.name for each in found.experiments], found.differing)
     if found.findings:
         remarks = (
             Remark(

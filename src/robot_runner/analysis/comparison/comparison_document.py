@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
+from robot_runner.analysis.comparison.combined_conclusions import difference_unit
 from robot_runner.analysis.comparison.compared import Verdict
 from robot_runner.analysis.figures.effects import Estimate, draw_agreement, draw_differences
 from robot_runner.analysis.report.blocks import (
@@ -34,12 +35,13 @@ from robot_runner.analysis.wording import ALPHA, listed, shown_number, with_unit
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from robot_runner.analysis.comparison.compared import Agreement, Bound, Comparison, Difference, MeasureComparison
 
 __all__ = [
+    "circumstances_table",
     "comparison_document",
     "conclusion_of",
     "difference_table",
@@ -137,7 +139,7 @@ def _largest(measure: MeasureComparison) -> str:
         return ""
     largest = max(known, key=lambda each: abs(each.difference or 0.0))
     where = f" ({largest.label})" if len(measure.differences) > 1 else ""
-    size = with_unit(largest.difference, _difference_unit(measure))
+    size = with_unit(largest.difference, difference_unit(measure.unit))
     return f" The largest difference is {size}, {_percentage(largest.relative)}{where}."
 
 
@@ -146,11 +148,6 @@ def _percentage(value: float | None) -> str:
     if value is None:
         return shown_number(None)
     return f"{'+' if value > 0 else ''}{shown_number(value, 3)} %"
-
-
-def _difference_unit(measure: MeasureComparison) -> str:
-    """Return the unit of a difference: that of percentages is not a percentage of anything."""
-    return "percentage points" if measure.unit == "%" else measure.unit
 
 
 def comparison_document(comparison: Comparison, *, made: str) -> Document:
@@ -242,9 +239,7 @@ def _circumstances(comparison: Comparison) -> Iterator[Block]:
     pairs = "Runs of a combination belong together one by one." if comparison.is_paired else "Runs are independent."
     yield Paragraph(f"Runs that are done are matched {matched}. {pairs}")
     if comparison.differing:
-        headings = ("What differs", *names)
-        fields = [text(name, itemgetter(place)) for place, name in enumerate(headings)]
-        yield build_table("circumstances", "Circumstances that differ.", comparison.differing, fields)
+        yield circumstances_table(names, comparison.differing)
     else:
         yield Paragraph("Nothing that was recorded of their circumstances differs.", Tone.NOTE)
     remarks = [
@@ -255,6 +250,12 @@ def _circumstances(comparison: Comparison) -> Iterator[Block]:
     remarks += [Remark("Matching", note, Tone.NOTE) for note in comparison.notes]
     if remarks:
         yield Remarks(tuple(remarks))
+
+
+def circumstances_table(names: Sequence[str], differing: Sequence[Sequence[str]]) -> Table:
+    """Return what differs between experiments, one row a circumstance and one column an experiment."""
+    fields = [text(name, itemgetter(place)) for place, name in enumerate(("What differs", *names))]
+    return build_table("circumstances", "Circumstances that differ.", differing, fields)
 
 
 def _two_origins(measure: MeasureComparison, first: str, second: str) -> str:
@@ -280,7 +281,7 @@ def _estimates(comparison: Comparison, measure: MeasureComparison) -> FigureBloc
         if each.difference is not None and each.interval is not None
     ]
     shaded = f" Shaded: the bound of {shown_bound(measure)}." if measure.bound is not None else ""
-    unit = _difference_unit(measure)
+    unit = difference_unit(measure.unit)
     label = f"Difference of {measure.name}" + (f" ({unit})" if unit not in {"", "1"} else "")
     return FigureBlock(
         f"difference {measure.name}",
@@ -339,6 +340,6 @@ def _agreement_figure(comparison: Comparison, measure: MeasureComparison, agreem
             upper=agreement.upper,
             value_label=measure.label,
             names=(comparison.first.name, comparison.second.name),
-            unit=_difference_unit(measure),
+            unit=difference_unit(measure.unit),
         ),
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.importing.column_evidence import IN_RUN_ID, ColumnEvidence
-from robot_runner.analysis.importing.foreign_runs import STATUSES
+from robot_runner.analysis.importing.column_verdicts import ColumnVerdicts
 from robot_runner.analysis.importing.role_guesses import Confidence, Role, RoleGuess
 from robot_runner.core.errors import AnalysisError, did_you_mean
 
@@ -124,6 +124,7 @@ class _Guessing:
         self._said = said
         self._guesses: dict[str, RoleGuess] = {}
         self._evidence = ColumnEvidence(table)
+        self._verdicts = ColumnVerdicts(table, self._evidence)
         self._notes: list[str] = []
         self._late: set[str] = set()
 
@@ -192,8 +193,7 @@ class _Guessing:
         if self._said.status:
             return self._take(self._said.status, Role.STATUS, Confidence.SURE, "as you said")
         for name in self._called(_STATUS):
-            words = {value.casefold() for value in self._evidence.values(name)}
-            if name.startswith("__") or (words <= STATUSES.keys() and not words <= {"0", "1"}):
+            if name.startswith("__") or self._evidence.tells_status(name):
                 return self._take(name, Role.STATUS, Confidence.SURE, "its name, and its words")
         return None
 
@@ -243,14 +243,16 @@ class _Guessing:
         evidence = self._evidence
         left = self._left()
         # Texts first: they tell for which runs numbers differ between repetitions of one combination.
-        texts = [name for name in left if evidence.is_treatment_text(name)]
+        texts = [name for name in left if self._verdicts.is_treatment_text(name)]
         texts = [name for name in left if name in texts or evidence.is_part_of(name, texts)]
-        begun = min((place for place, name in enumerate(left) if evidence.is_surely_measured(name)), default=len(left))
+        begun = min(
+            (place for place, name in enumerate(left) if self._verdicts.is_surely_measured(name)), default=len(left)
+        )
         self._late = set(left[begun:])
         factors = [*self._named(Role.FACTOR), *texts]
         for place, name in enumerate(left):
             is_first = place < begun or name in texts
-            role, confidence, reason = evidence.verdict(name, factors, repetition, is_first=is_first)
+            role, confidence, reason = self._verdicts.verdict(name, factors, repetition, is_first=is_first)
             self._take(name, role, confidence, reason)
             if role is Role.FACTOR and name not in factors:
                 factors.append(name)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.importing.cell_numbers import MISSING
-from robot_runner.analysis.importing.column_evidence import repetition_number
+from robot_runner.analysis.importing.column_evidence import STATUSES, repetition_number
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.storage.cells import CellValue, RunStatus
 from robot_runner.core.words import counted, listed
@@ -20,17 +20,8 @@ if TYPE_CHECKING:
     from robot_runner.analysis.importing.column_roles import ColumnRoles
     from robot_runner.analysis.importing.foreign_table import ForeignTable
 
-__all__ = ["STATUSES", "ForeignRun", "read_runs"]
+__all__ = ["ForeignRun", "read_runs"]
 
-_WORDS = {
-    RunStatus.DONE: "done true yes 1 finished completed complete ok success x",
-    RunStatus.TODO: "- – — todo to_do false no 0 pending running planned",  # noqa: RUF001 - spreadsheets write dashes
-    RunStatus.FAILED: "failed error aborted crashed fail",
-}
-#: The words for how far a run is, in small letters.
-STATUSES = {word: status for status, words in _WORDS.items() for word in words.split()} | dict.fromkeys(
-    ("", "to do", "not done"), RunStatus.TODO
-)
 _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
 _LONGEST_ID = 60
 _NUMBER = re.compile(r"\d+")

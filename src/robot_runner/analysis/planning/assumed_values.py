@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.planning.study import Cell, Study
+    from robot_runner.analysis.planning.planned_study import Cell, Study
     from robot_runner.analysis.statistics.families import Key
 
     Floats = NDArray[np.float64]

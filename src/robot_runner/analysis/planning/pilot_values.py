@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-    from robot_runner.analysis.planning.study import Cell, Study
+    from robot_runner.analysis.planning.planned_study import Cell, Study
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.design import Design
 

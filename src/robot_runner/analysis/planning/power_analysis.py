@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.analysis.planning.assumed_values import AssumedMeasure
+    from robot_runner.analysis.planning.planned_study import Study
     from robot_runner.analysis.planning.power_search import Found
-    from robot_runner.analysis.planning.study import Study
     from robot_runner.analysis.results import Results
 
 __all__ = ["Assumptions", "PowerAnalysis", "answer_in_words", "power_analysis", "share_in_words"]
@@ -217,6 +217,8 @@ def _notes(study: Study, measures: Sequence[str], pilot: Pilot | None, found: Se
         yield "The config has no analysis plan: each measure's effects are a family at 5 %, corrected after Holm."
     if len(measures) > 1:
         yield "Measures are drawn independently of each other; where theirs go together, so do their verdicts."
+    if study.is_repeated:
+        yield "`repeat_until` adds repetitions until measures are precise; the power here is that of a fixed number."
     if study.plan is not None and study.plan.covariates:
         yield "Covariates are drawn as if they told nothing of the measures: where they do, fewer repetitions suffice."
     yield "Values are drawn from normal distributions; skewed ones, and runs that fail, take more repetitions."

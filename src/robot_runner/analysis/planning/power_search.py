@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
 
     from robot_runner.analysis.planning.assumed_values import Scenario
-    from robot_runner.analysis.planning.study import Study
+    from robot_runner.analysis.planning.planned_study import Study
     from robot_runner.analysis.statistics.families import Key
 
 __all__ = ["Found", "Needed", "PowerPoint", "ScenarioPower", "Search", "search_repetitions"]

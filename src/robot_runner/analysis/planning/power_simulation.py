@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from robot_runner.analysis.planning.assumed_values import AssumedMeasure, Scenario
-    from robot_runner.analysis.planning.study import Cell, Study
+    from robot_runner.analysis.planning.planned_study import Cell, Study
     from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
     from robot_runner.analysis.statistics.design import Design, MeasureData
     from robot_runner.analysis.statistics.families import Key

@@ -60,7 +60,7 @@ def registered(results: Results, statistics: ExperimentStatistics) -> Registered
     """Return the registration of an experiment with all deviations from it; None where none was made beforehand."""
     stated = results.manifest.get("registration")
     if not isinstance(stated, dict):
-        return None
+        return _made_too_late(results.manifest.get("registration_changes"))
     at, digest = str(stated.get("registered_at")), str(stated.get("sha256"))
     try:
         found = read_registration(ExperimentFolder.found_at(results.folder).registration)
@@ -72,6 +72,15 @@ def registered(results: Results, statistics: ExperimentStatistics) -> Registered
         return Registered(at, digest, (), (), problem)
     power = tuple(map(str, (found.content["power"] or {}).get("answers", ())))
     return Registered(at, digest, power, tuple(_deviations(found, results, statistics)))
+
+
+def _made_too_late(changes: Any) -> Registered | None:
+    """Return a registration that an experiment which had begun without one found later."""
+    later = changes[-1].get("registration") if changes else None
+    if not isinstance(later, dict):
+        return None
+    problem = "It was made after the first run, and does not count."
+    return Registered(str(later.get("registered_at")), str(later.get("sha256")), (), (), problem)
 
 
 def _deviations(found: Registration, results: Results, statistics: ExperimentStatistics) -> Iterator[str]:

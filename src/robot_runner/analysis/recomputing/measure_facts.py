@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robot_runner.analysis.recomputing.study_facts import (
+    LEVEL,
     Compared,
     Contrasted,
     Distributed,
@@ -18,13 +20,14 @@ from robot_runner.analysis.recomputing.study_facts import (
 from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
+from robot_runner.analysis.statistics.known_precision import level_of_looks
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.statistics.tests import check_estimand, model_of
 from robot_runner.core.design.analysis_plan import Estimand
 from robot_runner.core.design.columns import RUN_ID
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from robot_runner.analysis.recomputing.study_facts import Number
     from robot_runner.analysis.statistics.design import Design, MeasureData
@@ -46,13 +49,13 @@ _PROCEDURES = {
     "Welch's ANOVA": "welch_james",
     "Welch-James": "welch_james",
     "ANOVA-type": "anova_type",
-    "Welch-James, parametric bootstrap": "bootstrap",
+    "Welch-James and ANOVA-type": "combined",
     "Greenhouse-Geisser": "greenhouse_geisser",
     "Huynh-Feldt": "huynh_feldt",
     "linear model with one variance": "model",
     "linear mixed model": "model",
 }
-_OF_BLOCKS = " of blocks"
+_OF_BLOCKS, _BOOTSTRAP = " of blocks", ", parametric bootstrap"
 
 
 def facts_of_measure(
@@ -61,34 +64,34 @@ def facts_of_measure(
     choices: Choices,
     hypotheses: Sequence[Hypothesis],
     key_of: Callable[[str], str],
+    beside: str = "",
 ) -> MeasureFacts:
     """Return what a recomputation has to know of one measure.
 
     Args:
-        design: of the experiment; without the runs that are left out of this measure.
+        design: of the experiment; without the runs whose values are left out.
         measure: its statistics, as the report has them.
         choices: what was chosen for the analysis beforehand.
         hypotheses: of the plan.
         key_of: makes a name its own among all of the study.
+        beside: which choice is made otherwise than planned, in words.
     """
     data = design.data(measure.name)
     assert data is not None  # noqa: S101 - it has statistics
-    label = f"{measure.name}{' without doubtful runs' if design.without else ''}"
-    key = key_of(label)
-    groups: dict[tuple[str, ...], list[Description]] = {}
-    if measure.overall is not None:
-        groups[()] = [measure.overall]
-    for each in (*measure.by_treatment, *measure.by_combination):
-        groups.setdefault(tuple(each.treatments), []).append(each)
+    label = f"{measure.name} {beside}".rstrip()
+    effects = measure.test.effects if measure.test is not None else ()
+    effect_keys = {effect.factors: key_of(f"{label}: {effect.label}") for effect in effects}
+    contrast_keys = {each.statement: key_of(f"{label}: {each.statement}") for each in measure.contrasts}
     checks = [(" / ".join(each.treatments.values()) or "all groups", each) for each in measure.assumptions]
-    return MeasureFacts(
-        key=key,
+    levels = level_of_looks(design.results, measure.name)
+    facts = MeasureFacts(
+        key=key_of(label),
         name=measure.name,
         label=label,
         factors=data.factors,
         left_out=tuple(sorted(design.without & set(design.frame[RUN_ID]))),
         described=tuple(
-            (names, Reported.of([(each.label, _described(each)) for each in of])) for names, of in groups.items()
+            (names, Reported.of([(each.label, _described(each)) for each in of])) for names, of in _groups(measure)
         ),
         is_extended=data.is_extended,
         distributed=tuple(Distributed(each.name, dict(each.treatments)) for each in measure.assumptions),
@@ -98,8 +101,60 @@ def facts_of_measure(
         quantiles=_quantiles(measure),
         drift=_drift(measure),
         power=_power(measure),
-        power_groups=0 if measure.power is None else len(data.groups(data.factors)),
-        compared=_compared(data, measure, choices, hypotheses, lambda text: key_of(f"{label}: {text}")),
+        compared=None,
+        effect_keys=effect_keys,
+        contrast_keys=contrast_keys,
+        taken={},
+        skipped=0,
+        level=LEVEL if levels is None else levels,
+    )
+    return _with_comparisons(facts, data, measure, choices, hypotheses)
+
+
+def _groups(measure: MeasureStatistics) -> Iterator[tuple[tuple[str, ...], list[Description]]]:
+    """Yield the groups that are described, by the factors that they differ in."""
+    groups: dict[tuple[str, ...], list[Description]] = {}
+    if measure.overall is not None:
+        groups[()] = [measure.overall]
+    for each in (*measure.by_treatment, *measure.by_combination):
+        groups.setdefault(tuple(each.treatments), []).append(each)
+    yield from groups.items()
+
+
+def _with_comparisons(
+    facts: MeasureFacts,
+    data: MeasureData,
+    measure: MeasureStatistics,
+    choices: Choices,
+    hypotheses: Sequence[Hypothesis],
+) -> MeasureFacts:
+    """Return facts with what is compared; without all that is adjusted for covariates, or compared in unknown ways."""
+    if measure.test is None and not data.covariates:
+        return facts
+    p_values = {facts.effect_keys[each.factors]: each.p_value for each in measure.test.effects} if measure.test else {}
+    p_values |= {facts.contrast_keys[each.statement]: each.p_value for each in measure.contrasts}
+    compared = None if data.covariates else _compared(facts, data, measure, choices, hypotheses)
+    if compared is not None:
+        return replace(facts, compared=compared)
+    left = [_tested(measure, "ranks"), _contrasts(measure)]
+    left += [_paired(each, "", "ranks").reported for each in measure.post_hoc]
+    left += [
+        each for each in (facts.distribution, facts.quantiles, facts.drift, facts.power) if data.covariates and each
+    ]
+    skipped = sum(len(each.numbers) for each in left)
+    taken = {key: value for key, value in p_values.items() if value is not None}
+    if not data.covariates:
+        return replace(facts, taken=taken, skipped=skipped)
+    nothing = Reported.of([])
+    return replace(
+        facts,
+        taken=taken,
+        skipped=skipped,
+        distributed=(),
+        distribution=nothing,
+        quantiles=None,
+        drift=None,
+        power=None,
     )
 
 
@@ -152,70 +207,45 @@ def _power(measure: MeasureStatistics) -> Reported | None:
 
 
 def _compared(
+    facts: MeasureFacts,
     data: MeasureData,
     measure: MeasureStatistics,
     choices: Choices,
     hypotheses: Sequence[Hypothesis],
-    key_of: Callable[[str], str],
 ) -> Compared | None:
-    test = measure.test
-    if test is None:
-        return None
+    """Return what is compared of a measure, and how; None where that is not known here."""
     used, _, _ = comparable(data)
     model = model_of(used, choices.estimand, choices.statistic)
     beside = model_of(used, check_estimand(choices.estimand), choices.statistic)
-    assert not isinstance(model, NotComputed)  # noqa: S101 - it was tested
-    keys = {effect.factors: key_of(effect.label) for effect in test.effects}
+    if isinstance(model, NotComputed) or measure.test is None:
+        return None
     tested, checked = (_procedures(each) for each in (model, beside))
-    levels = dict(model.layout.factors if isinstance(model, CellMeans) else model.factors)
-    effects = tuple(
-        TestedEffect(
-            key=keys[effect.factors],
-            label=effect.label,
-            factors=effect.factors,
-            which=tuple(name in effect.factors for name in levels),
-            test=tested[effect.factors],
-            check="" if effect.check is None or effect.check.p_value is None else checked[effect.factors],
-            drawn=effect.p_value if tested[effect.factors] == "bootstrap" else None,
-        )
-        for effect in test.effects
-    )
+    effects = [_effect(each, facts, model, tested, checked) for each in measure.test.effects]
+    known = [each for each in effects if each is not None]
+    if len(known) < len(effects):
+        return None
+    levels = _levels(model)
     of = "means" if choices.estimand is Estimand.RANK else "ranks"
     by_statement = {each.statement: each for each in hypotheses}
-    contrasts = tuple(
-        _contrasted(by_statement[each.statement], levels, choices, key_of(each.statement)) for each in measure.contrasts
-    )
     is_blocked = isinstance(model, CellMeans) and model.layout.is_blocked
+    of_cells = "blocks" if is_blocked else "runs"
+    rest = set(used.frame[RUN_ID])
     return Compared(
-        kind=("blocks" if is_blocked else "runs")
-        if isinstance(model, CellMeans)
-        else ("linear" if model.blocks is None else "mixed"),
-        factors=tuple((name, tuple(of)) for name, of in levels.items()),
+        kind=of_cells if isinstance(model, CellMeans) else "linear" if model.blocks is None else "mixed",
+        factors=tuple((name, tuple(treatments)) for name, treatments in levels.items()),
         between=model.layout.between if isinstance(model, CellMeans) and is_blocked else (),
         estimand=choices.estimand.value,
         is_extended=used.is_extended,
-        dropped=tuple(run for run in data.frame[RUN_ID] if run not in set(used.frame[RUN_ID])),
+        dropped=tuple(run for run in data.frame[RUN_ID] if run not in rest),
         left_out=_left_out(used, model),
-        effects=effects,
-        tested=Reported.of([(effect.label, _effect_row(effect, test.spread, of)) for effect in test.effects]),
-        pairs=tuple(_paired(each, keys[each.factors], of) for each in measure.post_hoc),
-        contrasts=contrasts,
-        contrasted=Reported.of(
-            [
-                (
-                    each.statement,
-                    {
-                        "estimate": each.estimate,
-                        "low": each.interval.low,
-                        "high": each.interval.high,
-                        "statistic": each.statistic,
-                        "df": each.degrees_of_freedom,
-                        "p": each.p_value,
-                    },
-                )
-                for each in measure.contrasts
-            ]
+        effects=tuple(known),
+        tested=_tested(measure, of),
+        pairs=tuple(_paired(each, facts.effect_keys[each.factors], of) for each in measure.post_hoc),
+        contrasts=tuple(
+            _contrasted(by_statement[each.statement], levels, choices, facts.contrast_keys[each.statement])
+            for each in measure.contrasts
         ),
+        contrasted=_contrasts(measure),
         of=of,
         d_name="robust d" if choices.estimand is Estimand.TRIMMED_MEAN else "Cohen's d",
         has_check=not isinstance(beside, NotComputed),
@@ -223,12 +253,57 @@ def _compared(
     )
 
 
+def _levels(model: Model) -> dict[str, list[str]]:
+    return {name: list(of) for name, of in (model.layout if isinstance(model, CellMeans) else model).factors.items()}
+
+
+def _effect(
+    effect: Effect,
+    facts: MeasureFacts,
+    model: Model,
+    tested: Mapping[tuple[str, ...], str],
+    checked: Mapping[tuple[str, ...], str],
+) -> TestedEffect | None:
+    """Return an effect with the procedures that test it; None where these are not known."""
+    has_check = effect.check is not None and effect.check.p_value is not None
+    names = [tested[effect.factors].removesuffix(_BOOTSTRAP)]
+    names += [checked[effect.factors].removesuffix(_BOOTSTRAP)] if has_check else []
+    if not set(names) <= set(_PROCEDURES):
+        return None
+    is_drawn = tested[effect.factors].endswith(_BOOTSTRAP)
+    return TestedEffect(
+        key=facts.effect_keys[effect.factors],
+        label=effect.label,
+        factors=effect.factors,
+        which=tuple(name in effect.factors for name in _levels(model)),
+        test=_PROCEDURES[names[0]],
+        check=_PROCEDURES[names[1]] if has_check else "",
+        drawn=effect.p_value if is_drawn else None,
+        check_is_drawn=has_check and checked[effect.factors].endswith(_BOOTSTRAP),
+    )
+
+
+def _tested(measure: MeasureStatistics, of: str) -> Reported:
+    if measure.test is None:
+        return Reported.of([])
+    return Reported.of([(each.label, _effect_row(each, measure.test.spread, of)) for each in measure.test.effects])
+
+
+def _contrasts(measure: MeasureStatistics) -> Reported:
+    rows: list[tuple[str, Row]] = []
+    for each in measure.contrasts:
+        low, high = _ends(each.interval)
+        row: Row = {"estimate": each.estimate, "low": low, "high": high, "statistic": each.statistic}
+        rows.append((each.statement, row | {"df": each.degrees_of_freedom, "p": each.p_value}))
+    return Reported.of(rows)
+
+
 def _procedures(model: Model | NotComputed) -> dict[tuple[str, ...], str]:
-    """Return the procedure that each effect is tested by."""
+    """Return what the test of each effect is called, but for blocks."""
     if isinstance(model, NotComputed):
         return {}
     with quiet():
-        return {each.factors: _PROCEDURES[each.test.removesuffix(_OF_BLOCKS)] for each in model.effects()}
+        return {each.factors: each.test.replace(_OF_BLOCKS, "") for each in model.effects()}
 
 
 def _is_uniform(model: Model | NotComputed) -> bool:
@@ -244,6 +319,11 @@ def _left_out(data: MeasureData, model: Model) -> tuple[str, ...]:
 def _effect_row(effect: Effect, spread: float | None, of: str) -> Row:
     row: Row = {"statistic": effect.statistic, **_freedom(effect.degrees_of_freedom, ""), "p": effect.p_value}
     row |= {"spread": spread}
+    for at, part in enumerate(effect.parts):
+        row |= {f"p of {part.name}": part.p_value}
+        if at:  # the first is the statistic itself
+            row |= {f"statistic of {part.name}": part.statistic}
+            row |= _freedom(part.degrees_of_freedom, f" of {part.name}")
     for size in effect.effect_sizes:
         if size.name.endswith("omega squared"):
             row |= _size(size, "omega squared")

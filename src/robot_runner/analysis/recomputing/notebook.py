@@ -7,6 +7,8 @@ import re
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.recomputing.literals import Code, python_literal, rendered
+from robot_runner.analysis.recomputing.procedures import procedures
+from robot_runner.analysis.recomputing.study_facts import LEVEL
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -40,11 +42,9 @@ def cells_of(study: StudyFacts) -> list[tuple[str, str]]:
         table=_table,
         mapping=_mapping,
         levels=_levels,
+        level=lambda measure: Code("" if measure.level == LEVEL else f", level={python_literal(measure.level)}"),
         tolerance=lambda kind: Code(", tolerance=1e-4" if kind == "mixed" else ""),
-        x_of=lambda it: Code("ranks" if it.estimand == "rank" else "x"),
-        beside_of=lambda it: Code("x" if it.estimand == "rank" else "ranks"),
-        procedure=_procedure,
-        block_procedure=_block_procedure,
+        **procedures("None", "lambda groups, contrasts: {}"),
         terms=lambda it: Code(f"[{', '.join(_names(effect.factors) for effect in it.effects)}]"),
     )
     _, *parts = _CELL.split(text)
@@ -53,7 +53,12 @@ def cells_of(study: StudyFacts) -> list[tuple[str, str]]:
 
 
 def _cell(place: int, kind: str, source: str) -> dict[str, Any]:
-    cell: dict[str, Any] = {"cell_type": kind, "id": f"cell-{place}", "metadata": {}, "source": source.splitlines(True)}
+    cell: dict[str, Any] = {
+        "cell_type": kind,
+        "id": f"cell-{place}",
+        "metadata": {},
+        "source": source.splitlines(keepends=True),
+    }
     return cell | ({"execution_count": None, "outputs": []} if kind == "code" else {})
 
 
@@ -73,16 +78,3 @@ def _levels(names: Iterable[str], it: Compared) -> Code:
 
 def _names(factors: Sequence[str]) -> str:
     return f"({', '.join(map(python_literal, factors))},)"
-
-
-def _procedure(it: Compared, name: str, values: Code) -> Code:
-    """Return the function that tests an effect among runs of their own."""
-    if it.is_plain and name in {"welch", "welch_james"}:
-        return Code(f"lambda *_: {'welch_t' if name == 'welch' else 'welch_anova'}({values})")
-    return Code(name)
-
-
-def _block_procedure(name: str) -> Code:
-    if name == "welch":
-        return Code("single")
-    return Code(name if name in {"greenhouse_geisser", "huynh_feldt"} else f"of_groups({name})")

@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.recomputing.literals import Code, r_literal, rendered
+from robot_runner.analysis.recomputing.procedures import procedures
+from robot_runner.analysis.recomputing.study_facts import LEVEL
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -24,10 +26,8 @@ def r_script(study: StudyFacts) -> str:
         separator=lambda is_last: Code("" if is_last else ","),
         tolerance=lambda kind: Code(", tolerance = 1e-4" if kind == "mixed" else ""),
         chosen=_chosen,
-        x_of=lambda it: Code("ranks" if it.estimand == "rank" else "x"),
-        beside_of=lambda it: Code("x" if it.estimand == "rank" else "ranks"),
-        procedure=_procedure,
-        block_procedure=_block_procedure,
+        level=lambda measure: Code("" if measure.level == LEVEL else f", {r_literal(measure.level)}"),
+        **procedures("NULL", "function(groups, contrasts) {}"),
         which_of=_which_of,
         terms=_terms,
         weights=_weights,
@@ -43,19 +43,6 @@ def _table(reported: Reported) -> Code:
 def _chosen(treatments: Mapping[str, str]) -> Code:
     """Return which runs have some treatments."""
     return Code(" & ".join(f"d[[{r_literal(name)}]] == {r_literal(of)}" for name, of in treatments.items()))
-
-
-def _procedure(it: Compared, name: str, values: Code) -> Code:
-    """Return the function that tests an effect among runs of their own."""
-    if it.is_plain and name in {"welch", "welch_james"}:
-        return Code(f"function(...) {'welch_t' if name == 'welch' else 'welch_anova'}({values})")
-    return Code(name)
-
-
-def _block_procedure(name: str) -> Code:
-    if name == "welch":
-        return Code("single")
-    return Code(name if name in {"greenhouse_geisser", "huynh_feldt"} else f"of_groups({name})")
 
 
 def _which_of(it: Compared, effect: TestedEffect, names: Sequence[str]) -> Code:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import combinations
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.recomputing.measure_facts import facts_of_measure
 from robot_runner.analysis.recomputing.study_facts import Adjustment, Reported, StudyFacts
 from robot_runner.analysis.recomputing.table_source import Cells, factor_columns, source_of
 from robot_runner.analysis.statistics.design import BATCH, design_of
+from robot_runner.analysis.statistics.disclosed import Beside, Reason
 from robot_runner.analysis.statistics.experiment_statistics import analyse
 from robot_runner.analysis.statistics.families import contrast_key, effect_key, families_of
-from robot_runner.analysis.statistics.robustness import doubtful_runs
 from robot_runner.analysis.statistics.tests import Choices
 from robot_runner.core.storage.layout import ExperimentFolder
 
@@ -36,6 +35,7 @@ def facts_of_study(
     *,
     measures: Sequence[str] | None = None,
     alpha: float | None = None,
+    plan: AnalysisPlan | None = None,
     made: str = "",
 ) -> StudyFacts:
     """Return what a recomputation has to know of a study.
@@ -46,18 +46,20 @@ def facts_of_study(
         measures: which measures the report is of; None for all. Primary measures of the plan come in addition, as
             errors are controlled among these.
         alpha: the level of significance; None for the one that was fixed beforehand, or 0.05.
+        plan: what the report follows in the place of what was fixed before the experiment.
         made: when and by what.
 
     Raises:
         StorageError: the run table cannot be read.
         AnalysisError: there is no such measure, or alpha is no probability.
     """
-    planned = results.plan.measures if results.plan is not None else ()
+    followed = plan or results.plan
+    planned = followed.measures if followed is not None else ()
     primary = [name for name in planned if name in results.columns]
     names = None if measures is None else list(dict.fromkeys([*measures, *primary]))
-    statistics = analyse(results, measures=names, alpha=alpha)
-    shown = statistics if names in (None, measures) else analyse(results, measures=measures, alpha=alpha)
-    plan = results.plan if statistics.is_planned else None
+    statistics = analyse(results, measures=names, alpha=alpha, plan=plan)
+    shown = statistics if names in (None, measures) else analyse(results, measures=measures, alpha=alpha, plan=plan)
+    plan = plan or (results.plan if statistics.is_planned else None)
     design = design_of(results, blocks=plan.blocks if plan is not None else None)
     facts = dict(_measures(design, statistics, plan))
     cells = Cells(ExperimentFolder.found_at(results.folder).run_table, results)
@@ -79,28 +81,37 @@ def facts_of_study(
         measures=tuple(facts.values()),
         families=tuple(_families(statistics, plan, facts)),
         adjusted=_adjusted(statistics, facts),
-        correlated=_correlated(shown, facts),
+        correlated=tuple(_correlated(shown, design)),
         correlations=_correlations(shown),
     )
 
 
 def _measures(
     design: Design, statistics: ExperimentStatistics, plan: AnalysisPlan | None
-) -> Iterator[tuple[tuple[str, bool], MeasureFacts]]:
-    """Yield the facts of each measure, and once more of those that are computed without doubtful runs as well."""
+) -> Iterator[tuple[tuple[str, Beside | None], MeasureFacts]]:
+    """Yield the facts of each measure, and once more of those that are computed with one choice made otherwise."""
     choices = Choices(statistics.alpha, statistics.correction)
     if plan is not None:
         choices = replace(choices, estimand=plan.estimand, statistic=plan.statistic)
+        design = replace(design, covariates=plan.covariates)
     hypotheses = plan.hypotheses if plan is not None else ()
-    doubtful = doubtful_runs(design.results)
     key_of = _unique_names()
-    for measure in statistics.measures:
-        if measure.overall is not None:
-            yield (measure.name, False), facts_of_measure(design, measure, choices, hypotheses, key_of)
-    for measure in statistics.without_doubtful:
-        if measure.overall is not None:
-            rest = replace(design, without=frozenset(doubtful[measure.name]))
-            yield (measure.name, True), facts_of_measure(rest, measure, choices, hypotheses, key_of)
+    for beside, measures in _analyses(statistics):
+        for measure in measures:
+            if measure.overall is None:
+                continue
+            gone = frozenset(each.run_id for each in measure.left_out if each.reason is not Reason.COVARIATE)
+            mine = replace(design, without=gone)
+            if beside is Beside.WITHOUT_COVARIATES:
+                mine = replace(mine, covariates=())
+            words = "" if beside is None else beside.value
+            yield (measure.name, beside), facts_of_measure(mine, measure, choices, hypotheses, key_of, words)
+
+
+def _analyses(statistics: ExperimentStatistics) -> Iterator[tuple[Beside | None, tuple[MeasureStatistics, ...]]]:
+    """Yield the planned analysis, then those beside it that were made."""
+    yield None, statistics.measures
+    yield from ((each, statistics.beside(each)) for each in Beside if statistics.beside(each))
 
 
 def _unique_names() -> Callable[[str], str]:
@@ -132,25 +143,24 @@ def _design(statistics: ExperimentStatistics) -> Reported:
 
 
 def _families(
-    statistics: ExperimentStatistics, plan: AnalysisPlan | None, facts: Mapping[tuple[str, bool], MeasureFacts]
+    statistics: ExperimentStatistics, plan: AnalysisPlan | None, facts: Mapping[tuple[str, Beside | None], MeasureFacts]
 ) -> Iterator[Adjustment]:
-    """Yield the families of the report, and those of the statistics without doubtful runs that it shows."""
-    again = {each.name: each for each in statistics.without_doubtful}
-    sets: list[tuple[Sequence[MeasureStatistics], frozenset[str]]] = [(statistics.measures, frozenset())]
-    if again:
-        sets.append(([again.get(each.name, each) for each in statistics.measures], frozenset(again)))
-    for measures, redone in sets:
+    """Yield the families of the planned analysis, and those of analyses beside it of which the report shows some."""
+    for beside, measures in _analyses(statistics):
+        again = {each.name: each for each in measures}
         keys = {
-            measure.name: dict(_keys(measure, facts.get((measure.name, measure.name in redone))))
-            for measure in measures
+            each.name: dict(
+                _keys(again.get(each.name, each), facts.get((each.name, beside if each.name in again else None)))
+            )
+            for each in statistics.measures
         }
         names = {key: name for of in keys.values() for key, name in of.items()}
-        shown = {key for measure, of in keys.items() if not redone or measure in redone for key in of}
+        shown = {key for measure, of in keys.items() if measure in again for key in of}
         for name, tests in families_of({measure: tuple(of) for measure, of in keys.items()}, plan):
             known = [key for key in tests if key in names]
             if shown.intersection(known):
                 yield Adjustment(
-                    f"{name}{', without doubtful runs' if redone else ''}",
+                    f"{name}{'' if beside is None else f', {beside.value}'}",
                     tuple(names[key] for key in known),
                     tuple(names[key] for key in known if key in shown),
                 )
@@ -158,38 +168,38 @@ def _families(
 
 def _keys(measure: MeasureStatistics, facts: MeasureFacts | None) -> Iterator[tuple[Key, str]]:
     """Yield what stands for each test of a measure that has a p-value in its statistics, and in the script."""
-    if facts is None or facts.compared is None or measure.test is None:
+    if facts is None or measure.test is None:
         return
-    for effect, of in zip(facts.compared.effects, measure.test.effects, strict=True):
-        if of.p_value is not None:
-            yield effect_key(measure.name, effect.factors), effect.key
-    for contrast in facts.compared.contrasts:
-        yield contrast_key(contrast.statement), contrast.key
+    for effect in measure.test.effects:
+        if effect.p_value is not None:
+            yield effect_key(measure.name, effect.factors), facts.effect_keys[effect.factors]
+    for each in measure.contrasts:
+        yield contrast_key(each.statement), facts.contrast_keys[each.statement]
 
 
-def _adjusted(statistics: ExperimentStatistics, facts: Mapping[tuple[str, bool], MeasureFacts]) -> Reported:
-    rows: list[tuple[str, dict[str, Number]]] = []
-    told = {each.hypothesis.statement: each.adjusted_p_value for each in statistics.hypotheses}
-    without = {each.statement: each.p_value_without for each in statistics.standings if each.statement}
-    for is_redone, measures in ((False, statistics.measures), (True, statistics.without_doubtful)):
+def _adjusted(statistics: ExperimentStatistics, facts: Mapping[tuple[str, Beside | None], MeasureFacts]) -> Reported:
+    rows: list[tuple[str, Number]] = []
+    adjusted: dict[tuple[str, Beside | None], Number] = {}
+    adjusted |= {(each.hypothesis.statement, None): each.adjusted_p_value for each in statistics.hypotheses}
+    adjusted |= {(each.statement, each.beside): each.p_value_without for each in statistics.standings if each.statement}
+    for beside, measures in _analyses(statistics):
         for measure in measures:
-            found = facts.get((measure.name, is_redone))
-            if found is None or found.compared is None or measure.test is None:
+            found = facts.get((measure.name, beside))
+            if found is None or measure.test is None:
                 continue
-            for effect, of in zip(found.compared.effects, measure.test.effects, strict=True):
-                rows.append((effect.key, {"adjusted p": of.adjusted_p_value}))
-            for contrast in found.compared.contrasts:
-                value = (without if is_redone else told).get(contrast.statement)
-                rows.append((contrast.key, {"adjusted p": value}))
-    return Reported.of([(key, row) for key, row in rows if row["adjusted p"] is not None])
+            rows += [(found.effect_keys[each.factors], each.adjusted_p_value) for each in measure.test.effects]
+            rows += [
+                (found.contrast_keys[each.statement], adjusted.get((each.statement, beside)))
+                for each in measure.contrasts
+            ]
+    return Reported.of([(key, {"adjusted p": value}) for key, value in rows if value is not None])
 
 
-def _correlated(
-    statistics: ExperimentStatistics, facts: Mapping[tuple[str, bool], MeasureFacts]
-) -> tuple[tuple[MeasureFacts, MeasureFacts], ...]:
-    known = {(each.first, each.second) for each in statistics.correlations}
-    measures = [each for (_, is_redone), each in facts.items() if not is_redone]
-    return tuple(pair for pair in combinations(measures, 2) if (pair[0].name, pair[1].name) in known)
+def _correlated(statistics: ExperimentStatistics, design: Design) -> Iterator[tuple[tuple[str, tuple[str, ...]], ...]]:
+    """Yield the measures that are correlated, two by two, each with the factors that its runs differ in."""
+    for each in statistics.correlations:
+        several = [(name, design.data(name)) for name in (each.first, each.second)]
+        yield tuple((name, () if data is None else data.factors) for name, data in several)
 
 
 def _correlations(statistics: ExperimentStatistics) -> Reported:

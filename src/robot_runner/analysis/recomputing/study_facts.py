@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 __all__ = [
+    "LEVEL",
     "Adjustment",
     "Compared",
     "Contrasted",
@@ -23,6 +24,9 @@ __all__ = [
 ]
 
 Number = float | int | None
+
+#: Of the interval of a mean.
+LEVEL = 0.95
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +103,7 @@ class TestedEffect:
         which: whether it is an effect of each of the compared factors.
         test, check: names of procedures; empty where there is none.
         drawn: the p-value of the report, where it comes from a bootstrap.
+        check_is_drawn: whether that of the check does.
     """
 
     key: str
@@ -107,7 +112,8 @@ class TestedEffect:
     which: tuple[bool, ...]
     test: str
     check: str
-    drawn: Number = None
+    drawn: Number
+    check_is_drawn: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,12 +199,17 @@ class Compared:
 
 @dataclass(frozen=True, slots=True)
 class MeasureFacts:
-    """A measure, from all values or without the doubtful ones.
+    """A measure, as planned or with one choice made otherwise.
 
     Attributes:
         key: names it: the measure, and whether doubtful runs are left out.
         factors: those that its runs differ in.
-        left_out: the runs whose value is doubtful, where they are left out.
+        left_out: the runs whose values are left out.
+        compared: what is compared; None where nothing is, or by a procedure that is not known here.
+        effect_keys, contrast_keys: what names each test among all of the study: by factors, and by statement.
+        taken: p-values of tests that are not computed again, by their keys.
+        skipped: how many numbers of the report are not computed again.
+        level: of the interval of a mean: higher than 0.95 where runs were added until it was narrow.
     """
 
     key: str
@@ -213,8 +224,12 @@ class MeasureFacts:
     quantiles: Reported | None
     drift: Reported | None
     power: Reported | None
-    power_groups: int
     compared: Compared | None
+    effect_keys: Mapping[tuple[str, ...], str]
+    contrast_keys: Mapping[str, str]
+    taken: Mapping[str, float]
+    skipped: int
+    level: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,7 +255,7 @@ class StudyFacts:
         batch: the column of the batches; empty where there are none.
         families: the tests among which errors are controlled together.
         adjusted: p-values after adjustment.
-        correlated: the measures that are correlated, two by two.
+        correlated: the measures that are correlated, two by two, each with its factors.
     """
 
     name: str
@@ -258,8 +273,13 @@ class StudyFacts:
     measures: tuple[MeasureFacts, ...]
     families: tuple[Adjustment, ...]
     adjusted: Reported
-    correlated: tuple[tuple[MeasureFacts, MeasureFacts], ...]
+    correlated: tuple[tuple[tuple[str, tuple[str, ...]], ...], ...]
     correlations: Reported
+
+    @property
+    def skipped(self) -> int:
+        """How many numbers of the report are not computed again."""
+        return sum(measure.skipped for measure in self.measures)
 
     @property
     def compared(self) -> tuple[Compared, ...]:
@@ -270,6 +290,12 @@ class StudyFacts:
         """Return whether some test is carried out by one of these procedures."""
         used = {name for each in self.compared for effect in each.effects for name in (effect.test, effect.check)}
         return not used.isdisjoint(procedures)
+
+    @property
+    def draws(self) -> bool:
+        """Whether some p-value comes from a bootstrap."""
+        effects = [effect for each in self.compared for effect in each.effects]
+        return any(effect.drawn is not None or effect.check_is_drawn for effect in effects)
 
     def has(self, *kinds: str) -> bool:
         """Return whether some measure is compared as one of these kinds."""

@@ -21,7 +21,7 @@ from robot_runner.analysis.report.blocks import (
 )
 from robot_runner.analysis.report.material import correction_in_words
 from robot_runner.analysis.report.measure_figures import quantile_figure
-from robot_runner.analysis.report.plan_part import besides, planned_parts, standing_parts
+from robot_runner.analysis.report.plan_part import besides, choices_in_words, planned_parts, standing_parts
 from robot_runner.analysis.report.tables import Field, build_table, field, interval, number, p_value, text
 from robot_runner.analysis.wording import ALPHA, MISSING, RHO, listed, sentence, shown_interval, shown_number
 from robot_runner.core.design.analysis_plan import Estimand
@@ -67,6 +67,9 @@ def _planned(material: Material) -> str:
         f"The level of significance is {ALPHA} = {statistics.alpha:g}; p-values of several comparisons are adjusted "
         f"after {correction_in_words(statistics.correction)}."
     )
+    if not statistics.is_planned and statistics.plan is not None:
+        choices = "; ".join(choices_in_words(statistics.plan, material.results.unit))
+        return f"{level} The plan was given for this report{f' ({choices})' * bool(choices)}: all of it is exploratory."
     if not statistics.is_planned:
         return f"{level} Nothing was fixed for the analysis before the experiment: all of it is exploratory."
     rest = f" Exploratory: {listed(exploratory)}." if exploratory else ""

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from robot_runner.analysis.report.blocks import Document
+    from robot_runner.core.design.analysis_plan import AnalysisPlan
 
 __all__ = ["ReportFormat", "WrittenReport", "made_by", "write_page", "write_report"]
 
@@ -66,6 +67,7 @@ def write_report(
     figures: Sequence[FigureFormat] = tuple(FigureFormat),
     measures: Sequence[str] | None = None,
     alpha: float | None = None,
+    plan: AnalysisPlan | None = None,
 ) -> WrittenReport:
     """Write the report of an experiment.
 
@@ -76,6 +78,7 @@ def write_report(
         figures: which files are made of each figure; Markdown needs SVG.
         measures: which measures are analysed; None for all.
         alpha: the level of significance; None for the one that was fixed beforehand, or 0.05.
+        plan: is followed in the place of what was fixed before the experiment; everything is exploratory then.
 
     Raises:
         StorageError: there is no experiment, or the folder cannot be written.
@@ -88,7 +91,7 @@ def write_report(
         # and with thousands of runs figures take little of the time, and the worker much of the memory.
         helps = draws and FigureFormat.PDF in figures and (os.cpu_count() or 1) > 1 and len(results.runs) <= _MOST_RUNS
         worker = closing.enter_context(PdfWorker()) if helps else None
-        material = Material(results, analyse(results, measures=measures, alpha=alpha))
+        material = Material(results, analyse(results, measures=measures, alpha=alpha, plan=plan))
         folder = ExperimentFolder(results.folder).report if output is None else output
         made = made_by("Report", datetime.now(UTC))
         if draws:

@@ -111,7 +111,7 @@ class AdjustedMeans:
     def _several(self, weights: Floats) -> tuple[str, Tested]:
         if self.is_within:
             return WITHIN, self.fit.box(weights, is_repeated=True)
-        found = self.fit.hotelling(weights) if self.statistic is Statistic.WELCH_JAMES else None
+        found = self.fit.hotelling(weights) if self.statistic is not Statistic.ANOVA_TYPE else None
         return (BOX, self.fit.box(weights)) if found is None else (HOTELLING, found)
 
     def difference(self, weights: Sequence[tuple[Mapping[str, str], float]]) -> Contrast:

@@ -48,6 +48,7 @@ def analyse(
     measures: Sequence[str] | None = None,
     alpha: float | None = None,
     correction: Correction | None = None,
+    plan: AnalysisPlan | None = None,
 ) -> ExperimentStatistics:
     """Compute the statistics of an experiment from the runs that are done.
 
@@ -60,15 +61,18 @@ def analyse(
         measures: which measures; None for those of the plan, then all others.
         alpha: the level of significance; None for that of the plan, or 0.05.
         correction: how p-values are adjusted; None for that of the plan, or Holm.
+        plan: is followed in the place of what was fixed before the experiment; everything is exploratory then. For
+            results that were made elsewhere, say.
 
     Raises:
-        AnalysisError: there is no such measure, or alpha is no probability.
+        AnalysisError: there is no such measure, alpha is no probability, or the plan has names that the results lack.
 
     Example:
         >>> from robot_runner.analysis import analyse, load_results
         >>> analyse(load_results("experiments/basic_experiment")).measure("Energy").test.reason  # doctest: +SKIP
     """
-    plan = results.plan
+    is_given = plan is not None
+    plan = results.plan if plan is None else _checked(plan, results)
     chosen_alpha = alpha if alpha is not None else plan.alpha if plan else _ALPHA
     chosen_correction = correction or (plan.correction if plan else Correction.HOLM)
     if not 0 < chosen_alpha < 1:
@@ -86,7 +90,8 @@ def analyse(
     doubtful = doubtful_runs(results)
     analysed = [_analysed(design, name, choices, kept, doubtful.get(name, ())) for name in (*names, *others)]
     done, judged = concluded([each.planned for each in analysed], kept, chosen_alpha, chosen_correction)
-    told = done[: len(names)]
+    is_planned = kept is not None and not is_given
+    told = tuple(replace(each, is_planned=each.is_planned and is_planned) for each in done[: len(names)])
     beside: dict[Beside, tuple[MeasureStatistics, ...]] = {}
     standings: list[Standing] = []
     for which in Beside:
@@ -98,12 +103,13 @@ def analyse(
         otherwise = Otherwise(which, {each.planned.name: each.runs[which] for each in analysed}, design.covariates)
         standings += standing_effects(told, beside[which], otherwise)
         standings += standing_hypotheses(judged, rejudged, otherwise, tuple(again))
-    numeric = [data for each in told if each.overall and (data := design.data(each.name)) is not None]
+    measured = replace(design, covariates=())  # beside a covariate that is taken out of one, no correlation is left
+    numeric = [data for each in told if each.overall and (data := measured.data(each.name)) is not None]
     correlations, missing = correlations_of(numeric[:_MOST_CORRELATED], chosen_correction)
     return ExperimentStatistics(
         alpha=chosen_alpha,
         correction=chosen_correction,
-        is_planned=kept is not None,
+        is_planned=is_planned,
         design=design.summary(),
         measures=told,
         correlations=correlations,
@@ -114,7 +120,16 @@ def analyse(
         standings=tuple(standings),
         with_all_runs=beside[Beside.ALL_RUNS],
         without_covariates=beside[Beside.WITHOUT_COVARIATES],
+        plan=kept,
     )
+
+
+def _checked(plan: AnalysisPlan, results: Results) -> AnalysisPlan:
+    columns = [name for name in (results.repetition, results.block) if name is not None]
+    findings = list(plan.findings([*results.factors, *columns], results.measures))
+    if findings:
+        raise AnalysisError.of_findings(findings)
+    return plan
 
 
 class _Analysed(NamedTuple):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from robot_runner.analysis.statistics.tested import Interval
 from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.design.precise_estimates import Observed, judge
-from robot_runner.core.design.precision import PreciseOf, Precision, most_repetitions, rule_in_words
+from robot_runner.core.design.precision import PreciseOf, Precision, most_repetitions, rule_in_words, rules_of_mapping
 from robot_runner.core.design.repeated_intervals import CONFIDENCE, METHOD, level_at_each_look
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.words import counted
@@ -78,16 +78,14 @@ def repeated_interval(known: Known) -> Interval | None:
 def _rules(results: Results) -> dict[str, list[Precision]]:
     """Return the rules about each measure that the run table has."""
     found: dict[str, list[Precision]] = {}
-    recorded: Mapping[str, list[dict[str, object]]] = results.manifest.get("repeat_until") or {}
-    for plain in recorded.get("rules", ()) if results.repetition else ():
-        rule = Precision.of_mapping(plain)
+    for rule in rules_of_mapping(results.manifest.get("repeat_until"))[0] if results.repetition else ():
         if rule.measure in results.measures:
             found.setdefault(rule.measure, []).append(rule)
     return found
 
 
 def _least(results: Results) -> int:
-    return int(results.manifest["repeat_until"]["least"])
+    return rules_of_mapping(results.manifest["repeat_until"])[1]
 
 
 def _repetitions(results: Results) -> int:

@@ -14,12 +14,12 @@ from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.correlations import drift_of
 from robot_runner.analysis.statistics.descriptive import describe
 from robot_runner.analysis.statistics.design import VALUE
+from robot_runner.analysis.statistics.detectable_effect import power_of
 from robot_runner.analysis.statistics.disclosed import LeftOut, Reason
 from robot_runner.analysis.statistics.known_precision import level_of_looks
 from robot_runner.analysis.statistics.left_out import false_positives
 from robot_runner.analysis.statistics.outcome import MeasureStatistics
 from robot_runner.analysis.statistics.post_hoc import carry_out_contrast, compare_pairs, missing_intervals
-from robot_runner.analysis.statistics.power import power_of
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.statistics.tests import Choices, carry_out, planned_model_of
 from robot_runner.core.design.columns import RUN_ID

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
         PostHoc,
         QuantilePairs,
     )
-    from robot_runner.core.design.analysis_plan import Correction
+    from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction
     from robot_runner.core.design.hypothesis import Hypothesis
 
 __all__ = [
@@ -314,6 +314,7 @@ class ExperimentStatistics:
         standings: whether conclusions about measures that were computed once more stand.
         with_all_runs: the measures of which the plan leaves out values, once more with these.
         without_covariates: the measures that are adjusted for covariates, once more without.
+        plan: what was followed: what was fixed before the experiment, or given for this analysis; None for neither.
     """
 
     alpha: float
@@ -329,6 +330,7 @@ class ExperimentStatistics:
     standings: tuple[Standing, ...] = ()
     with_all_runs: tuple[MeasureStatistics, ...] = ()
     without_covariates: tuple[MeasureStatistics, ...] = ()
+    plan: AnalysisPlan | None = None
 
     def beside(self, which: Beside) -> tuple[MeasureStatistics, ...]:
         """Return the measures that were computed once more, with one choice made otherwise."""

@@ -98,7 +98,7 @@ def model_of(
 
 
 def planned_model_of(
-    data: MeasureData, estimand: Estimand, statistic: Statistic = Statistic.WELCH_JAMES
+    data: MeasureData, estimand: Estimand, statistic: Statistic = Statistic.COMBINED
 ) -> CellMeans | FittedModel | AdjustedMeans | NotComputed:
     """Return the estimates of a measure, adjusted for its covariates where it has any, or why there are none."""
     if not data.covariates or _problem(data):

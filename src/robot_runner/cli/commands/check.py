@@ -23,6 +23,8 @@ from robot_runner.cli.parser import add_config, add_json, add_set
 from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import Preparation
+from robot_runner.core.design.batches import as_configured
+from robot_runner.core.design.precision import rule_in_words
 from robot_runner.core.execution.probe import probe_experiment
 from robot_runner.core.words import shown_value
 
@@ -81,6 +83,7 @@ def _print(console: UserConsole, config: str, preparation: Preparation, probe: P
         [
             ("Experiment", experiment.parameters.experiment_name),
             ("Runs", in_words(experiment.model)),
+            ("Repeated", _repeated(experiment)),
             ("Order", order_in_words(experiment.model)),
             ("Warm-up", warm_ups_in_words(experiment.model, experiment.model.plan())),
             ("Plugins", ", ".join(plugin.name for plugin in experiment.plugins) or "none"),
@@ -88,10 +91,21 @@ def _print(console: UserConsole, config: str, preparation: Preparation, probe: P
             *_seen(probe),
             ("Robot", experiment.parameters.robot or "none"),
             ("Mode", experiment.parameters.operation_type.name),
+            ("Registered", _registered(experiment)),
             ("Results", shown_path(experiment.folder.root)),
             ("Set", ", ".join(f"{name}={value}" for name, value in experiment.overrides.items())),
         ],
     )
+
+
+def _registered(experiment: Experiment) -> str:
+    found = experiment.registration
+    return "" if found is None else f"{found.registered_at}, SHA-256 {found.sha256}"
+
+
+def _repeated(experiment: Experiment) -> str:
+    """Return until when combinations are repeated, and how often at least and at most; empty where they are not."""
+    return rule_in_words(experiment.parameters.repeat_until, as_configured(experiment.model).repetitions)
 
 
 def _seen(probe: Probe | None) -> Iterator[tuple[str, str]]:
@@ -127,5 +141,6 @@ def _experiment_as_json(experiment: Experiment) -> dict[str, Any]:
         "plugins": [{"name": plugin.name, "class": type(plugin).__name__} for plugin in experiment.plugins],
         "measures": columns_as_json(experiment.columns),
         "set": dict(experiment.overrides),
+        "repeat_until": _repeated(experiment) or None,
         **design_as_json(experiment.model),
     }

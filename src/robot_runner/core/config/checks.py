@@ -19,7 +19,7 @@ from robot_runner.core.config.parameters import (
     RunProcess,
 )
 from robot_runner.core.config.plugin_checks import failed_check
-from robot_runner.core.config.registration import take_registered_seed
+from robot_runner.core.config.registered_config import take_registered_seed
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.design_findings import listed_elsewhere
 from robot_runner.core.design.precision import precision_findings

@@ -26,7 +26,7 @@ from robot_runner.core.config.notify import check_notify
 from robot_runner.core.config.operator_checks import check_operator_steps
 from robot_runner.core.config.operator_steps import operator_measures
 from robot_runner.core.config.plugin_checks import check_plugins, companions, gather_plugins
-from robot_runner.core.config.registration import check_registration, registered
+from robot_runner.core.config.registered_config import check_registration, registered
 from robot_runner.core.config.treatment_makers import maker_findings
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.precision import most_repetitions

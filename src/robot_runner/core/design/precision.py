@@ -22,6 +22,7 @@ __all__ = [
     "precision_findings",
     "rule_in_words",
     "rules_as_mapping",
+    "rules_of_mapping",
 ]
 
 #: Two values have a spread, and nobody would trust it.
@@ -115,16 +116,8 @@ class Precision:
 
     @classmethod
     def of_mapping(cls, plain: Mapping[str, Any]) -> Self:
-        """Return the rule that `as_mapping` made plain.
-
-        Raises:
-            DesignError: it is no such rule.
-        """
-        try:
-            return cls(plain["measure"], half_width=plain["half_width"], at_most=plain["at_most"], of=plain["of"])
-        except (KeyError, TypeError) as error:
-            problem = f"a rule of repetition is damaged: {type(error).__name__}: {error}"
-            raise DesignError(problem, where="repeat_until", fix="Restore the manifest from a backup.") from error
+        """Return the rule that `as_mapping` made plain; what is no such rule raises in any way."""
+        return cls(plain["measure"], half_width=plain["half_width"], at_most=plain["at_most"], of=plain["of"])
 
 
 def most_repetitions(rules: Sequence[Precision]) -> int:
@@ -143,6 +136,22 @@ def rule_in_words(rules: Sequence[Precision], least: int) -> str:
 def rules_as_mapping(rules: Sequence[Precision], least: int) -> dict[str, Any] | None:
     """Return the rules and how often combinations are executed at least, as plain data; None without rules."""
     return {"least": least, "rules": [rule.as_mapping() for rule in rules]} if rules else None
+
+
+def rules_of_mapping(plain: object) -> tuple[tuple[Precision, ...], int]:
+    """Return what `rules_as_mapping` made plain: the rules, and how often combinations are executed at least.
+
+    Raises:
+        DesignError: it is no such thing.
+    """
+    if plain is None:
+        return (), 0
+    try:
+        rules = plain["rules"]  # type: ignore[index]  # whatever it is, the answer is the same
+        return tuple(map(Precision.of_mapping, rules)), int(plain["least"])  # type: ignore[index]
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        problem = f"the rules of repetition are damaged: {type(error).__name__}: {error}"
+        raise DesignError(problem, where="repeat_until", fix="Restore the manifest from a backup.") from error
 
 
 def precision_findings(

@@ -94,7 +94,7 @@ def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[s
     if _analysis(experiment) != manifest.get("analysis"):
         manifest.setdefault("analysis_changes", []).append({"at": utc_now(), "analysis": _analysis(experiment)})
     now = experiment.registration.facts() if experiment.registration is not None else None
-    if now != manifest.get("registration") and now != _last_registration(manifest):
+    if now not in (None, manifest.get("registration"), _last_registration(manifest)):
         manifest.setdefault("registration_changes", []).append({"at": utc_now(), "registration": now})
     if (rule := _repeat_until(experiment)) != manifest.get("repeat_until"):
         manifest.setdefault("repeat_until_changes", []).append({"at": utc_now(), "was": manifest.get("repeat_until")})

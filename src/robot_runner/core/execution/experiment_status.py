@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.precision import Precision, rule_in_words
+from robot_runner.core.design.precision import rule_in_words, rules_of_mapping
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import Quality, quality_of_value
 from robot_runner.core.execution.durations import Durations, TimeLeft
@@ -169,17 +169,10 @@ def read_status(folder: Path) -> ExperimentStatus:
         is_paused=holder is not None and history.is_paused,
         pause_is_requested=holder is not None and pause_is_requested(files.pause),
         order=moved_in_words(moved_runs(list(statuses), history.executed), history.executed),
-        repeated=_repeated(manifest.get("repeat_until")),
+        repeated=rule_in_words(*rules_of_mapping(manifest.get("repeat_until"))),
         precision=history.precision,
         gate=history.gate if holder else None,
         gate_seconds=history.gate_seconds,
-    )
-
-
-def _repeated(recorded: Mapping[str, Any] | None) -> str:
-    """Return until when, how often at least, and how often at most combinations are repeated."""
-    return (
-        rule_in_words([Precision.of_mapping(rule) for rule in recorded["rules"]], recorded["least"]) if recorded else ""
     )
 
 

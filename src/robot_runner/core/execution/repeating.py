@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from robot_runner.core.design.batches import (
     GrownRunTableModel,
@@ -34,11 +34,10 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.design.precise_estimates import Judgement
     from robot_runner.core.design.run_table_model import RunTableModel
-    from robot_runner.core.execution.progress_manager import ProgressManager
     from robot_runner.core.execution.recovered_table import RecoveredTable
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
-__all__ = ["Growth", "Repeating"]
+__all__ = ["Bookkeeper", "Growth", "Repeating"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +55,19 @@ class Growth:
     model: RunTableModel
     rows: RunTableRows
     places: Sequence[int]
+
+
+class Bookkeeper(Protocol):
+    """Takes down what is decided: the progress manager."""
+
+    def grow(self, growth: Growth) -> None:
+        """Add the runs of a repetition."""
+
+    def note(self, kind: str, *, flush: bool = False, **fields: Any) -> None:
+        """Keep what was known when it ended."""
+
+    def find(self, finding: Finding) -> None:
+        """Take down what is to be told at the end."""
 
 
 class Repeating:
@@ -83,7 +95,7 @@ class Repeating:
         """Whether there may be a repetition more."""
         return self._model.repetitions < most_repetitions(self._rules)
 
-    def judge(self, progress: ProgressManager, table: RecoveredTable) -> PrecisionJudged | None:
+    def judge(self, progress: Bookkeeper, table: RecoveredTable) -> PrecisionJudged | None:
         """Have a repetition added where one is needed, and else take down why not.
 
         Args:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.analysis_plan import AnalysisPlan
-from robot_runner.core.design.precision import Precision, rule_in_words
+from robot_runner.core.design.precision import rule_in_words, rules_of_mapping
 from robot_runner.core.errors import DesignError, StorageError
 from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
 from robot_runner.core.words import enumerated
@@ -183,8 +183,7 @@ def differences(registered: Mapping[str, Any], now: Mapping[str, Any]) -> Iterat
 
 def repeated_in_words(recorded: Mapping[str, Any] | None) -> str:
     """Return how often combinations are repeated, from what is recorded of `repeat_until`."""
-    rules = [Precision.of_mapping(rule) for rule in recorded["rules"]] if recorded else []
-    return rule_in_words(rules, recorded["least"]) if recorded else "as often as is planned"
+    return rule_in_words(*rules_of_mapping(recorded)) or "as often as is planned"
 
 
 def _design_differences(registered: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:

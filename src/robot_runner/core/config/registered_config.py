@@ -32,10 +32,15 @@ _UNREGISTERED = frozenset({"results_output_path"})
 
 
 def registration_path(loaded: LoadedConfig) -> Path:
-    """Return where the registration of a config is, or would be: as `registration` says, or beside the config file."""
+    """Return where the registration of a config is, or would be: as `registration` says, or beside the config file.
+
+    A relative path begins where the config file is; of a config without one, where the program was started.
+    """
     given = getattr(loaded.config, "registration", None)
     path = loaded.source.path
-    return path.with_suffix(SUFFIX) if not isinstance(given, str | Path) else path.parent / Path(given).expanduser()
+    if not isinstance(given, str | Path):
+        return path.with_suffix(SUFFIX)
+    return (path.parent if loaded.kept == "file" else Path.cwd()) / Path(given).expanduser()
 
 
 def registered(loaded: LoadedConfig) -> Registration | None:
@@ -59,8 +64,12 @@ def registration_content(
     """Return what is registered of a study, but for the date and its power.
 
     Of an experiment that was extended it is what the config planned.
+
+    Raises:
+        DesignError: the design is too large to be listed.
     """
     own, plan = as_configured(model), parameters.analysis
+    runs = len(own.plan())
     kept = set(map(_texts, own.combinations_of(own.factors)))
     left_out = [list(texts) for each in full_factorial(own.factors) if (texts := _texts(each)) not in kept]
     path = loaded.source.path
@@ -75,7 +84,7 @@ def registration_content(
             "modules": {each.relative_to(path.parent).as_posix(): _digest(each) for each in loaded.local_modules},
             "settings": settings,
         },
-        "design": {**described_design(own), "excluded": left_out, "runs": len(own.plan())},
+        "design": {**described_design(own), "excluded": left_out, "runs": runs},
         "seed": own.seed,
         "seed_is_given": own.seed_is_given,
         "measures": [{"name": each.name, "unit": each.measure.unit} for each in columns.in_table if not each.tells_of],

@@ -50,6 +50,7 @@ class Study:
         repetitions: how many the config plans.
         plan: what is fixed for the analysis; None where nothing is.
         units: the measures of the run table, with their units.
+        is_repeated: whether repetitions are added until measures are precise.
     """
 
     name: str
@@ -60,6 +61,7 @@ class Study:
     repetitions: int
     plan: AnalysisPlan | None
     units: Mapping[str, str]
+    is_repeated: bool = False
 
     @classmethod
     def of_model(cls, name: str, model: RunTableModel, plan: AnalysisPlan | None, units: Mapping[str, str]) -> Self:
@@ -67,10 +69,12 @@ class Study:
 
         Raises:
             AnalysisError: its runs are listed one by one, so that there are no repetitions to choose.
+            DesignError: it is too large to be planned.
         """
         if isinstance(model, ListedRunTableModel):
             fix = "Describe the design with factors and repetitions."
             raise AnalysisError("the runs are listed one by one", where=f"{name}.create_run_table", fix=fix)
+        model.plan()
         combinations = model.combinations_of(model.factors)
         return cls(
             name,

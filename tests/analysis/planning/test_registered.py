@@ -1,0 +1,133 @@
+"""Each way in which an experiment can deviate from its registration is told; none is where there is none."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.analysis.made_experiment import make_experiment
+
+from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.planning.registered import registered
+from robot_runner.core.design.analysis_plan import AnalysisPlan
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.storage.registration import write_registration
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from robot_runner.analysis.planning.registered import Registered
+
+CONFIG = "# the config\n"
+PLAN = AnalysisPlan("Energy").as_mapping()
+
+
+def registered_experiment(root: Path, change: Callable[[dict[str, Any]], object], **registration: Any) -> Registered:
+    """Return what is told of an experiment that was registered, with its manifest changed."""
+    folder = make_experiment(
+        root / "made",
+        [Factor("Task", ["Video", "Network"]), Factor("Speed", [1, 2])],
+        lambda treatments, repetition: {"Energy": 10.0 * treatments["Speed"] + repetition},
+        analysis=PLAN,
+    )
+    folder.config.mkdir()
+    (folder.config / "study.py").write_text(CONFIG, encoding="utf-8")
+    manifest = json.loads(folder.manifest.read_text(encoding="utf-8"))
+    design = {name: each for name, each in manifest["design"].items() if name != "source"}
+    content = {
+        "registered_at": "2026-01-30T12:00:00.000Z",
+        "experiment": "made",
+        "config": {"file": "study.py", "sha256": hashlib.sha256(CONFIG.encode()).hexdigest(), "modules": {}},
+        "design": {**design, "excluded": []},
+        "seed": 7,
+        "measures": [{"name": "Energy", "unit": ""}],
+        "analysis": PLAN,
+        "power": None,
+    }
+    content |= registration
+    made = write_registration(folder.registration, content)
+    manifest["registration"] = made.facts()
+    manifest["executions"] = [{"started_at": "2026-01-31T12:00:00.000Z", "deviations": {}}]
+    change(manifest)
+    folder.manifest.write_text(json.dumps(manifest), encoding="utf-8")
+    results = load_results(folder.root)
+    found = registered(results, analyse(results))
+    assert found is not None
+    return found
+
+
+def test_an_experiment_that_followed_its_registration_has_no_deviations(tmp_path: Path) -> None:
+    found = registered_experiment(tmp_path, lambda manifest: None)
+    assert found.deviations == ()
+    assert found.sentence.endswith(f"SHA-256 {found.sha256}. Deviations: none.")
+
+
+BATCHES = [
+    {"batch": 1, "repetitions": 3, "runs": 12},
+    {"batch": 2, "repetitions": 4, "runs": 4, "at": "2026-02-01T12:00:00.000Z"},
+]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda each: each.update(seed=8, design={**each["design"], "shuffle": True}), "the seed of the order is 8"),
+        (lambda each: each["design"].update(repetitions=5), "repetitions: 5, and 3 was registered"),
+        (lambda each: each["design"].update(blocks="Task"), "blocks of the order: Task, and none was registered"),
+        (
+            lambda each: each["design"].update(batches=BATCHES, repetitions=4),
+            "extended beyond what was registered: batch",
+        ),
+        (lambda each: each.update(analysis_changes=[{}]), "the analysis plan was changed after runs"),
+        (lambda each: each.update(analysis={**PLAN, "alpha": 0.1}), "alpha of the analysis plan: 0.1"),
+        (lambda each: each.update(table_deviations=[{}, {}]), "the run table was edited by hand (2 changes)"),
+        (lambda each: each.update(registration_changes=[{"registration": {}}]), "another registration took the place"),
+        (lambda each: each.update(repeat_until_changes=[{}]), "how precisely measures are to be known was changed"),
+        (
+            lambda each: each["executions"][0].update(started_at="2026-01-29T00:00:00.000Z"),
+            "registered after the first",
+        ),
+        (lambda each: each["executions"][0].update(deviations={"attempts": "2"}), "set from outside on 2026-01-31"),
+    ],
+)
+def test_a_deviation_is_told(tmp_path: Path, change: Callable[[dict[str, Any]], object], told: str) -> None:
+    found = registered_experiment(tmp_path, change, **({"design": _shuffled()} if "seed" in told else {}))
+    assert any(told in each for each in found.deviations), found.deviations
+    assert len(found.deviations) == 1
+
+
+def _shuffled() -> dict[str, Any]:
+    factors = {"Task": ["Video", "Network"], "Speed": ["1", "2"]}
+    return {"factors": factors, "repetitions": 3, "shuffle": True, "blocks": None, "excluded": []}
+
+
+def test_combinations_and_configs_other_than_the_registered_ones_are_told(tmp_path: Path) -> None:
+    design = {**_shuffled(), "shuffle": False, "excluded": [["Video", "2"]]}
+    config = {"file": "study.py", "sha256": "0" * 64, "modules": {}}
+    found = registered_experiment(tmp_path, lambda manifest: None, design=design, config=config)
+    assert found.deviations == (
+        "1 combination not registered: Video / 2",
+        "the file study.py was changed after the registration",
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (lambda each: each["registration"].update(sha256="0" * 64), "its checksum differs"),
+        (
+            lambda each: each.update(registration=None, registration_changes=[{"registration": {"sha256": "1"}}]),
+            "made after the first run, and does not count",
+        ),
+    ],
+)
+def test_a_registration_that_does_not_count_is_told(
+    tmp_path: Path, change: Callable[[dict[str, Any]], object], problem: str
+) -> None:
+    found = registered_experiment(tmp_path, change)
+    assert problem in found.problem
+    assert problem in found.sentence
+    assert found.deviations == ()

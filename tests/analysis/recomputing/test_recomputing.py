@@ -1,0 +1,191 @@
+"""Every number of a report comes out again in R and in Python, from the run table alone and without Robot Runner.
+
+R computes with functions of its own where it has them: t.test, oneway.test, anova.mlm, lm with drop1, nlme, p.adjust,
+cor.test, shapiro.test, power.t.test. So these tests are proof of our arithmetic as well.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import math
+import shutil
+import subprocess
+import warnings
+from typing import TYPE_CHECKING, Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from tests.analysis.made_experiment import make_experiment
+
+from robot_runner.analysis import load_results
+from robot_runner.analysis.recomputing.study import facts_of_study
+from robot_runner.analysis.recomputing.writing import Recomputation, write_recomputations
+from robot_runner.analysis.report.writing import ReportFormat, write_report
+from robot_runner.core.design.factor import Factor
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+needs_r = pytest.mark.skipif(
+    shutil.which("Rscript") is None, reason="R is not installed (Debian: apt install r-base-core r-cran-nlme)"
+)
+
+TASKS, MAPS = Factor("Task", ["Video", "Network", "Idle"]), Factor("Map", ["lab", "hall"])
+PLAN = {
+    "measures": ["Energy"],
+    "secondary": ["CPU"],
+    "hypotheses": [
+        {"statement": "It matters.", "measure": "Energy", "factors": ["Task"]},
+        {
+            "statement": 'It takes "as long".',
+            "measure": "Energy",
+            "factors": ["Task"],
+            "contrast": {"Video": 1, "Idle": -1},
+            "within": 4,
+        },
+    ],
+}
+#: What would be executed if a name became code, in R or in Python.
+EVIL = '"); system("touch hacked'
+EVILS = [EVIL, "'); import os; os.system('touch hacked') #", 'a\\"b` $HOME', "# %% é \N{GREEK SMALL LETTER OMEGA}", "TRUE"]
+
+#: Factors, how often combinations are repeated, the runs that are not done, and what else makes the experiment.
+DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
+    "two treatments": ([MAPS], 4, set(), {}),
+    "three treatments": ([TASKS], 5, {4}, {}),
+    "many small groups": ([Factor("Speed", [0.5, 1.0, 1.5, 2.0, 2.5, 3.0])], 3, set(), {}),
+    "two factors, unequal numbers": ([TASKS, MAPS], 4, {1, 8}, {}),
+    "a planned contrast, doubtful values": ([TASKS], 6, set(), {"analysis": PLAN, "doubts": {"r_2": "weak"}}),
+    "outliers left out": ([TASKS], 8, set(), {"analysis": {"measures": ["Energy"], "outliers": {"interquartile_ranges": 0.4}}}),
+    "adjusted for a covariate": ([TASKS], 5, set(), {"analysis": {"measures": ["Energy"], "covariates": ["CPU"]}}),
+    "blocks": ([TASKS], 7, set(), {"blocks": "Repetition"}),
+    "few blocks, two factors, one lacking": ([TASKS, MAPS], 5, {2}, {"blocks": "Repetition"}),
+    "incomplete blocks": ([TASKS], 8, {1, 5, 9, 13}, {"blocks": "Repetition"}),
+    "replicated blocks": ([MAPS, Factor("Room", ["a", "b", "c", "d", "e"])], 2, set(), {"blocks": "Room"}),
+    "ranks": ([TASKS], 5, set(), {"analysis": {"measures": ["Energy"], "estimand": "rank"}}),
+    "trimmed means": ([TASKS], 6, set(), {"analysis": {"measures": ["Energy"], "estimand": "trimmed mean"}}),
+    "ANOVA-type": ([TASKS], 5, set(), {"analysis": {"measures": ["Energy"], "statistic": "anova-type"}}),
+    "a run in a cell": ([TASKS, MAPS], 2, {1, 4}, {}),
+    "odd names": ([Factor(EVIL, EVILS), Factor("is on", [True, False])], 2, set(), {}),
+}
+
+
+def experiment(folder: Path, name: str) -> Path:
+    factors, repetitions, missing, more = DESIGNS[name]
+    random = np.random.default_rng(len(name))
+    places = {factor.name: {text: at for at, text in enumerate(factor.texts)} for factor in factors}
+    runs = iter(range(1, 10_000))
+
+    def values(treatments: dict[str, Any], repetition: int) -> dict[str, Any] | None:
+        effect = sum(at[str(treatments[each])] for each, at in places.items())
+        energy = 50 + 1.5 * effect + repetition % 3 + (1 + effect % 2) * random.normal()
+        return None if next(runs) in missing else {"Energy": float(energy), "CPU": float(random.lognormal())}
+
+    made = make_experiment(
+        folder / "made", factors, values, repetitions=repetitions, measures=["Energy", "CPU"], units={"Energy": "J"}, **more
+    )
+    return made.root
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+    plt.close("all")
+
+
+def executed(path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Execute a notebook's cells one after the other, as Jupyter does, and return what the last one printed."""
+    monkeypatch.chdir(path.parent)
+    told = io.StringIO()
+    with quiet(), contextlib.redirect_stdout(told):
+        space: dict[str, Any] = {}
+        for place, cell in enumerate(json.loads(path.read_text(encoding="utf-8"))["cells"]):
+            if cell["cell_type"] == "code":
+                exec(compile("".join(cell["source"]), f"cell {place}", "exec"), space)  # noqa: S102 - the point
+    return told.getvalue()
+
+
+def rscript(path: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        ["Rscript", "--vanilla", path], capture_output=True, text=True, check=False, timeout=200, env=environment or None
+    )
+
+
+@pytest.mark.parametrize("name", DESIGNS)
+def test_the_notebook_agrees_with_the_report(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (notebook,) = write_recomputations(experiment(tmp_path, name), [Recomputation.NOTEBOOK])
+    told = executed(notebook, monkeypatch)
+    count, _, total, *_ = told.split("numbers agree")[0].split()[-3:]
+    assert (count, int(total) > 100) == (total, True), told
+    assert not list(tmp_path.rglob("hacked"))
+    assert ("not computed again" in told) is (name == "adjusted for a covariate")
+
+
+@needs_r
+@pytest.mark.parametrize("name", DESIGNS)
+def test_the_r_script_agrees_with_the_report(name: str, tmp_path: Path) -> None:
+    (script,) = write_recomputations(experiment(tmp_path, name), [Recomputation.R])
+    finished = rscript(script)
+    assert finished.returncode == 0, finished.stdout[-3000:] + finished.stderr
+    assert "numbers agree" in finished.stdout
+    assert not list(tmp_path.rglob("hacked"))
+
+
+@needs_r
+def test_r_reads_names_in_any_locale(tmp_path: Path) -> None:
+    (script,) = write_recomputations(experiment(tmp_path, "odd names"), [Recomputation.R])
+    finished = rscript(script, LC_ALL="C", PATH="/usr/local/bin:/usr/bin:/bin")
+    assert finished.returncode == 0, finished.stdout[-3000:] + finished.stderr
+
+
+@needs_r
+def test_a_table_that_was_changed_does_not_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = experiment(tmp_path, "two treatments")
+    notebook, script = write_recomputations(folder)
+    table = folder / "run_table.csv"
+    *rows, last = table.read_text(encoding="utf-8").splitlines()
+    cells = last.split(",")
+    table.write_text("\n".join([*rows, ",".join([*cells[:-1], f"{float(cells[-1]) + 0.001}"])]) + "\n", encoding="utf-8")
+    finished = rscript(script)
+    assert finished.returncode == 1
+    assert "The run table was changed since the report was made." in finished.stdout
+    assert "These numbers do not agree" in finished.stdout
+    with pytest.raises(AssertionError, match="These numbers do not agree"):
+        executed(notebook, monkeypatch)
+
+
+#: Settings, points of figures, and what is simulated of a rule for outliers, are no results of the runs.
+NO_RESULTS = {
+    "alpha", "level", "target_power", "effect_size", "family_size", "places", "residuals", "theoretical", "observed",
+    "contrast", "within", "outliers", "left_out", "is_extreme",
+    "rule_false_positives",
+}  # fmt: skip
+
+
+def numbers(plain: Any) -> Iterator[float]:
+    if isinstance(plain, dict):
+        for name, value in plain.items():
+            if name not in NO_RESULTS or (name == "within" and isinstance(value, float) and "pearson" in plain):
+                yield from numbers(value)
+    elif isinstance(plain, list):
+        for value in plain:
+            yield from numbers(value)
+    elif isinstance(plain, int | float) and not isinstance(plain, bool):
+        yield float(plain)
+
+
+@pytest.mark.parametrize("name", [name for name in DESIGNS if name != "adjusted for a covariate"])
+def test_no_number_of_the_report_is_left_out(name: str, tmp_path: Path) -> None:
+    folder = experiment(tmp_path, name)
+    report = json.loads(write_report(folder, ReportFormat.JSON).document.read_text(encoding="utf-8"))
+    study = facts_of_study(load_results(folder), folder)
+    known = {number for table in study.reported for number in table.numbers}
+    missing = {each for each in numbers(report["statistics"]) if each not in known and not math.isnan(each)}
+    assert missing == set()
+    assert study.skipped == 0
