@@ -167,6 +167,18 @@ def test_an_import_can_be_repeated_from_the_description_that_it_leaves(root, tmp
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "ours" / name).read_bytes()
 
 
+def test_folders_of_runs_columns_left_out_and_blocks_are_in_the_description(tmp_path):
+    rows = "".join(f"{n},r{n % 3},t{n // 3 % 2},{n}.5,x\n" for n in range(12))
+    write(tmp_path / "r" / "run_table.csv", f"nr,robot,task,energy,who\n{rows}")
+    for n in range(12):
+        write(tmp_path / "r" / "raw" / f"run{n}" / "power.csv", "time_s,power_W\n0,1\n1,1\n")
+    first = understand(tmp_path / "r", ImportDescription(run_folder="raw/run{run_id}", ignore=("who",), block="robot"))
+    adopt(first, tmp_path / "ours")
+    again = understand(tmp_path / "r", read_description(tmp_path / "ours" / "import" / "description.toml"))
+    assert (again.roles.block, again.roles.extras, again.runs) == ("robot", (), first.runs)
+    assert all(run.folder is not None for run in again.runs)
+
+
 def test_an_adopted_experiment_can_be_analysed_exported_and_looked_at(root, tmp_path):
     adopted(root, tmp_path / "ours")
     results = load_results(tmp_path / "ours")

@@ -172,6 +172,18 @@ SHAPES = {
         made("level,energy", {}, 12, level="{q}"),
         "F=level M=energy ?=level",
     ),
+    "problems that are numbered": (
+        made("problem_id,task,energy", {"problem_id": [*map(str, range(20))]} | TASK, 1),
+        "F=problem_id+task M=energy ?=problem_id",
+    ),
+    "whether it was reached, as numbers": (
+        made("task,steps,reached", TASK, 8, steps="{q}", reached="{even}"),
+        "F=task+steps+reached ?=steps",
+    ),
+    "many steps, and whether it was reached": (
+        made("task,steps,reached", TASK, 8, steps="{x:.0f}", reached="{q}"),
+        "F=task M=steps+reached",
+    ),
     # Factors that look like measures, and that come late.
     "numbers with a unit": (
         made("__run_id,__done,speed_m_s,energy", {"speed_m_s": ["0.1", "0.2"]}, 4, **PLAIN),

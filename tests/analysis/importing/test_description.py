@@ -8,6 +8,7 @@ from robot_runner.analysis.importing.description import (
     Aggregation,
     ImportDescription,
     SamplesDescription,
+    description_text,
     parse_recipe,
     read_description,
 )
@@ -19,8 +20,10 @@ table = "runs.csv"
 run_folder = "raw/{run_id}"
 origin = "measured"
 guess = false
+decimal = ","
 [columns]
 run_id = "id"
+block = "robot"
 factors = ["task"]
 measures = "energy"
 ignore = ["note"]
@@ -50,7 +53,9 @@ def test_everything_that_can_be_said(tmp_path):
         run_folder="raw/{run_id}",
         origin="measured",
         guess=False,
+        decimal=",",
         run_id="id",
+        block="robot",
         factors=("task",),
         measures=("energy",),
         ignore=("note",),
@@ -58,6 +63,11 @@ def test_everything_that_can_be_said(tmp_path):
         samples=(SamplesDescription("power.csv", time="t", time_unit="ms", units={"p": "mW"}),),
         recipes=(parse_recipe("energy=integral(power.csv:p)"),),
     )
+
+
+def test_a_description_that_was_written_says_the_same(tmp_path):
+    whole = read(tmp_path, WHOLE)
+    assert read(tmp_path, description_text(whole)) == whole
 
 
 def test_the_command_line_counts_more(tmp_path):
@@ -90,6 +100,7 @@ def test_the_command_line_counts_more(tmp_path):
         ("[recompute]\na = 'integral(b)'", "names no column"),
         ("[recompute]\na = 'b'", "is not a recipe"),
         ("origin = 'guessed'", "origin is 'guessed'"),
+        ("decimal = ';'", "decimal is ';'"),
     ],
 )
 def test_slips_are_named(tmp_path, text, problem):

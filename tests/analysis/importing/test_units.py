@@ -84,9 +84,10 @@ def test_units_are_converted_part_by_part(written, si, value, converted):
     assert unit.to_si(value) == pytest.approx(converted)
 
 
-@pytest.mark.parametrize(
-    "text", ["", "2", "C", "G", "foo", "dBm", "J + W", "avg %", "joules/mission", "__import__('os')"]
-)
+NO_UNITS = ["", "2", "C", "G", "foo", "dBm", "J + W", "avg %", "joules/mission", "__import__('os')"]
+
+
+@pytest.mark.parametrize("text", NO_UNITS)
 def test_what_is_no_unit_or_could_be_several_is_none(text):
     assert unit_of(text) is None
 

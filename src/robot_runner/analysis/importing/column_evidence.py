@@ -201,7 +201,7 @@ class ColumnEvidence:
             return not any(
                 1 < self.levels(other) <= self._count // 2
                 for other in self._table.headings
-                if other != name and self.is_filled(other) and not self.names_measure(other)
+                if other != name and self.is_filled(other) and self.is_even(other) and not self.names_measure(other)
             )
         return self.levels(name) > 1
 

@@ -250,10 +250,14 @@ class _Guessing:
         )
         self._late = set(left[begun:])
         factors = [*self._named(Role.FACTOR), *texts]
+        has_measures = False
         for place, name in enumerate(left):
-            is_first = place < begun or name in texts
+            is_first = (place < begun and not has_measures) or name in texts
             role, confidence, reason = self._verdicts.verdict(name, factors, repetition, is_first=is_first)
             self._take(name, role, confidence, reason)
+            # Without run ids that tell combinations apart, a number that varies begins the measures.
+            varies = len(evidence.values(name)) > 1 and not evidence.knows_combinations
+            has_measures |= role is Role.MEASURE and confidence is not Confidence.UNSURE and varies
             if role is Role.FACTOR and name not in factors:
                 factors.append(name)
         if not any(len(evidence.values(name)) > 1 for name in self._named(Role.FACTOR)):

@@ -45,6 +45,8 @@ class ColumnVerdicts:
 
     def is_surely_measured(self, name: str) -> bool:
         """Return whether treatments do not come after this column, in the tables of the earlier tools."""
+        if NUMBERING.fullmatch(name) and self._evidence.differs_everywhere(name):
+            return False
         if not self._evidence.is_measurable(name) or self._evidence.levels(name) == 1:
             return self._evidence.is_empty(name) and self._evidence.names_measure(name)
         if self._evidence.knows_combinations:
@@ -163,6 +165,13 @@ class ColumnVerdicts:
     def _few_numbers(self, name: str, levels: int, *, is_first: bool, named: bool) -> Verdict:
         """Return what a column of numbers is that repeat, where nothing tells which runs have one combination."""
         even = self._evidence.is_even(name)
+        are_names = NUMBERING.fullmatch(name) or levels > _MANY_TREATMENTS
+        if even and are_names and not named and not self._evidence.is_decimal(name):
+            return (
+                Role.FACTOR,
+                Confidence.UNSURE,
+                f"{levels} numbers, evenly repeated: do they count or name something?",
+            )
         if is_first and even and levels <= _MANY_TREATMENTS:
             return Role.FACTOR, (Confidence.LIKELY if named else Confidence.SURE), f"{levels} numbers, evenly repeated"
         if not is_first or named or levels > _MANY_TREATMENTS:

@@ -300,7 +300,7 @@ def _units(entries: Mapping[str, Any], where: str) -> dict[str, str]:
 
 def description_text(description: ImportDescription) -> str:
     """Return a description as the text of a TOML file."""
-    said = {key: getattr(description, key) for key in ("name", "table", "guess", "origin", "decimal")}
+    said = {key: getattr(description, key) for key in ("name", "table", "run_folder", "guess", "origin", "decimal")}
     columns = {key: getattr(description, key) for key in _ENTRIES["columns."]}
     lines = ["# How results made elsewhere are to be read: robot-runner import FOLDER --description THIS_FILE"]
     lines += [*_lines(said), "", "[columns]", *_lines(columns), *_section("units", description.units)]

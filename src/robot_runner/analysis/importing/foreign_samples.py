@@ -67,9 +67,10 @@ class ForeignSamples:
 
     def is_of_kind(self, times: pa.ChunkedArray) -> bool:
         """Return whether the times of a run are counted from where those of the first run are."""
-        if self.time_unit not in TIME_UNITS or not is_number(times.type) or not len(times.drop_null()):
-            return self.time_unit in TIME_UNITS or not is_number(times.type) or not len(times)
-        return time_kind(self.time_unit, times) is self.time_kind
+        if self.time_unit not in TIME_UNITS:
+            return not is_number(times.type) or not len(times)
+        is_counted = is_number(times.type) and len(times.drop_null())
+        return not is_counted or time_kind(self.time_unit, times) is self.time_kind
 
     def heading(self, column: str) -> str:
         """Return the heading of a column in the experiment folder, in SI."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import prod
 from typing import TYPE_CHECKING
 
@@ -52,6 +52,7 @@ class Understanding:
         recipes: which measure is computed from which samples.
         origin: `measured`, `simulated`, `estimated`, or None where the user did not say.
         notes: what looked odd, and what was guessed.
+        said: what the user said.
     """
 
     root: Path
@@ -65,8 +66,7 @@ class Understanding:
     recipes: tuple[Recipe, ...]
     origin: str | None
     notes: tuple[str, ...]
-    ignored: tuple[str, ...] = ()
-    decimal: str | None = None
+    said: ImportDescription = field(default_factory=ImportDescription, repr=False)
 
     @property
     def questions(self) -> tuple[Finding, ...]:
@@ -107,7 +107,8 @@ class Understanding:
     @property
     def description(self) -> ImportDescription:
         """The description from which the same is understood, without any guess."""
-        return ImportDescription(
+        return replace(
+            self.said,
             name=self.name,
             table=self.table.path.name,
             run_id=self.roles.run_id,
@@ -116,8 +117,6 @@ class Understanding:
             block=self.roles.block,
             factors=self.roles.factors,
             measures=self.roles.measures,
-            ignore=self.ignored,
-            decimal=self.decimal,
             units=_symbols(self.units),
             samples=tuple(
                 SamplesDescription(
@@ -130,7 +129,6 @@ class Understanding:
                 for each in self.samples
             ),
             recipes=self.recipes,
-            origin=self.origin,
             guess=False,
         )
 
@@ -184,8 +182,7 @@ def understand(root: Path, said: ImportDescription) -> Understanding:
         samples=tuple(samples),
         recipes=(*said.recipes, *guessed),
         origin=said.origin,
-        ignored=said.ignore,
-        decimal=said.decimal,
+        said=said,
         notes=(*notes, *sample_notes),
     )
 
