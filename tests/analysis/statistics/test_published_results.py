@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 from tests.analysis.statistics import reference_data as data
 
 from robot_runner.analysis.statistics.assumptions import equal_variances, normality
@@ -91,6 +93,28 @@ def test_cohens_d_of_mtcars():
     assert effect.value == pytest.approx(-1.48, abs=0.005)
     assert ends(effect) == pytest.approx((-2.27, -0.67), abs=0.005)
     assert effect.magnitude is Magnitude.LARGE
+
+
+def test_cliffs_delta_of_thousands_of_runs_holds_no_table_of_all_pairs():
+    random = np.random.default_rng(4)
+    one, other = np.round(random.normal(0.2, 1, 4_000), 2), np.round(random.normal(size=4_000), 2)
+    tracemalloc.start()
+    effect = cliffs_delta([(one, other)])
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 5e6  # the table would take 128 MB
+    dominance = np.sign(one[:, None] - other[None, :])
+    assert effect.value == pytest.approx(dominance.mean(), rel=1e-12)
+    rows, columns = (dominance.mean(axis=axis) - effect.value for axis in (1, 0))
+    n = m = 4_000
+    cells = np.sum((dominance - effect.value) ** 2)
+    variance = (m**2 * np.sum(rows**2) + n**2 * np.sum(columns**2) - cells) / (n * m * (n - 1) * (m - 1))
+    t = stats.t.ppf(0.975, n + m - 2)
+    half = t * np.sqrt(variance) * np.sqrt((1 - effect.value**2) ** 2 + t**2 * variance)
+    middle, scale = effect.value - effect.value**3, 1 - effect.value**2 + t**2 * variance
+    assert (effect.interval.low, effect.interval.high) == pytest.approx(
+        ((middle - half) / scale, (middle + half) / scale)
+    )
 
 
 def test_cliffs_delta_of_the_package_effsize():
