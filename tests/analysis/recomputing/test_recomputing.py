@@ -22,10 +22,10 @@ import pytest
 from tests.analysis.made_experiment import make_experiment
 
 from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.recomputing.fact_finding import facts_of_study
 from robot_runner.analysis.recomputing.literals import _templates
 from robot_runner.analysis.recomputing.notebook import notebook as notebook_of
 from robot_runner.analysis.recomputing.r_script import r_script
-from robot_runner.analysis.recomputing.fact_finding import facts_of_study
 from robot_runner.analysis.recomputing.recomputations import Recomputation, write_recomputations
 from robot_runner.analysis.report.document import plain
 from robot_runner.core.design.factor import Factor
