@@ -1,10 +1,10 @@
-"""What it costs to load 10 million raw samples of 500 runs as one table, beside pandas alone."""
+"""What it costs to load 10 million raw samples of 500 runs, beside pandas alone, and to stream 100 million of 5,000."""
 
 from __future__ import annotations
 
 import multiprocessing
+import os
 import resource
-import shutil
 import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -25,21 +25,24 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 _RUNS = 500
+_TASKS = ["Computation", "Video", "Network"]
 _SAMPLES = 20_000  # 100 s at 200 Hz
 _SECONDS_BOUND = 5.0
 _BYTES_BOUND = 1e9
+_STREAMED_RUNS = 5_000
+_STREAM_BOUND = 300e6  # bytes
 
 
-def make_experiment(root: Path) -> None:
-    """Make an experiment of 500 runs, each with the samples of an INA219 and the phases of a mission."""
+def make_experiment(root: Path, *, runs: int = _RUNS) -> None:
+    """Make an experiment of so many runs, each with the samples of an INA219 and the phases of a mission."""
     folder = ExperimentFolder(root)
-    factors = [Factor("Task", ["Computation", "Video", "Network"]), Factor("Repetition", range(1, 168))]
+    factors = [Factor("Task", _TASKS), Factor("Repetition", range(1, runs // 3 + 2))]
     model = RunTableModel(factors, data_columns=["Energy"])
     rows = RunTableRows.of_plan(model.plan(), TableLayout.of_model(model, ["Energy"]))
     folder.runs.mkdir(parents=True)
     template = root / "samples.csv"
     _write_samples(template)
-    for place in range(_RUNS):
+    for place in range(runs):
         run_id = rows.run_id(place)
         rows.record(run_id, status=RunStatus.DONE, measures={"Energy": 870.0})
         _fill(folder.run(run_id), template)
@@ -60,7 +63,7 @@ def _write_samples(path: Path) -> None:
 
 def _fill(run: Path, samples: Path) -> None:
     (run / "Ina219").mkdir(parents=True)
-    shutil.copyfile(samples, run / "Ina219" / "samples.csv")
+    os.link(samples, run / "Ina219" / "samples.csv")  # 5,000 files of 1 MB each would be most of the work
     (run / "BasicTurtlebot3").mkdir()
     lines = [f"{number},sleep,{number * 10.0},{number * 10.0 + 10.0}" for number in range(10)]
     text = "\n".join(["number,phase,start_s,end_s", *lines]) + "\n"
@@ -88,6 +91,23 @@ def load_with_pandas(root: str, columns: Sequence[str] | None) -> tuple[float, i
     wanted = None if columns is None else ["time_s", *columns]
     frame = pd.concat([pd.read_csv(path, usecols=wanted).assign(run_id=path.parent.parent.name) for path in paths])
     return time.perf_counter() - begun, _peak() if len(frame) else 0
+
+
+def stream(root: str, columns: Sequence[str] | None) -> tuple[float, int]:
+    """Compute the mean of each treatment from batches; return seconds, the libraries' import included, and the peak."""
+    begun = time.perf_counter()
+    from robot_runner.analysis import load_results  # noqa: PLC0415 - as above
+
+    sums: dict[str, float] = {}
+    count = 0
+    for batch in load_results(root).lazy_samples("Ina219", columns=columns).reader():
+        table = batch.select(["Task", "power_W"]).to_pandas()
+        for task, total in table.groupby("Task", observed=True)["power_W"].sum().items():
+            sums[str(task)] = sums.get(str(task), 0.0) + total
+        count += len(batch)
+    if count != _STREAMED_RUNS * _SAMPLES or len(sums) != len(_TASKS):
+        raise SystemExit("What was read is not what was written.")
+    return time.perf_counter() - begun, _peak()
 
 
 def _peak() -> int:
@@ -127,6 +147,16 @@ def main() -> None:
                     f"{_BYTES_BOUND / 1e9:.0f} GB",
                 ),
             ]
+        many = Path(scratch) / "streaming"
+        make_experiment(many, runs=_STREAMED_RUNS)
+        seconds, peak = _measured(stream, many, ["power_W"])
+        rows.append(
+            Row(
+                f"peak memory, {_STREAMED_RUNS * _SAMPLES / 1e6:.0f} M samples as a stream ({seconds:.0f} s)",
+                f"{peak / 1e6:.0f} MB",
+                bound=f"{_STREAM_BOUND / 1e6:.0f} MB",
+            )
+        )
         print_table("Loading raw samples", rows)
 
 

@@ -34,6 +34,7 @@ _EXPERIMENTS = 1000
 _LEAST, _MOST = 3.5, 6.5
 _FEW_BLOCKS = "below: the errors of fewer than eight blocks are careful"
 _CROWDED = "below: many treatments of few runs"
+_BETWEEN = "below: slopes are those of few blocks where a factor differs between them"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +79,7 @@ _DESIGNS = (
     _Adjusted(NullDesign((3,), 1, blocks=10, response=2.0)),
     _Adjusted(NullDesign((3,), 1, (1, 1, 4), blocks=10)),
     _Adjusted(NullDesign((2, 2), 1, blocks=10)),
-    _Adjusted(NullDesign((2, 2), 1, blocks=8, between=1)),
+    _Adjusted(NullDesign((2, 2), 1, blocks=8, between=1), expectation=_BETWEEN),
 )
 
 

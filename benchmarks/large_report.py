@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-import psutil
+import psutil  # type: ignore[import-untyped]
 
 from benchmarks.table import Row, print_table
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 if TYPE_CHECKING:
     import pytest
@@ -34,3 +37,17 @@ def test_a_table_shows_each_figure_beside_its_floor(
     lines = [line.split() for line in capsys.readouterr().out.splitlines() if line.strip(" ─")]
     assert lines[0] == ["Start"]
     assert lines[-2:] == [["help", "68", "ms", "14", "ms", "4.9", "7"], ["memory", "12", "MB"]]
+
+
+def test_a_figure_is_judged_by_its_bounds_and_by_the_products_own_tests() -> None:
+    from benchmarks.null_designs import NullDesign
+    from benchmarks.statistics import _false_positives
+
+    design = NullDesign((3, 2), 5)
+    held = _false_positives(design, np.random.default_rng(1), 1000)
+    assert held.holds
+    assert held.row.ratio == "holds"
+    assert held.row.bound == "3.5 to 6.5 %"
+    missed = _false_positives(replace(design, bounds=(20.0, 30.0), why="a joke"), np.random.default_rng(1), 1000)
+    assert not missed.holds
+    assert (missed.row.ratio, missed.row.bound) == ("DOES NOT HOLD", "20 to 30 %: a joke")

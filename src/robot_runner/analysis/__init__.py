@@ -19,8 +19,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from robot_runner.analysis.alignment import AlignedSamples as AlignedSamples
     from robot_runner.analysis.alignment import Resampling as Resampling
+    from robot_runner.analysis.comparison.averaging import meta_analyse as meta_analyse
     from robot_runner.analysis.comparison.combined import MetaAnalysis as MetaAnalysis
-    from robot_runner.analysis.comparison.combining import meta_analyse as meta_analyse
     from robot_runner.analysis.comparison.compared import Comparison as Comparison
     from robot_runner.analysis.comparison.comparing import compare as compare
     from robot_runner.analysis.lazy_samples import LazySamples as LazySamples

@@ -101,7 +101,7 @@ def grid_of(spans: Sequence[tuple[float, float]], period: float, window: tuple[f
     """
     low, high = window or (max(first for first, _ in spans), min(last for _, last in spans))
     first, last = np.ceil(low / period - _ROUNDING), np.floor(high / period + _ROUNDING)
-    return np.arange(first, last + 1) * period
+    return np.arange(first, last + 1) * period + 0.0  # of -0.0, 0.0
 
 
 def align_values(times: Floats, values: Floats, grid: Floats, period: float, how: Resampling) -> Aligned:

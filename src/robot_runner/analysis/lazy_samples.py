@@ -97,19 +97,23 @@ class LazySamples:
 
     def _batches(self, types: Mapping[str, pa.DataType]) -> Iterator[pa.RecordBatch]:
         schema, labels = self._schema(types), _Labels(self.request)
+        spans = (self.request.phases or {}).values()
+        phases = list(dict.fromkeys(name for each in spans for name in each.names))
         for place, run_id in enumerate(self.request.run_ids):
             start = self.request.starts.get(run_id)
             for raw in self._raw_batches(run_id, types):
                 times = raw.column(self.request.file.time).to_numpy(zero_copy_only=False)
                 start = float(times[0]) if start is None and len(times) else start
-                columns, chosen = self._told(run_id, times)
+                columns, chosen = self._told(run_id, times, phases)
                 values = (raw.column(name) for name in self.request.columns)
                 since = pa.array(times - (start or 0.0), from_pandas=True)
                 arrays = [*labels.of_run(place, len(times)), since, *columns, *values]
                 batch = pa.RecordBatch.from_arrays(arrays, schema=schema)
                 yield batch if chosen is None else batch.filter(pa.array(chosen))
 
-    def _told(self, run_id: str, times: NDArray[np.float64]) -> tuple[list[pa.Array], NDArray[np.bool_] | None]:
+    def _told(
+        self, run_id: str, times: NDArray[np.float64], names: list[str]
+    ) -> tuple[list[pa.Array], NDArray[np.bool_] | None]:
         """Return the columns of the window and the phases, and which samples are chosen (None for all)."""
         request, whole = self.request, {run_id: slice(0, len(times))}
         arrays: list[pa.Array] = []
@@ -119,7 +123,6 @@ class LazySamples:
             arrays.append(pa.array(within))
             chosen = within if self.within_window else None
         if request.phases is not None:
-            names = list(dict.fromkeys(name for spans in request.phases.values() for name in spans.names))
             codes, numbers = places_of_phases(request.phases, names, times, whole)
             arrays.append(_dictionary(codes.astype(np.int32), pa.array(names, pa.string())))
             arrays.append(pa.array(numbers))

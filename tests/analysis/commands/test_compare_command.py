@@ -109,12 +109,41 @@ class TestMetaAnalysis:
         assert [each["name"] for each in facts["experiments"]] == ["lab_a", "lab_b", "lab_c"]
         assert disagreements_of_combined(facts) == []
 
+    @pytest.mark.parametrize(
+        ("words", "name"), [([], "difference_Energy"), (["--meta"], "forest_Energy_Video_less_Network")]
+    )
+    def test_figures_and_tables_are_files_where_asked_for(self, robot_runner, tmp_path, words, name):
+        answer = robot_runner("compare", "lab_a", "lab_b", "--files", "paper", *words)
+        assert "Files  paper" in answer.out
+        assert {f"{name}.{kind}" for kind in ("svg", "pdf", "png")} <= {
+            each.name for each in (tmp_path / "paper" / "figures").iterdir()
+        }
+        tables = [each.suffix for each in (tmp_path / "paper" / "tables").iterdir()]
+        assert tables.count(".csv") == tables.count(".tex") > 1
+
     def test_a_page_with_forest_plots_is_written(self, robot_runner, tmp_path):
         answer = robot_runner("compare", "lab_a", "lab_b", "lab_c", "--html", "combined.html")
         assert "combined.html" in answer.out
         page = (tmp_path / "combined.html").read_text(encoding="utf-8")
         assert "<h1>lab_a, lab_b and lab_c</h1>" in page
         assert "Forest plot of Video less Network" in page
+
+    def test_results_of_another_tool_are_combined_with_ours(self, robot_runner, tmp_path):
+        for name, shift in (("theirs", 0.11), ("again", 0.11), ("third", 0.53)):
+            (tmp_path / name).mkdir()
+            rows = [f"Video,{value + place * shift}" for place, value in enumerate(VIDEO)]
+            rows += [f"Network,{value - place * shift}" for place, value in enumerate(NETWORK)]
+            lines = ["__run_id,job,energy_J", *(f"run_{place},{row}" for place, row in enumerate(rows))]
+            (tmp_path / name / "run_table.csv").write_text("\n".join(lines) + "\n")
+            assert robot_runner("import", name, "--to", f"{name}_imported", "--yes").code == 0
+        joined = ["--measure", "Energy=energy_J", "--same", "Task=job", "--json"]
+        facts = robot_runner("compare", "lab_a", "theirs_imported", "third_imported", *joined).json
+        (effect,) = facts["measures"][0]["effects"]
+        assert [each["experiment"] for each in effect["experiments"]] == ["lab_a", "theirs", "third"]
+        assert facts["findings"] == []
+        assert disagreements_of_combined(facts) == []
+        answer = robot_runner("compare", "lab_a", "theirs_imported", "again_imported", *joined)
+        assert "this is theirs again: every value is the same to the last digit" in answer.err
 
     @pytest.mark.parametrize(
         ("words", "told"),

@@ -211,6 +211,30 @@ def test_the_power_of_the_same_study_is_registered_with_it(
     assert "the factors differ" in refused.err
 
 
+def test_what_is_left_out_and_adjusted_for_is_registered(
+    robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
+) -> None:
+    ruled = CONFIG.replace("AnalysisPlan, ", "AnalysisPlan, Doubtful, Outliers, ").replace(
+        'AnalysisPlan(\n        "Energy",',
+        'AnalysisPlan(\n        "Energy", outliers=Outliers(median_deviations=3, bounds={"Energy": (0, 900)}),'
+        ' doubtful=Doubtful.REFUSE, covariates=["CPU"],',
+    )
+    study.write_text(ruled, encoding="utf-8")
+    answer = robot_runner("preregister", study)
+    assert answer.code == 0, answer.err
+    said = " ".join(answer.out.split())
+    assert "values of Energy more than 3 median absolute deviations from the median of its combination" in said
+    assert "no conclusion on measures with doubtful values" in said
+    assert "adjusted for CPU" in said
+    registered = json.loads((tmp_path / "study.registration.json").read_text(encoding="utf-8"))["analysis"]
+    assert registered["outliers"] == {"median_deviations": 3.0, "bounds": {"Energy": [0.0, 900.0]}}
+    study.write_text(CONFIG, encoding="utf-8")
+    answer = robot_runner("preregister", "--check", tmp_path / "study.registration.json", study)
+    assert answer.code == 1
+    assert "covariates of the analysis plan" in answer.out
+    assert "outliers of the analysis plan" in answer.out
+
+
 def test_repetitions_that_the_registered_rule_adds_are_no_deviation_and_another_rule_is_one(
     robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
 ) -> None:

@@ -1,4 +1,4 @@
-"""Whether sentences, intervals, p-values and weights of a meta-analysis agree with each other, by its JSON alone."""
+"""Whether sentences, intervals, p-values and weights of a comparison agree with each other, by its JSON alone."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["disagreements_of_combined"]
+__all__ = ["disagreements_of_combined", "disagreements_of_two"]
 
 _SAME = 1e-9
 _CLOSE = 1e-6
@@ -153,3 +153,58 @@ def _of_further_sentences(effect: dict[str, Any], found: dict[str, Any], alpha: 
     for count, words in _FEW.items():
         if (words in text) is not (len(effect["experiments"]) == count):
             yield f"there are {len(effect['experiments'])} experiments, and the sentence says: {text}"
+
+
+def disagreements_of_two(found: dict[str, Any]) -> list[str]:
+    """Return what contradicts itself in a comparison of two experiments, as `compare --json` prints it."""
+    alpha = found["alpha"]
+    told: list[str] = []
+    for measure in found["measures"]:
+        for each in measure["differences"]:
+            what = f"{measure['first_name']}, {' / '.join(each['treatments'].values())}"
+            told += [f"{what}: {problem}" for problem in (*_of_difference(each, alpha), *_of_region(each))]
+        told += [f"{measure['first_name']}: {problem}" for problem in _of_verdict(measure)]
+    return told
+
+
+def _of_difference(each: dict[str, Any], alpha: float) -> Iterator[str]:
+    if each["p_value"] is None:
+        if each["verdict"] != "undecided" or not each["not_computed"]:
+            yield f"it is {each['verdict']} without a test, or no reason is given"
+        return
+    yield from _of_estimate("the difference", {**each, "estimate": each["difference"]}, alpha)
+    is_equivalent = each["equivalence_p_value"] is not None and each["equivalence_p_value"] < alpha
+    expected = "equivalent" if is_equivalent else "different" if each["adjusted_p_value"] < alpha else "undecided"
+    if each["verdict"] != expected:
+        yield f"it is {each['verdict']}, and its p-values say {expected}"
+
+
+def _of_region(each: dict[str, Any]) -> Iterator[str]:
+    told = each["practical"]
+    if told is None:
+        return
+    if abs(told["below"] + told["within"] + told["above"] - 1) > _CLOSE:
+        yield f"the probabilities are {told['below']}, {told['within']} and {told['above']}"
+    if not told["interval"]["low"] <= each["difference"] <= told["interval"]["high"]:
+        yield f"the difference {each['difference']} lies outside of its credible interval"
+    if (told["above"] > told["below"]) is not (each["difference"] > 0) and abs(told["above"] - told["below"]) > _CLOSE:
+        yield f"it is {each['difference']}, and it is {told['above']} above and {told['below']} below"
+
+
+def _of_verdict(measure: dict[str, Any]) -> Iterator[str]:
+    verdicts, text = [each["verdict"] for each in measure["differences"]], measure["conclusion"]
+    expected = (
+        "different"
+        if "different" in verdicts
+        else "equivalent"
+        if verdicts and set(verdicts) == {"equivalent"}
+        else "undecided"
+    )
+    if measure["verdict"] != expected or (verdicts and not text.startswith(expected.capitalize())):
+        yield f"it is {measure['verdict']} of {verdicts}, and the sentence says: {text}"
+    probabilities = [each["practical"]["within"] for each in measure["differences"] if each["practical"] is not None]
+    if probabilities:
+        least = min(probabilities)
+        shown = "< 0.001" if least < 0.001 else "> 0.999" if least > 0.999 else f"{least:.3f}"
+        if f" is {shown}" not in text.partition("the probability that")[2]:
+            yield f"the least probability is {least}, and the sentence says: {text}"

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import json
 
 import numpy as np
 import pytest
 from scipy import stats
+from tests.analysis.comparison.combined_agreement import disagreements_of_two
 
 from robot_runner.analysis.comparison.compared import Bound, Verdict
 from robot_runner.analysis.comparison.comparing import compare
@@ -137,3 +139,30 @@ def test_what_is_no_region_is_refused_with_a_way_out(two_tasks, rope, problem, f
         compare(two_tasks().root, two_tasks().root, rope=rope)
     assert problem in caught.value.problem
     assert fix in caught.value.fix
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.8, 3.0, 30.0])
+@pytest.mark.parametrize(
+    "settings", [{}, {"bound": "1%", "rope": "1%"}, {"bound": 3.0, "rope": ["3 J"], "is_paired": True}]
+)
+def test_a_comparison_of_two_agrees_with_itself(two_tasks, shift, settings):
+    random = np.random.default_rng(int(10 * shift))
+    video, network = (tuple(base + shift + 2 * random.normal(size=5)) for base in (871.0, 835.0))
+    comparison = compare(two_tasks().root, two_tasks(video, network).root, **settings)
+    assert disagreements_of_two(json.loads(json_of_comparison(comparison))) == []
+
+
+def test_what_contradicts_itself_in_a_comparison_of_two_is_found(two_tasks):
+    facts = json.loads(json_of_comparison(compare(two_tasks().root, two_tasks(tuple(FIRST + 9)).root, rope="3 J")))
+    assert disagreements_of_two(facts) == []
+    for change in (
+        lambda measure: measure.update(verdict="equivalent"),
+        lambda measure: measure.update(conclusion="Equivalent."),
+        lambda measure: measure["differences"][0].update(p_value=0.9),
+        lambda measure: measure["differences"][0].update(verdict="undecided"),
+        lambda measure: measure["differences"][0].update(difference=-9.0),
+        lambda measure: measure["differences"][0]["practical"].update(within=0.9),
+    ):
+        other = copy.deepcopy(facts)
+        change(other["measures"][0])
+        assert disagreements_of_two(other)

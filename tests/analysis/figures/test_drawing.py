@@ -153,6 +153,15 @@ def test_crowds_of_points_and_bars_are_kept_as_pixels():
         assert len(svg) < 150_000
 
 
+def test_a_timeline_of_thousands_of_runs_has_few_artists():
+    spans = [AttemptSpan(f"r_{n}", "Video", n, n + 0.9, (n + 0.1, n + 0.8), is_done=n % 7 > 0) for n in range(5_000)]
+    [axes] = draw_timeline(spans, order=["Video"]).axes
+    assert len(axes.patches) + len(axes.collections) < 10
+    done = sum(span.is_done for span in spans)
+    assert sorted(len(bars.get_paths()) for bars in axes.collections) == sorted([done, done, 5_000 - done])
+    assert axes.get_xlim() == (0, pytest.approx(1.05 * 4_999.9 / 60))  # min
+
+
 def test_names_of_outliers_do_not_hide_each_other():
     values = (*np.linspace(0, 1, 20), 9.0, 9.01, 9.02, -8.0)
     group = Group("T", values, tuple(f"r_{n}" for n in range(24)))

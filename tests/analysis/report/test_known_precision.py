@@ -18,6 +18,7 @@ from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.outliers import Outliers
 from robot_runner.core.design.precision import Precision, rules_as_mapping
 from robot_runner.core.design.repeated_intervals import half_width_of, level_at_each_look
+from robot_runner.core.execution.experiment_status import read_status
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -100,3 +101,21 @@ def test_values_that_the_plan_leaves_out_are_left_out_of_the_precision(tmp_path:
     assert sum(each["n"] for each in found["precision"][0]["means"]) == 32 - gone
     assert f"without {gone} values that the analysis leaves out" in found["precision"][0]["sentence"]
     assert disagreements(found) == []
+
+
+def test_several_rules_have_one_level_and_the_one_that_is_furthest_off_is_shown(tmp_path: Path) -> None:
+    rules = (
+        Precision("Energy", half_width="5 %", at_most=30),
+        Precision("Energy", half_width="0.1 J", at_most=8),
+        Precision("Time", half_width="0.1", at_most=12, of="differences"),
+    )
+    folder = made(tmp_path / "made", *rules)
+    found = json.loads(report(folder))
+    energy, time = found["precision"]
+    assert energy["level"] == time["level"] == level_at_each_look(5, 30), "all are looked at until the last gives up"
+    assert not energy["is_reached"]
+    assert {each["wanted"] for each in energy["means"]} == {0.1}
+    assert time["means"], "means are known as well where differences were asked for"
+    assert disagreements(found) == []
+    status = read_status(folder.root)
+    assert status.repeated.endswith("at least 5, at most 30 repetitions")

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.image import imsave
 
 from robot_runner.analysis.figures.style import FigureFormat, figure_bytes
-from robot_runner.analysis.report.blocks import Gallery
+from robot_runner.analysis.report.blocks import Beside, Gallery, Table
 from robot_runner.analysis.report.document import report_document
 from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.report.stills_part import stills_part
@@ -40,8 +40,10 @@ def keep_stills(folder: Any, run_id: str, *, notes: object = None) -> Path:
 
 
 def figures(folder: Any) -> list[FigureBlock]:
-    parts = list(stills_part(material_of(folder)))
-    return [figure for part in parts for block in part.blocks if isinstance(block, Gallery) for figure in block.figures]
+    besides = [block for part in stills_part(material_of(folder)) for block in part.blocks]
+    assert all(isinstance(block, Beside) and isinstance(block.blocks[-1], Table) for block in besides)
+    galleries = [block for beside in besides for block in beside.blocks if isinstance(block, Gallery)]
+    return [figure for gallery in galleries for figure in gallery.figures]
 
 
 def test_an_experiment_without_a_camera_has_no_such_part(two_tasks: Callable[..., Any]) -> None:
@@ -54,6 +56,7 @@ def test_runs_are_shown_beneath_each_other(two_tasks: Callable[..., Any]) -> Non
         keep_stills(folder, run_id)
     (figure,) = figures(folder)
     assert "all runs that are done" in figure.caption
+    assert figure.has_photographs
     drawn = figure.draw()
     assert [len(axes.images) for axes in drawn.axes] == [1, 0, 1, 0]  # the second of each run is damaged
     assert drawn.axes[0].get_title(loc="left").startswith("r_1")

@@ -10,7 +10,8 @@ from tests.analysis.statistics.reference_data import one_factor, split_plot, two
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.statistics.cell_layout import layout_of
-from robot_runner.analysis.statistics.contrasts import bootstrapped, welch_james
+from robot_runner.analysis.statistics.contrasts import _unbiased as unbiased_squares
+from robot_runner.analysis.statistics.contrasts import bootstrapped, combined, welch_james
 from robot_runner.analysis.statistics.descriptive import describe
 from robot_runner.analysis.statistics.effect_sizes import cohens_d, noncentralities_of_f, noncentralities_of_t
 from robot_runner.analysis.statistics.linear_model import FittedModel
@@ -212,6 +213,31 @@ def test_the_bootstrap_agrees_with_the_approximation_where_that_holds():
     (effect,) = layout.effects
     again = bootstrapped(lambda drawn: welch_james(drawn, effect.between).p_value, moments)
     assert float(again) == pytest.approx(float(welch_james(moments, effect.between).p_value), abs=0.01)
+
+
+def test_two_p_values_together_are_a_mean_of_both():
+    first, second = np.array([0.04, 0.01, 0.5, 0.0]), np.array([0.04, 0.5, 0.01, 0.3])
+    together = combined([first, second])
+    assert together == pytest.approx([0.04, 0.0392, 0.0392, 0.0], abs=5e-4)
+    assert np.all((together >= np.minimum(first, second)) & (together <= np.maximum(first, second)))
+
+
+def test_degrees_of_freedom_are_unbiased_for_groups_of_blocks():
+    # Of 4 and 7 blocks whose covariances of three treatments differ: the ratio of what the estimates estimate
+    random = np.random.default_rng(12)
+    roots = [np.diag([1.0, 2.0, 3.0]), np.array([[2.0, 0, 0], [1, 1, 0], [0, 1, 1]])]
+    sizes = np.array([4, 7])
+    errors = [
+        np.stack([np.cov((random.normal(size=(size, 3)) @ root.T).T) / size for _ in range(4000)])
+        for root, size in zip(roots, sizes, strict=True)
+    ]
+    true = np.stack([root @ root.T / size for root, size in zip(roots, sizes, strict=True)])
+    traces, squares = (np.einsum(each, *of) for each, of in (("gaa->g", [true]), ("gab,gba->g", [true, true])))
+    found = np.stack(errors, axis=1)
+    estimated = unbiased_squares(np.einsum("egaa->eg", found), np.einsum("egab,egba->eg", found, found), sizes - 1.0, 3)
+    assert estimated.mean(axis=0) == pytest.approx(squares, rel=0.06)
+    total = np.einsum("egaa->eg", found) ** 2 - 2 * estimated / (sizes - 1.0)
+    assert total.mean(axis=0) == pytest.approx(traces**2, rel=0.06)
 
 
 def test_intervals_of_d_do_not_depend_on_the_order_of_treatments():

@@ -16,7 +16,6 @@ from robot_runner.core.design.outliers import Outliers
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from robot_runner.analysis.statistics.outcome import ExperimentStatistics
 
 HOT = "the sensor was hot"
 #: Watts of runs of two tasks that differ; the last run of Video is far out, and hides it.
@@ -42,7 +41,7 @@ def made(folder: Path, plan: dict[str, Any], watts: dict[str, list[float]] | Non
     return load_results(experiment.root)
 
 
-def statistics(folder: Path, plan: dict[str, Any], **more: Any) -> ExperimentStatistics:
+def statistics(folder: Path, plan: dict[str, Any], **more: Any) -> Any:
     return analyse(made(folder, plan, **more))
 
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 from tests.analysis.statistics import reference_data as data
 
 from robot_runner.analysis.statistics.assumptions import equal_variances, normality
 from robot_runner.analysis.statistics.correlations import correlations_of
 from robot_runner.analysis.statistics.detectable_effect import _power, repetitions_needed
-from robot_runner.analysis.statistics.effect_sizes import cliffs_delta, cohens_d, vargha_delaney
+from robot_runner.analysis.statistics.effect_sizes import cliffs_delta, cohens_d, noncentralities_of_f, vargha_delaney
 from robot_runner.analysis.statistics.linear_model import fit_model
 from robot_runner.analysis.statistics.post_hoc import adjusted, compare_pairs
 from robot_runner.analysis.statistics.tested import Magnitude, TestMethod
@@ -93,6 +95,28 @@ def test_cohens_d_of_mtcars():
     assert effect.magnitude is Magnitude.LARGE
 
 
+def test_cliffs_delta_of_thousands_of_runs_holds_no_table_of_all_pairs():
+    random = np.random.default_rng(4)
+    one, other = np.round(random.normal(0.2, 1, 4_000), 2), np.round(random.normal(size=4_000), 2)
+    tracemalloc.start()
+    effect = cliffs_delta([(one, other)])
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 5e6  # the table would take 128 MB
+    dominance = np.sign(one[:, None] - other[None, :])
+    assert effect.value == pytest.approx(dominance.mean(), rel=1e-12)
+    rows, columns = (dominance.mean(axis=axis) - effect.value for axis in (1, 0))
+    n = m = 4_000
+    cells = np.sum((dominance - effect.value) ** 2)
+    variance = (m**2 * np.sum(rows**2) + n**2 * np.sum(columns**2) - cells) / (n * m * (n - 1) * (m - 1))
+    t = stats.t.ppf(0.975, n + m - 2)
+    half = t * np.sqrt(variance) * np.sqrt((1 - effect.value**2) ** 2 + t**2 * variance)
+    middle, scale = effect.value - effect.value**3, 1 - effect.value**2 + t**2 * variance
+    assert (effect.interval.low, effect.interval.high) == pytest.approx(
+        ((middle - half) / scale, (middle + half) / scale)
+    )
+
+
 def test_cliffs_delta_of_the_package_effsize():
     # effsize: cliff.delta(treatment, control): -0.25 (small), [-0.7265846, 0.3890062]
     treatment = np.array([10, 10, 20, 20, 20, 30, 30, 30, 40, 50], dtype=float)
@@ -128,6 +152,15 @@ def test_welch_anova_of_plant_growth():
     assert together == pytest.approx(0.0174386556462, rel=1e-9)
     (alone,) = computed(data.one_factor(data.PLANT_GROWTH), statistic=Statistic.WELCH_JAMES)[0].effects
     assert (alone.test, alone.p_value, alone.parts) == ("Welch's ANOVA", effect.parts[0].p_value, ())
+
+
+def test_noncentralities_of_plant_growth():
+    # uniroot(function(n) pf(5.180972408, 2, 17.12841862, ncp = n) - p, c(0, 500)) at p = 0.95 and 0.05; and
+    # effectsize: F_to_eta2(5.180972408, 2, 17.12841862, ci = 0.9, alternative = "two.sided"): 0.0540366391, 0.586884784
+    low, high = noncentralities_of_f(5.180972408, (2, 17.12841862), 0.9)
+    assert (low, high) == pytest.approx((0.97843402, 24.33318318), abs=5e-8)
+    shares = (low / (low + 17.12841862), high / (high + 17.12841862))
+    assert shares == pytest.approx((0.0540366391, 0.586884784), abs=5e-8)
 
 
 def test_welch_anova_of_insect_sprays_and_of_their_ranks():

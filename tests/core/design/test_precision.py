@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -18,18 +18,21 @@ from robot_runner.core.design.precision import (
 from robot_runner.core.design.repeated_intervals import half_width_of, level_at_each_look
 from robot_runner.core.errors import DesignError
 
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
 
 def rule(half_width: str | float = "2 %", at_most: int = 30, **more: Any) -> Precision:
     return Precision("Energy", half_width=half_width, at_most=at_most, **more)
 
 
-def judged(values: dict[tuple[str, ...], list[Any]], asked: Precision, least: int = 5) -> Judgement:
+def judged(values: Mapping[Any, list[Any]], asked: Precision, least: int = 5) -> Judgement:
     runs = [
         Observed(f"r_{place}_{number}", dict(zip(("Task", "Speed"), treatments, strict=False)), number, value)
         for place, (treatments, found) in enumerate(values.items())
         for number, value in enumerate(found, start=1)
     ]
-    return judge(asked, least, max(map(len, values.values())), runs)
+    return judge(asked, (least, asked.at_most), max(map(len, values.values())), runs)
 
 
 @pytest.mark.parametrize(

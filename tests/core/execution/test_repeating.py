@@ -231,6 +231,19 @@ def test_an_extended_experiment_goes_on_until_all_is_precise(execute: Execute) -
     assert planned(rows)[:count] == planned(executed.table)[:count]
 
 
+def test_a_table_that_was_written_by_hand_is_not_repeated_and_that_is_told(tmp_path: Path) -> None:
+    config = written_config(tmp_path, noisy(), table=TABLE)
+    folder = tmp_path / "results" / "trial"
+    folder.mkdir(parents=True)
+    rows = [f"hand_{task}_{number},{task}" for number in range(4) for task in ("Video", "Network")]
+    (folder / "run_table.csv").write_text("\n".join(["run_id,Task", *rows, ""]), encoding="utf-8")
+    finished, _ = resume(config)
+    assert len(rows_of(config)) == 8
+    assert any(
+        "written by hand and is executed as it is: nothing is repeated" in each for each in problems(finished.findings)
+    )
+
+
 def test_a_grown_table_that_was_lost_comes_back(execute: Execute) -> None:
     executed = execute(noisy(), table=TABLE)
     rows = planned(executed.table)

@@ -16,6 +16,7 @@ of each pair of treatments, on average over all experiments, how far these diffe
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,11 +40,11 @@ from robot_runner.core.words import counted, one_line
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from robot_runner.analysis.comparison.combined import MetaAnalysis
     from robot_runner.analysis.comparison.compared import Comparison, MeasureComparison
-    from robot_runner.analysis.report.blocks import Table
+    from robot_runner.analysis.report.blocks import Document, Table
     from robot_runner.cli.parser import Parser
 
 __all__ = ["add_arguments", "execute"]
@@ -91,6 +92,11 @@ def add_arguments(parser: Parser) -> None:
         "--alpha", metavar="LEVEL", type=float, default=0.05, help="level of significance (%(default)g)"
     )
     parser.add_argument("--html", metavar="FILE", help="write the comparison with its figures to this page, too")
+    parser.add_argument(
+        "--files",
+        metavar="FOLDER",
+        help="write its figures (SVG, PDF, PNG) and tables (CSV, LaTeX) into this folder, too",
+    )
     add_json(parser)
 
 
@@ -100,8 +106,9 @@ def execute(arguments: Namespace) -> int:
     _check_options(arguments, is_meta=is_meta)
     require_libraries()
     folders = _folders([arguments.first, arguments.second, *arguments.more])
-    page = None if arguments.html is None else Path(arguments.html).expanduser()
-    return _combine(arguments, folders, page) if is_meta else _compare(arguments, folders, page)
+    page, files = (None if each is None else Path(each).expanduser() for each in (arguments.html, arguments.files))
+    written = {"Page": page, "Files": files}
+    return _combine(arguments, folders, written) if is_meta else _compare(arguments, folders, written)
 
 
 def _check_options(arguments: Namespace, *, is_meta: bool) -> None:
@@ -138,9 +145,10 @@ def _folders(targets: Sequence[str]) -> list[Path]:
     return folders
 
 
-def _compare(arguments: Namespace, folders: Sequence[Path], page: Path | None) -> int:
+def _compare(arguments: Namespace, folders: Sequence[Path], written: Mapping[str, Path | None]) -> int:
     from robot_runner.analysis.comparison import comparison_document as document  # noqa: PLC0415 - slow, and an extra
     from robot_runner.analysis.comparison.comparing import compare  # noqa: PLC0415 - slow, and an extra
+    from robot_runner.analysis.report.writing import made_by  # noqa: PLC0415 - slow, and an extra
 
     comparison = compare(
         *folders,
@@ -150,30 +158,38 @@ def _compare(arguments: Namespace, folders: Sequence[Path], page: Path | None) -
         is_paired=True if arguments.paired else None,
         rope=arguments.rope or (),
     )
-    if page is not None:
-        document.write_comparison(comparison, page)
+    _write(document.comparison_document(comparison, made=made_by("Comparison", datetime.now(UTC))), written)
     if arguments.json:
         print(document.json_of_comparison(comparison))
     else:
-        _print(output(), comparison, page)
+        _print(output(), comparison, written)
     return 0
 
 
-def _combine(arguments: Namespace, folders: Sequence[Path], page: Path | None) -> int:
+def _write(document: Document, written: Mapping[str, Path | None]) -> None:
+    from robot_runner.analysis.report.writing import write_page, write_parts  # noqa: PLC0415 - slow, and an extra
+
+    for what, write in (("Page", write_page), ("Files", write_parts)):
+        path = written[what]
+        if path is not None:
+            write(document, path)
+
+
+def _combine(arguments: Namespace, folders: Sequence[Path], written: Mapping[str, Path | None]) -> int:
     from robot_runner.analysis.comparison import combined_document as document  # noqa: PLC0415 - slow, and an extra
-    from robot_runner.analysis.comparison.combining import meta_analyse  # noqa: PLC0415 - slow, and an extra
+    from robot_runner.analysis.comparison.averaging import meta_analyse  # noqa: PLC0415 - slow, and an extra
+    from robot_runner.analysis.report.writing import made_by  # noqa: PLC0415 - slow, and an extra
 
     found = meta_analyse(*folders, measures=arguments.measure, alpha=arguments.alpha, same=arguments.same or ())
-    if page is not None:
-        document.write_meta_analysis(found, page)
+    _write(document.combined_document(found, made=made_by("Meta-analysis", datetime.now(UTC))), written)
     if arguments.json:
         print(document.json_of_meta_analysis(found))
     else:
-        _print_combined(output(), found, page)
+        _print_combined(output(), found, written)
     return 0
 
 
-def _print(console: UserConsole, comparison: Comparison, page: Path | None) -> None:
+def _print(console: UserConsole, comparison: Comparison, written: Mapping[str, Path | None]) -> None:
     console.print(Text(f"{comparison.second.name} compared with {comparison.first.name}", style="bold"))
     print_facts(
         console, [(name, f"{one_line(ours)}; {one_line(theirs)}") for name, ours, theirs in comparison.differing]
@@ -187,12 +203,11 @@ def _print(console: UserConsole, comparison: Comparison, page: Path | None) -> N
         )
     for note in comparison.notes:
         print_folded(console, "  ! ", one_line(note), style="bold yellow")
-    _print_page(console, page)
+    _print_written(console, written)
 
 
-def _print_page(console: UserConsole, page: Path | None) -> None:
-    if page is not None:
-        print_facts(console, [("Page", shown_path(page.resolve()))])
+def _print_written(console: UserConsole, written: Mapping[str, Path | None]) -> None:
+    print_facts(console, [(what, shown_path(path.resolve())) for what, path in written.items() if path is not None])
 
 
 def _print_measure(console: UserConsole, comparison: Comparison, measure: MeasureComparison) -> None:
@@ -223,7 +238,7 @@ def _print_rows(console: UserConsole, table: Table) -> None:
         print(f"  {aligned(columns, row)}")
 
 
-def _print_combined(console: UserConsole, found: MetaAnalysis, page: Path | None) -> None:
+def _print_combined(console: UserConsole, found: MetaAnalysis, written: Mapping[str, Path | None]) -> None:
     from robot_runner.analysis.comparison.combined_document import effect_table  # noqa: PLC0415 - slow, and an extra
 
     names = ", ".join(one_line(each.name) for each in found.experiments)
@@ -242,7 +257,7 @@ def _print_combined(console: UserConsole, found: MetaAnalysis, page: Path | None
         console.print()
     for finding in found.findings:
         print_folded(console, "  ! ", one_line(str(finding)), style="bold yellow")
-    _print_page(console, page)
+    _print_written(console, written)
 
 
 def _origins(measure: MeasureComparison) -> Iterator[str]:

@@ -11,12 +11,14 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.analysis.plan_file import choices_in_words
 from robot_runner.cli.console import output, print_facts, print_folded, print_json, quiet_loading, shown_path
 from robot_runner.cli.parser import UsageError, add_config, add_json, add_set
 from robot_runner.core.config.dialects import load_config
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.config.registered_config import registration_content, registration_path
+from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.errors import ConfigError, StorageError
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.registration import (
@@ -217,6 +219,9 @@ def _text(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "Primary", listed(plan["measures"])
         yield "Secondary", listed(plan["secondary"])
         yield "Test", f"{plan['estimand']}, {plan['statistic']}, alpha {plan['alpha']:g}, {plan['correction']}"
+        units = {each["name"]: each.get("unit", "") for each in content["measures"]}
+        for each in choices_in_words(AnalysisPlan.of_mapping(plan), lambda name: units.get(name, "")):
+            yield "Values", each
         for each in plan["hypotheses"]:
             yield "Hypothesis", each["statement"]
     power = content["power"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from datetime import UTC, datetime
 from typing import TYPE_CHECKING, NamedTuple
 
 from robot_runner.analysis.comparison.combined_conclusions import difference_unit
@@ -28,31 +27,20 @@ from robot_runner.analysis.report.blocks import (
 from robot_runner.analysis.report.document import plain
 from robot_runner.analysis.report.material import origin_badges
 from robot_runner.analysis.report.tables import build_table, interval, number, p_value, text
-from robot_runner.analysis.report.writing import made_by, write_page
 from robot_runner.analysis.wording import ALPHA, shown_interval, shown_number, with_unit
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
     from robot_runner.analysis.comparison.combined import Combined, CombinedEffect, CombinedMeasure, MetaAnalysis
     from robot_runner.analysis.statistics.tested import Interval
 
-__all__ = ["combined_document", "effect_table", "json_of_meta_analysis", "write_meta_analysis"]
+__all__ = ["combined_document", "effect_table", "json_of_meta_analysis"]
 
 _FORMAT = 1
 _COMMON, _RANDOM, _FURTHER = "Common effect", "Average (random effects)", "A further experiment"
 _MOST_CARDS = 8
-
-
-def write_meta_analysis(found: MetaAnalysis, path: Path) -> None:
-    """Write a meta-analysis as one HTML file that needs nothing beside it.
-
-    Raises:
-        StorageError: the file cannot be written.
-    """
-    write_page(combined_document(found, made=made_by("Meta-analysis", datetime.now(UTC))), path)
 
 
 def json_of_meta_analysis(found: MetaAnalysis) -> str:
@@ -107,7 +95,7 @@ def _circumstances(found: MetaAnalysis) -> Iterator[Block]:
     fields = (
         text("Name here", "name"),
         text("Experiment", "experiment"),
-        text("Folder", lambda each: str(each.folder)),
+        text("Folder", "folder.name"),
         number("Runs done", "runs"),
     )
     yield build_table(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -48,12 +48,14 @@ class Experiment:
         name: what it is called among them.
         design: of its runs that are done, renamed; with the blocks and covariates of its own plan.
         doubtful: the runs whose value is doubtful, by measure.
+        new_names: what factors and treatments are called among all, by their own names where they differ.
     """
 
     name: str
     results: Results
     design: Design
     doubtful: Mapping[str, Sequence[str]]
+    new_names: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of_results(cls, name: str, results: Results) -> Experiment:
@@ -62,11 +64,28 @@ class Experiment:
         design = design_of(results, blocks=plan.blocks if plan else None)
         return cls(name, results, replace(design, covariates=plan.covariates if plan else ()), doubtful_runs(results))
 
+    @property
+    def factors(self) -> tuple[str, ...]:
+        """All factors, those with a single treatment among them."""
+        return (*self.design.factors, *self.design.constant)
+
     def treatments(self, factor: str) -> tuple[str, ...]:
         """Return the treatments of a factor that runs which are done have had, in their order."""
-        if factor not in (*self.design.factors, *self.design.constant):
+        if factor not in self.factors:
             return ()
         return tuple(map(str, self.design.frame[factor].cat.categories))
+
+    def with_name(self, old: str, new: str) -> Experiment:
+        """Return the experiment with a factor or treatment of another name."""
+        design = self.design
+        frame = design.frame.rename(columns={old: new} if old in self.factors else {})
+        factors, constant = (
+            tuple(new if name == old else name for name in names) for names in (design.factors, design.constant)
+        )
+        for name in (*factors, *constant):
+            frame[name] = frame[name].cat.rename_categories({old: new} if old in frame[name].cat.categories else {})
+        design = replace(design, frame=frame, factors=factors, constant=constant)
+        return replace(self, design=design, new_names={**self.new_names, old: new})
 
     def left_out(self, column: str) -> tuple[str, ...]:
         """Return the runs whose value of a measure the experiment's own plan leaves out."""
@@ -153,60 +172,41 @@ def renamed(
             if any({name, other} <= set(names) for names in _kinds(each))
         ]
         if not findings:
-            experiments = [replace(each, design=_with_name(each.design, other, name)) for each in experiments]
+            experiments = [each.with_name(other, name) for each in experiments]
     return tuple(experiments), tuple(findings)
 
 
 def _kinds(experiment: Experiment) -> Iterator[tuple[str, ...]]:
     """Yield names that must differ from each other: the factors, and the treatments of each."""
-    factors = (*experiment.design.factors, *experiment.design.constant)
-    yield factors
-    yield from (experiment.treatments(factor) for factor in factors)
+    yield experiment.factors
+    yield from map(experiment.treatments, experiment.factors)
 
 
 def _names(experiment: Experiment) -> Iterator[str]:
     return (name for names in _kinds(experiment) for name in names)
 
 
-def _with_name(design: Design, old: str, new: str) -> Design:
-    frame = design.frame.rename(columns={old: new} if old in (*design.factors, *design.constant) else {})
-
-    def swapped(names: tuple[str, ...]) -> tuple[str, ...]:
-        return tuple(new if name == old else name for name in names)
-
-    factors, constant = swapped(design.factors), swapped(design.constant)
-    for name in (*factors, *constant):
-        frame[name] = frame[name].cat.rename_categories({old: new} if old in frame[name].cat.categories else {})
-    return replace(design, frame=frame, factors=factors, constant=constant)
-
-
 def differing_names(experiments: Sequence[Experiment]) -> Iterator[Finding]:
     """Yield a warning for each factor, and each treatment, that one experiment lacks and others have."""
-    factors = dict.fromkeys(name for each in experiments for name in each.design.factors)
+    varied = dict.fromkeys(name for each in experiments for name in each.design.factors)
     for experiment in experiments:
-        own = (*experiment.design.factors, *experiment.design.constant)
-        for factor in factors:
-            if factor not in own:
-                fix = _same(
-                    factor,
-                    [name for name in own if name not in factors or name not in _of_others(experiment, experiments)],
-                )
-                yield Finding.warning(experiment.name, f"there is no factor {factor!r}", fix)
-                continue
-            others = [each for each in experiments if each is not experiment]
-            theirs = dict.fromkeys(name for each in others for name in each.treatments(factor))
-            ours = experiment.treatments(factor)
-            lacking = [name for name in theirs if name not in ours]
-            if lacking:
-                fixes = (_same(name, [each for each in ours if each not in theirs]) for name in lacking)
-                problem = f"of {factor} there is no {enumerated(map(repr, lacking))}"
-                yield Finding.warning(experiment.name, problem, " ".join(filter(None, fixes)))
+        others = [each for each in experiments if each is not experiment]
+        own = [name for name in experiment.factors if not any(name in each.factors for each in others)]
+        for factor in varied:
+            if factor not in experiment.factors:
+                yield Finding.warning(experiment.name, f"there is no factor {factor!r}", _same(factor, own))
+            else:
+                yield from _differing_treatments(experiment, others, factor)
 
 
-def _of_others(experiment: Experiment, experiments: Sequence[Experiment]) -> set[str]:
-    return {
-        name for each in experiments if each is not experiment for name in (*each.design.factors, *each.design.constant)
-    }
+def _differing_treatments(experiment: Experiment, others: Sequence[Experiment], factor: str) -> Iterator[Finding]:
+    theirs = dict.fromkeys(name for each in others for name in each.treatments(factor))
+    ours = experiment.treatments(factor)
+    lacking = [name for name in theirs if name not in ours]
+    if lacking:
+        fixes = (_same(name, [each for each in ours if each not in theirs]) for name in lacking)
+        problem = f"of {factor} there is no {enumerated(map(repr, lacking))}"
+        yield Finding.warning(experiment.name, problem, " ".join(filter(None, fixes)))
 
 
 def _same(name: str, candidates: Sequence[str]) -> str:

@@ -9,19 +9,16 @@ from robot_runner.analysis.report.tables import build_table, field, interval, nu
 from robot_runner.analysis.statistics.disclosed import Beside
 from robot_runner.analysis.statistics.left_out import MOST_FALSE_POSITIVES, rate_in_words
 from robot_runner.analysis.wording import MISSING, p_in_words, sentence, shown_number, with_unit
-from robot_runner.core.design.outliers import Doubtful
-from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from robot_runner.analysis.report.material import Material
     from robot_runner.analysis.statistics.disclosed import Adjustment, Slope
     from robot_runner.analysis.statistics.outcome import MeasureStatistics, Standing
     from robot_runner.analysis.statistics.tested import MeasureTest
-    from robot_runner.core.design.analysis_plan import AnalysisPlan
 
-__all__ = ["besides", "choices_in_words", "planned_parts", "standing_parts"]
+__all__ = ["besides", "planned_parts", "standing_parts"]
 
 _TITLES = {
     Beside.WITHOUT_DOUBTFUL: "Without doubtful values",
@@ -33,23 +30,6 @@ _CAPTIONS = {
     Beside.ALL_RUNS: "Whether conclusions stand with the runs that the plan leaves out.",
     Beside.WITHOUT_COVARIATES: "Whether conclusions stand where means are not adjusted for covariates.",
 }
-
-
-def choices_in_words(plan: AnalysisPlan, unit: Callable[[str], str]) -> Iterator[str]:
-    """Yield what a plan says of outliers, doubtful values and covariates, where it says anything."""
-    if plan.outliers is not None:
-        names = dict.fromkeys((*plan.measures, *plan.secondary, *plan.outliers.bounds))
-        rules: dict[str, list[str]] = {}
-        for name in names:
-            rules.setdefault(plan.outliers.in_words(name, unit(name)), []).append(name)
-        for rule, of in rules.items():
-            if rule:
-                yield f"left out as outliers: values of {enumerated(of)} {rule}"
-    if plan.doubtful is not Doubtful.KEEP:
-        leaves_out = plan.doubtful is Doubtful.LEAVE_OUT
-        yield "doubtful values are left out" if leaves_out else "no conclusion on measures with doubtful values"
-    if plan.covariates:
-        yield f"adjusted for {enumerated(plan.covariates)}"
 
 
 def planned_parts(measure: MeasureStatistics, label: str) -> Iterator[Block]:

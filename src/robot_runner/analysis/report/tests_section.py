@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from robot_runner.analysis.plan_file import choices_in_words
 from robot_runner.analysis.report.blocks import (
     Badge,
     Beside,
@@ -21,7 +22,7 @@ from robot_runner.analysis.report.blocks import (
 )
 from robot_runner.analysis.report.material import correction_in_words
 from robot_runner.analysis.report.measure_figures import quantile_figure
-from robot_runner.analysis.report.plan_part import besides, choices_in_words, planned_parts, standing_parts
+from robot_runner.analysis.report.plan_part import besides, planned_parts, standing_parts
 from robot_runner.analysis.report.tables import Field, build_table, field, interval, number, p_value, text
 from robot_runner.analysis.wording import ALPHA, MISSING, RHO, listed, sentence, shown_interval, shown_number
 from robot_runner.core.design.analysis_plan import Estimand

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.report.blocks import Document
     from robot_runner.core.design.analysis_plan import AnalysisPlan
 
-__all__ = ["ReportFormat", "WrittenReport", "made_by", "write_page", "write_report"]
+__all__ = ["ReportFormat", "WrittenReport", "made_by", "write_page", "write_parts", "write_report"]
 
 
 #: With more, figures as PDF are not left to a process of its own.
@@ -108,6 +108,22 @@ def write_page(document: Document, path: Path) -> None:
     drawings = {block.name: figure_bytes(block.draw(), FigureFormat.SVG) for block in document.figures}
     text = html_of(document, drawings)
     write_beside_and_rename(path, lambda file: file.write(text))
+
+
+def write_parts(document: Document, folder: Path) -> tuple[Path, ...]:
+    """Write each figure of a document (SVG, PDF, PNG) into `figures/` and each table (CSV, LaTeX) into `tables/`.
+
+    Raises:
+        StorageError: a file cannot be written.
+    """
+    names = SafeNames()
+    figures = [
+        _write_bytes(folder / "figures" / f"{names(block.name)}.{kind.value}", figure_bytes(figure, kind))
+        for block in document.figures
+        for figure in (block.draw(),)
+        for kind in FigureFormat
+    ]
+    return (*figures, *_write_tables(document, folder / "tables"))
 
 
 def made_by(what: str, moment: datetime) -> str:

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import stats
+from scipy.optimize import elementwise
 
 from robot_runner.analysis.statistics.descriptive import bootstrap_interval
 from robot_runner.analysis.statistics.tested import EffectSize, Interval, Magnitude
@@ -35,9 +36,6 @@ __all__ = [
 
 _LEVEL = 0.95
 _LEAST_FOR_SPREAD = 2
-
-#: How often the bracket is doubled in which a noncentral distribution is inverted.
-_DOUBLINGS = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,24 +155,13 @@ def noncentralities_of_f(f_value: float, freedom: tuple[float, float], level: fl
 
 
 def _root(function: Callable[[float], float], start: float, step: float, least: float = -math.inf) -> float | None:
-    """Return where a falling function crosses zero, from a bracket that grows around a guess."""
-    low = high = start
-    for doubling in range(_DOUBLINGS):
-        if low <= least or function(low) > 0:
-            break
-        low = max(least, low - step * 2**doubling)
-    for doubling in range(_DOUBLINGS):
-        if function(high) < 0:
-            break
-        high += step * 2**doubling
-    ends = (function(low), function(high))
-    if not all(map(math.isfinite, ends)) or ends[0] * ends[1] > 0:
+    """Return where a function crosses zero, from a bracket that grows around a guess; None where none is found."""
+    vectorised = np.vectorize(function, otypes=[float])
+    bracket = elementwise.bracket_root(vectorised, start, start + step, xmin=least)
+    if not bracket.success:
         return None
-    try:
-        found = float(optimize.brentq(function, low, high))
-    except ValueError:  # beyond what can be computed with floating-point numbers
-        return None
-    return found if math.isfinite(found) else None
+    found = elementwise.find_root(vectorised, bracket.bracket)
+    return float(found.x) if found.success and math.isfinite(found.x) else None
 
 
 def cliffs_delta(pairs: Sequence[tuple[Floats, Floats]]) -> EffectSize | None:

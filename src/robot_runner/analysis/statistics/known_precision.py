@@ -64,8 +64,7 @@ def known_precisions(results: Results, left_out: Mapping[str, Collection[str]]) 
 
 def level_of_looks(results: Results, measure: str) -> float | None:
     """Return the level of each interval of a measure that the experiment was repeated for; None of any other."""
-    rules = _rules(results).get(measure)
-    return level_at_each_look(_least(results), max(most_repetitions(rules), _repetitions(results))) if rules else None
+    return level_at_each_look(*_looks(results)) if measure in _rules(results) else None
 
 
 def repeated_interval(known: Known) -> Interval | None:
@@ -84,8 +83,10 @@ def _rules(results: Results) -> dict[str, list[Precision]]:
     return found
 
 
-def _least(results: Results) -> int:
-    return rules_of_mapping(results.manifest["repeat_until"])[1]
+def _looks(results: Results) -> tuple[int, int]:
+    """Return how many repetitions there were at the first look, and are at the last that may come."""
+    rules, least = rules_of_mapping(results.manifest["repeat_until"])
+    return least, max(least, most_repetitions(rules), _repetitions(results))
 
 
 def _repetitions(results: Results) -> int:
@@ -93,32 +94,27 @@ def _repetitions(results: Results) -> int:
 
 
 def _known(results: Results, measure: str, rules: list[Precision], left_out: Collection[str]) -> KnownPrecision:
-    least, repetitions = _least(results), _repetitions(results)
+    looks, repetitions = _looks(results), _repetitions(results)
     observed = list(_observed(results, measure, left_out))
-    judged = [judge(rule, least, repetitions, observed) for rule in rules]
-    # Several rules about one measure are looked at until the last of them gives up.
-    last = max(rules, key=lambda rule: rule.at_most)
-    of = {kind: _of_kind(last, kind, least, repetitions, observed) for kind in PreciseOf}
-    level = judged[rules.index(last)].level
-    is_reached = all(each.is_precise for each in judged)
-    asked = rule_in_words(rules, least)
+    judged = [judge(rule, looks, repetitions, observed) for rule in rules]
+    asked = rule_in_words(rules, looks[0])
+    known = {}
+    for of in PreciseOf:
+        # Where no rule is about them, they are known all the same; of several rules, the one that is furthest off.
+        own = [each for each in judged if each.rule.of is of]
+        other = Precision(measure, half_width=rules[0].wanted_in_words, at_most=rules[0].at_most, of=of)
+        found = next((each for each in own if not each.is_precise), None) or next(iter(own), None)
+        known[of] = (found or judge(other, looks, repetitions, observed)).known
     return KnownPrecision(
         measure,
         asked,
         repetitions,
-        level,
-        is_reached,
-        of[PreciseOf.MEANS],
-        of[PreciseOf.DIFFERENCES],
-        _sentence(measure, asked, least, judged) + _without(left_out),
+        judged[0].level,
+        all(each.is_precise for each in judged),
+        known[PreciseOf.MEANS],
+        known[PreciseOf.DIFFERENCES],
+        _sentence(measure, asked, looks[0], judged) + _without(left_out),
     )
-
-
-def _of_kind(
-    rule: Precision, of: PreciseOf, least: int, repetitions: int, observed: list[Observed]
-) -> tuple[Known, ...]:
-    same = Precision(rule.measure, half_width=rule.wanted_in_words, at_most=rule.at_most, of=of)
-    return judge(same, least, repetitions, observed).known
 
 
 def _observed(results: Results, measure: str, left_out: Collection[str]) -> Iterator[Observed]:

@@ -119,16 +119,18 @@ class Judgement:
         return f"{measure}: {shown} for {worst.of}, {wanted} ({known} of {counted(len(self.known), what)} precise)"
 
 
-def judge(rule: Precision, least: int, repetitions: int, runs: Iterable[Observed]) -> Judgement:
+def judge(rule: Precision, looks: tuple[int, int], repetitions: int, runs: Iterable[Observed]) -> Judgement:
     """Return how precisely everything is known that a rule is about.
 
     Args:
         rule: what is asked for.
-        least: how often each combination was planned before the first look.
-        repetitions: how often by now.
+        looks: how many repetitions there are at the first look, and at the last: that of all rules, as values are
+            looked at until the last of them gives up.
+        repetitions: how many there are now.
         runs: all runs that count, those without a value included.
     """
-    level = level_at_each_look(least, max(rule.at_most, repetitions, least))
+    first, last = looks
+    level = level_at_each_look(first, max(last, repetitions, first))
     observed = list(runs)
     wrong = next((run for run in observed if run.value is not None and not _is_number(run.value)), None)
     if wrong is not None:

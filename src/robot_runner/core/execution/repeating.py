@@ -87,6 +87,7 @@ class Repeating:
         plan = experiment.parameters.analysis
         self._leaves_out = plan is not None and plan.doubtful is Doubtful.LEAVE_OUT
         self._seed = int(manifest["seed"])
+        self._is_passed_over = is_by_hand and bool(experiment.parameters.repeat_until)
         planned_often = self._config.repetitions >= LEAST_REPETITIONS  # one run that is only tried is not
         self._rules = experiment.parameters.repeat_until if planned_often and not is_by_hand else ()
 
@@ -105,11 +106,16 @@ class Repeating:
         Returns:
             what is known by now; None without rules.
         """
-        least, now = self._config.repetitions, self._model.repetitions
+        if self._is_passed_over:
+            problem = "the run table was written by hand and is executed as it is: nothing is repeated"
+            progress.find(
+                Finding.warning(self._where, problem, "Have the config plan the runs, or leave the rule out.")
+            )
+        looks, now = (self._config.repetitions, most_repetitions(self._rules)), self._model.repetitions
         rows = table.rows
         doubtful = {rule.measure: table.reasons[rule.measure] if self._leaves_out else () for rule in self._rules}
         judged = [
-            judge(rule, least, now, _observed(rows, rule.measure, doubtful[rule.measure])) for rule in self._rules
+            judge(rule, looks, now, _observed(rows, rule.measure, doubtful[rule.measure])) for rule in self._rules
         ]
         if not judged:
             return None

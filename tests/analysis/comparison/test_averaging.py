@@ -14,20 +14,19 @@ from scipy import stats
 from tests.analysis.comparison.combined_agreement import disagreements_of_combined
 
 from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.comparison.averaging import hedges_g, meta_analyse
 from robot_runner.analysis.comparison.combined_document import combined_document, json_of_meta_analysis
-from robot_runner.analysis.comparison.combining import hedges_g, meta_analyse
 from robot_runner.analysis.figures.style import FigureFormat, figure_bytes
 from robot_runner.core.errors import AnalysisError
-
-NUMBERS = itertools.count()
 
 
 @pytest.fixture
 def lab(make_folder):
     """Make an experiment of one lab: means by treatment, a spread, runs a treatment."""
+    numbers = itertools.count()
 
     def make(means, *, spread=1.0, runs=6, seed=None, measure="Energy", unit="J", factor="Task", scale=1.0, **more):
-        number = next(NUMBERS)
+        number = next(numbers)
         random = np.random.default_rng(number if seed is None else seed)
         rows = [
             (name, scale * float(mean + spread * random.normal())) for name, mean in means.items() for _ in range(runs)
@@ -224,6 +223,9 @@ PLAN = {
 }
 
 
+JOBS = json.loads(json.dumps(PLAN).replace("Task", "Job").replace('"Idle"', '"Nothing"'))
+
+
 def test_contrasts_of_plans_are_combined_beside_the_pairs(lab):
     planned = lab(TASKS, manifest={"analysis": PLAN})
     found = meta_analyse(planned, lab(TASKS), lab(TASKS))
@@ -233,6 +235,10 @@ def test_contrasts_of_plans_are_combined_beside_the_pairs(lab):
     assert contrast.label == "Idle needs less than half of both."
     assert contrast.difference.random.estimate == pytest.approx(-10, abs=2)
     assert "differs from zero on average" in contrast.conclusion
+    other = lab({"Video": 30.0, "Network": 20.0, "Nothing": 20.0}, factor="Job")
+    renamed = lab({"Video": 30.0, "Network": 20.0, "Nothing": 20.0}, factor="Job", manifest={"analysis": JOBS})
+    *_, contrast = meta_analyse(renamed, other, same=["Task=Job", "Idle=Nothing"]).measure("Energy").effects
+    assert (contrast.factor, contrast.weights) == ("Task", {"Idle": 2.0, "Video": -1.0, "Network": -1.0})
 
 
 def test_an_experiment_is_analysed_as_its_own_plan_has_it(make_folder):
@@ -366,7 +372,9 @@ def test_what_contradicts_itself_is_found(lab):
         lambda effect: effect["difference"]["common"]["interval"].update(low=-9.0, high=99.0),
         lambda effect: effect["difference"]["random"].update(estimate=99.0),
         lambda effect: effect["difference"].update(prediction=None),
-        lambda effect: effect["difference"]["heterogeneity"].update(p_value=1e-9),
+        lambda effect: effect["difference"]["heterogeneity"].update(
+            p_value=0.9 if effect["difference"]["heterogeneity"]["p_value"] < 0.05 else 1e-9
+        ),
         lambda effect: effect["difference"]["heterogeneity"].update(i_squared=77.7),
         lambda effect: effect["difference"].update(random_weights=[0.5, 0.5, 0.5]),
         lambda effect: effect["experiments"][0].update(g=-1.0),

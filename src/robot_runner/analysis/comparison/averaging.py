@@ -185,14 +185,21 @@ def _questions(
             missing.append(NotComputed(f"pairs of {factor}", why))
             continue
         yield from (_Question(factor, ((one, 1.0), (other, -1.0))) for one, other in combinations(levels, 2))
-    asked: dict[frozenset[tuple[str, float]], _Question] = {}
-    for each in experiments:
-        for hypothesis in each.results.plan.hypotheses if each.results.plan else ():
-            weights = tuple((hypothesis.contrast or {}).items())
-            is_pair = sorted(weight for _, weight in weights) == [-1.0, 1.0]
-            if weights and not is_pair and hypothesis.measure == choice.columns.get(each.name):
-                asked.setdefault(frozenset(weights), _Question(hypothesis.factors[0], weights, hypothesis.statement))
-    yield from (question for question in asked.values() if question.factor in shared)
+    asked = {
+        frozenset(each.weights): each for experiment in reversed(experiments) for each in _planned(experiment, choice)
+    }
+    yield from (question for question in reversed(asked.values()) if question.factor in shared)
+
+
+def _planned(experiment: Experiment, choice: MeasureChoice) -> Iterator[_Question]:
+    """Yield the contrasts of several treatments that hypotheses of an experiment's plan name."""
+    names = experiment.new_names
+    for hypothesis in experiment.results.plan.hypotheses if experiment.results.plan else ():
+        weights = tuple((names.get(name, name), weight) for name, weight in (hypothesis.contrast or {}).items())
+        is_pair = sorted(weight for _, weight in weights) == [-1.0, 1.0]
+        if weights and not is_pair and hypothesis.measure == choice.columns.get(experiment.name):
+            (factor,) = hypothesis.factors
+            yield _Question(names.get(factor, factor), weights, hypothesis.statement)
 
 
 def _answer(question: _Question, of: _Estimated, alpha: float) -> EffectIn | None:
