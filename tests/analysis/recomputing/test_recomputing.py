@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 from tests.analysis.made_experiment import make_experiment
 
+from robot_runner import AnalysisPlan, Estimand
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.recomputing.fact_finding import facts_of_study
 from robot_runner.analysis.recomputing.literals import _templates
@@ -259,3 +260,12 @@ def test_the_command_writes_both_beside_the_report(robot_runner: Any, tmp_path: 
     assert "robot_runner" not in code
     assert "CPU" not in code
     assert "level=0.99" in code
+
+
+def test_another_plan_is_followed_as_the_report_follows_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = AnalysisPlan(measures=["Energy"], estimand=Estimand.RANK)
+    folder = experiment(tmp_path, "three treatments")
+    (notebook,) = write_recomputations(folder, [Recomputation.NOTEBOOK], plan=plan)
+    told = executed(notebook, monkeypatch)
+    assert "numbers agree" in told
+    assert "Comparisons of ranks." in notebook.read_text(encoding="utf-8")
