@@ -21,11 +21,12 @@ import numpy as np
 import pytest
 from tests.analysis.made_experiment import make_experiment
 
+from robot_runner import AnalysisPlan, Estimand
 from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.recomputing.fact_finding import facts_of_study
 from robot_runner.analysis.recomputing.literals import _templates
 from robot_runner.analysis.recomputing.notebook import notebook as notebook_of
 from robot_runner.analysis.recomputing.r_script import r_script
-from robot_runner.analysis.recomputing.fact_finding import facts_of_study
 from robot_runner.analysis.recomputing.recomputations import Recomputation, write_recomputations
 from robot_runner.analysis.report.document import plain
 from robot_runner.core.design.factor import Factor
@@ -80,7 +81,12 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
     "replicated blocks": ([MAPS, Factor("Room", ["a", "b", "c", "d", "e"])], 2, set(), {"blocks": "Room"}),
     "ranks": ([TASKS], 5, set(), {"analysis": {"measures": ["Energy"], "estimand": "rank"}}),
     "trimmed means": ([TASKS], 6, set(), {"analysis": {"measures": ["Energy"], "estimand": "trimmed mean"}}),
-    "ANOVA-type": ([TASKS], 5, set(), {"analysis": {"measures": ["Energy"], "statistic": "anova-type"}}),
+    "ANOVA-type, large differences": (
+        [TASKS],
+        5,
+        set(),
+        {"analysis": {"measures": ["Energy"], "statistic": "anova-type"}},
+    ),
     "a run in a cell": ([TASKS, MAPS], 2, {1, 4}, {}),
     "odd names": ([Factor(EVIL, EVILS), Factor("is on", [True, False])], 2, set(), {}),
 }
@@ -101,7 +107,7 @@ def experiment(folder: Path, name: str) -> Path:
 
     def values(treatments: dict[str, Any], repetition: int) -> dict[str, Any] | None:
         effect = sum(at[str(treatments[each])] for each, at in places.items())
-        energy = 50 + 1.5 * effect + repetition % 3 + (1 + effect % 2) * random.normal()
+        energy = 50 + (20 if "large" in name else 1.5) * effect + repetition % 3 + (1 + effect % 2) * random.normal()
         return None if next(runs) in missing else {"Energy": float(energy), "CPU": float(random.lognormal())}
 
     made = make_experiment(
@@ -254,3 +260,12 @@ def test_the_command_writes_both_beside_the_report(robot_runner: Any, tmp_path: 
     assert "robot_runner" not in code
     assert "CPU" not in code
     assert "level=0.99" in code
+
+
+def test_another_plan_is_followed_as_the_report_follows_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = AnalysisPlan(measures=["Energy"], estimand=Estimand.RANK)
+    folder = experiment(tmp_path, "three treatments")
+    (notebook,) = write_recomputations(folder, [Recomputation.NOTEBOOK], plan=plan)
+    told = executed(notebook, monkeypatch)
+    assert "numbers agree" in told
+    assert "Comparisons of ranks." in notebook.read_text(encoding="utf-8")

@@ -6,9 +6,9 @@ from datetime import UTC, datetime
 from enum import Enum
 from typing import TYPE_CHECKING
 
+from robot_runner.analysis.recomputing.fact_finding import facts_of_study
 from robot_runner.analysis.recomputing.notebook import notebook
 from robot_runner.analysis.recomputing.r_script import r_script
-from robot_runner.analysis.recomputing.fact_finding import facts_of_study
 from robot_runner.analysis.report.writing import made_by
 from robot_runner.analysis.results import Results, load_results
 from robot_runner.core.storage.layout import ExperimentFolder
