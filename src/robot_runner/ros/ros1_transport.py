@@ -73,7 +73,7 @@ class Ros1Transport:
     def advertise(self, topic: str, message_type: str, qos: Qos) -> _Publisher:
         """Return a publisher, once the subscribers that are there already are connected."""
         self._check_type(topic, message_type)
-        subscribers = len(self._master.state().subscribers.get(topic, ()))
+        subscribers = len(list(self.subscribers(topic)))  # of those that are alive: nobody else would connect
         return _Publisher(self._rospy, topic, message_class(message_type), qos, subscribers)
 
     def subscribe(
