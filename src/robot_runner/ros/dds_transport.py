@@ -114,9 +114,11 @@ class DdsTransport:
         return map(self._endpoint, self._session.graph.writers(wire_topic(topic)))
 
     def subscribers(self, topic: str) -> Iterable[GraphEndpoint]:
-        """Return who subscribes a topic."""
-        self._session.settle(lambda: False)
-        return map(self._endpoint, self._session.graph.readers(wire_topic(topic)))
+        """Return who subscribes a topic; on a graph that was just joined, as soon as there is anybody else."""
+        wire, own = wire_topic(topic), self._session.guid
+        # Who has to stop a robot must not wait until everybody on the graph is discovered.
+        self._session.settle(lambda: any(reader.participant != own for reader in self._session.graph.readers(wire)))
+        return map(self._endpoint, self._session.graph.readers(wire))
 
     def _endpoint(self, found: Endpoint) -> GraphEndpoint:
         is_own = found.participant == self._session.guid

@@ -13,6 +13,7 @@ from robot_runner.core.links.connect import connect_robot
 from robot_runner.core.plugin import System
 from robot_runner.core.treatments import factors_of
 from robot_runner.ros.turtlebot3.mission import CircularMission, Performer, PhaseLog
+from robot_runner.ros.turtlebot3.motion import Wheels
 from robot_runner.ros.turtlebot3.odometry import Odometer, Trajectory
 from robot_runner.ros.turtlebot3.steered_robot import Robot, Task
 
@@ -187,6 +188,7 @@ class BasicTurtlebot3(System):
     def make_safe(self, context: RobotRunnerContext) -> None:
         """Stop wheels and tasks, also in a process that has not been connected to the robot before."""
         link = connect_robot(context, namespace=self.namespace)
+        Wheels(link, namespace=self.namespace).command(0.0, 0.0)  # before anything that has to ask the graph first
         odometer = Odometer(context.clock, timeout=self.odometry_timeout_s, where=self.name)
         Robot(link, odometer, context.clock, namespace=self.namespace).close()
 

@@ -57,9 +57,9 @@ class Wheels:
         self._link.publish(COMMAND_TOPIC, message_type, velocity_command(message_type, speed, rate))
 
     def _subscribed_type(self) -> str:
-        subscribed = self._link.topics().get(self._topic)
-        if subscribed in VELOCITY_COMMANDS:
-            self._type = subscribed
+        told = {each.message_type for each in self._link.subscribers(self._topic) if not each.is_own}
+        if subscribed := told & VELOCITY_COMMANDS:
+            self._type = min(subscribed)  # of both, the one that every robot takes
         # Where it is another type, publishing says so; where there is none yet, it is asked for again next time.
         return self._type or TWIST
 
