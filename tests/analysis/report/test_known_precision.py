@@ -83,11 +83,11 @@ def test_the_report_says_what_was_asked_for_and_what_becomes_of_the_tests(tmp_pa
     page = report(made(tmp_path / "made", Precision("Energy", half_width="5 %", at_most=30)), ReportFormat.MARKDOWN)
     assert "at least 5, at most 30 repetitions; 8 repetitions in the end" in page
     assert "(4 of 4 means precise)" in page
-    assert "in up to 8 % where spreads differ" in page
+    assert "up to 8 % (where spreads differ)" in page
     assert "differences between treatments, compared within repetitions" in page
     rule = Precision("Energy", half_width="5 %", at_most=30, of="differences")
     careful = report(made(tmp_path / "careful", rule, least=10), ReportFormat.MARKDOWN)
-    assert "find differences that are none in 3.5 to 6.5 %" in careful
+    assert "at 5 %, 3.5 to 6.5 % of experiments without a difference show one" in careful
 
 
 def test_values_that_the_plan_leaves_out_are_left_out_of_the_precision(tmp_path: Path) -> None:

@@ -275,7 +275,10 @@ def test_odometry_that_jumps_fails_the_run(stage):
     assert played.robot.stands_still
 
 
-def test_messages_of_the_odometry_that_are_lost_are_no_jump(stage):
+@pytest.mark.parametrize("is_stamped", [True, False], ids=["with stamps", "without"])
+def test_messages_of_the_odometry_that_are_lost_are_no_jump(stage, monkeypatch, is_stamped):
+    if not is_stamped:
+        monkeypatch.setattr("robot_runner.ros.turtlebot3.odometry._stamp_in", lambda _: (0, 0))
     played = stage(drive_s=6.0, odometry_timeout_s=3.0)
     played.clock.at(1000.0 + 2.0, lambda: setattr(played.robot, "odometry_ends_at", 0.0))
     played.clock.at(1000.0 + 4.0, lambda: setattr(played.robot, "odometry_ends_at", 2000.0))

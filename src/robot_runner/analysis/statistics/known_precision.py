@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 __all__ = ["KnownPrecision", "known_precisions", "level_of_looks", "repeated_interval"]
 
-#: With as many repetitions at the first look, tests where an experiment stopped find no more than 6.5 % of differences
-#: that are none; with 5, up to 8 % where spreads differ (`python -m benchmarks statistics`).
+#: With as many repetitions at the first look, tests where an experiment stopped are wrong in no more than 6.5 % of
+#: experiments without a difference; with 5, in up to 8 % where spreads differ (`python -m benchmarks statistics`).
 _FIRST_LOOK_FOR_TESTS = 10
 
 
@@ -140,11 +140,11 @@ def _sentence(measure: str, asked: str, least: int, judged: list[Judgement]) -> 
     sized = (
         "3.5 to 6.5 %"
         if least >= _FIRST_LOOK_FOR_TESTS
-        else f"up to 8 % where spreads differ, as the first look was after {least} repetitions"
+        else f"as the first look was after {least} repetitions, up to 8 % (where spreads differ)"
     )
     return (
         f"Combinations were repeated {asked}. After {judged[0].repetitions}, {reached}. Student's intervals hold less "
         f"often than they say after that (92 %), so those of the means of {measure} are repeated confidence intervals: "
         f"each has a level of {level}, with which all looks together hold at 95 %. Tests and their p-values take no "
-        f"account of the looks: at 5 % they find differences that are none in {sized}."
+        f"account of the looks: at 5 %, {sized} of experiments without a difference show one."
     )

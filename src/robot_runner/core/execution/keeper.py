@@ -214,6 +214,7 @@ class _KeeperProcess:
         kill_group(self._run, _spared(self._folder))
         if self._standby is not None:
             self._standby.wait()
+            self._standby.look_after(self._run)  # it may have been killed, and the orchestrator as well
         self._end_orphans()
         with suppress(BrokenPipeError):  # the orchestrator is gone
             os.write(self._tell, _bytes(status))

@@ -99,9 +99,11 @@ class Odometer:
         pose = _pose_in(message)
         stamp = _stamp_in(message)
         if self._pose is not None:
-            step, seconds = self._pose.distance_to(pose), _seconds_between(self._stamp, stamp)
+            # The stamps count, as messages may come in bursts; or their arrival, where a robot sends none.
+            seconds = max(_seconds_between(self._stamp, stamp), self._clock.now() - self._received_at)
+            step = self._pose.distance_to(pose)
             self._travelled += step
-            if self._jump is None and step > _ROOM + _FASTEST * max(0.0, seconds):
+            if self._jump is None and step > _ROOM + _FASTEST * seconds:
                 self._jump = step, seconds
         self._pose, self._received_at = pose, self._clock.now()
         self._steps_back += stamp < self._stamp
