@@ -106,6 +106,19 @@ def test_where_the_run_and_all_who_watch_over_it_are_killed_the_process_that_sta
     assert calls(experiment) == [[str(standby), "r_1", "Video"]]
 
 
+def test_a_restart_waits_for_the_process_that_makes_the_systems_of_the_killed_run_safe(
+    lamp: Callable[..., Any], start: Start
+) -> None:
+    lasting = "time.sleep(2); (HERE / 'done').touch()"
+    mission = "assert (HERE / 'done').exists() or time.sleep(60)"
+    experiment = lamp(make_safe=lasting, mission=mission)
+    kill(experiment.run_process(), experiment.keeper(), experiment.process.pid)
+    experiment.wait_for("made_safe")
+    again = start(config=experiment.config)
+    assert again.end() == 0, again.output
+    assert "its systems were still being made safe" in again.output
+
+
 def test_a_system_that_nobody_could_make_safe_is_told_in_capitals(lamp: Callable[..., Any]) -> None:
     experiment = lamp(make_safe="raise OSError('the cable is out')")
     kill(experiment.run_process())

@@ -18,6 +18,7 @@ from robot_runner.core.execution.left_over import await_left_over
 from robot_runner.core.execution.recovery import selected_places, with_session_warm_ups
 from robot_runner.core.execution.repeating import Repeating
 from robot_runner.core.execution.run_findings import UnreadFactors, missing_measures
+from robot_runner.core.execution.standby import await_standby
 from robot_runner.core.execution.table_on_disk import TableOnDisk
 from robot_runner.core.execution.table_recovery import recover_table, texts_of
 from robot_runner.core.execution.task import AttemptStatus, PendingRun, RunOutcome, RunTask, seed_of_run
@@ -87,7 +88,7 @@ class ProgressManager:
             opened.callback(forget_pause, self._folder.pause)  # of no use to the next session
             forget_pause(self._folder.pause)  # of one that was killed
             left_over = await_left_over(self._folder, self._experiment.parameters.grace_in_s)
-            self._findings += [left_over] if left_over is not None else []
+            self._findings += [each for each in (left_over, await_standby(self._folder)) if each is not None]
             accept_changes = self._resumption.accept_changes
             self._manifest, odd = begun_manifest(self._experiment, accept_changes=accept_changes)
             self._findings += odd

@@ -7,6 +7,7 @@ the run's death. It needs nobody for that: it acts as well where keeper and orch
 
 from __future__ import annotations
 
+import fcntl
 import os
 import select
 import signal
@@ -15,6 +16,7 @@ from contextlib import ExitStack, closing, suppress
 from functools import partial
 from typing import TYPE_CHECKING, NoReturn
 
+from robot_runner.core.errors import Finding
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.execution.processes import forked, settle_streams
@@ -31,8 +33,9 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.task import RunTask
+    from robot_runner.core.storage.layout import ExperimentFolder
 
-__all__ = ["Standby", "standby_of"]
+__all__ = ["Standby", "await_standby", "standby_of"]
 
 #: How long the standby may take from the run's death on, s: to find a robot's nodes takes tenths, and 5 s where one is
 #: switched off.
@@ -48,15 +51,23 @@ class Standby:
         prepare: imports what reaches them; what it raises is passed over.
         make_safe: makes them safe, in a process that was not connected to them before.
         names: of the systems, for findings.
+        folder: the experiment's; who executes it next waits for this process.
 
     Attributes:
         state: what its processes tell each other.
     """
 
-    def __init__(self, prepare: Callable[[], object], make_safe: Callable[[], object], names: Sequence[str]) -> None:
+    def __init__(
+        self,
+        prepare: Callable[[], object],
+        make_safe: Callable[[], object],
+        names: Sequence[str],
+        folder: ExperimentFolder,
+    ) -> None:
         self._prepare = prepare
         self._make_safe = make_safe
         self._names = names
+        self._folder = folder
         self._pid = 0
         self.state = SystemsState()
 
@@ -102,6 +113,8 @@ class Standby:
 
     def _stand_by(self, run: int) -> NoReturn:
         try:
+            with suppress(OSError):  # a folder that was removed
+                _lock(self._folder)
             with suppress(Exception):  # the run fails for the same reason, and says so
                 self._prepare()
             _ends(run)
@@ -120,6 +133,49 @@ class Standby:
             self.state.set(Care.MADE_SAFE)
 
 
+def await_standby(folder: ExperimentFolder) -> Finding | None:
+    """Wait until nobody of an earlier execution makes its systems safe; kill who does so for too long.
+
+    Two processes must not command one robot. Where all of an execution was killed, its standby may still be at work
+    when the next one begins.
+
+    Returns:
+        that it was waited for, and how long; None where nobody stood by.
+    """
+    began = time.monotonic()
+    while (pid := _locked_by(folder)) is not None:
+        if time.monotonic() - began > _LONGEST:
+            with suppress(ProcessLookupError, PermissionError):
+                os.kill(pid, signal.SIGKILL)
+        time.sleep(_LOOK)
+    waited = time.monotonic() - began
+    if waited < _LOOK:
+        return None
+    problem = f"an earlier execution was killed; its systems were still being made safe, which took {waited:.1f} s"
+    return Finding.warning(str(folder.root), problem, "Look where the robot stands.")
+
+
+def _lock(folder: ExperimentFolder) -> None:
+    """Hold the lock of `standing_by` until this process ends, as its descriptor stays open."""
+    descriptor = os.open(folder.standing_by, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    os.ftruncate(descriptor, 0)
+    os.pwrite(descriptor, str(os.getpid()).encode(), 0)
+    fcntl.flock(descriptor, fcntl.LOCK_SH)
+
+
+def _locked_by(folder: ExperimentFolder) -> int | None:
+    """Return the process that stands by; None where nobody does."""
+    try:
+        with folder.standing_by.open(encoding="ascii") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                return int(file.read())
+    except (OSError, ValueError):
+        return None
+    return None
+
+
 def standby_of(experiment: Experiment, task: RunTask) -> Standby | None:
     """Return the standby of a run; None where nothing outlives it that would have to be made safe.
 
@@ -130,7 +186,9 @@ def standby_of(experiment: Experiment, task: RunTask) -> Standby | None:
     if not systems or is_simulated(robot):
         return None
     names = [system.name for system in systems]
-    return Standby(partial(preload_robot, robot), partial(_make_safe, experiment, systems, task), names)
+    return Standby(
+        partial(preload_robot, robot), partial(_make_safe, experiment, systems, task), names, experiment.folder
+    )
 
 
 def _make_safe(experiment: Experiment, systems: Sequence[System], task: RunTask) -> None:

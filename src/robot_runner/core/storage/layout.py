@@ -143,6 +143,11 @@ class ExperimentFolder:
         return self.root / ".alive"
 
     @property
+    def standing_by(self) -> Path:
+        """Locked by the process that stands by to make the systems of a run safe; it has that process's id."""
+        return self.root / ".standing_by"
+
+    @property
     def outliving(self) -> Path:
         """The processes that may outlive the run that started them."""
         return self.root / ".outliving"
