@@ -15,4 +15,4 @@ lock() {
 mkdir -p requirements
 lock requirements/test.txt --extra dev
 # Within the versions of the tests, so that `make test` after `make demo` changes none.
-lock requirements/demo.txt --extra sim --constraint requirements/test.txt
+lock requirements/demo.txt --extra sim --extra replication --constraint requirements/test.txt
