@@ -15,6 +15,7 @@ from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.standby import standby_of
 from robot_runner.core.execution.task import FINISHED, RecordReader
 from robot_runner.core.execution.worker import be_run, become_interpreter
+from robot_runner.core.links.connect import preload_simulation
 from robot_runner.core.storage.layout import LazyLog
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ def executor_for(experiment: Experiment) -> Executor:
     """Return the executor that the config's `run_process` asks for."""
     match experiment.parameters.run_process:
         case RunProcess.FORK:
+            preload_simulation(experiment.parameters.robot)
             return _ProcessExecutor(experiment, be_run)
         case RunProcess.SPAWN:
             return _ProcessExecutor(experiment, become_interpreter)
