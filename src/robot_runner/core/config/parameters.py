@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 from robot_runner.core.config.gate_parameters import Gate, Guard
 from robot_runner.core.config.parameter_kinds import (
     AUTHORS,
+    CLAIMS,
     FLAG,
     HOSTS,
     LICENCE,
@@ -30,6 +31,7 @@ from robot_runner.core.config.parameter_kinds import (
     SECONDS,
     SMOKE,
     TEXT,
+    WORKERS,
     Kind,
     choice,
     instances,
@@ -229,6 +231,19 @@ class StaticParameters:
         "orchestrator itself (IN_PROCESS).",
         choice(RunProcess),
         RunProcess.FORK,
+    )
+    workers: int | str = _declare(
+        'How many runs this machine executes at the same time: a number, or "auto" for as many as it has cores. Runs '
+        "that claim the same thing never overlap.",
+        WORKERS,
+        1,
+    )
+    claims: Sequence[str] | None = _declare(
+        "What the config's own callbacks need for themselves in a run, such as `serial:/dev/ttyUSB0`; an empty list "
+        "where runs may go on side by side. None is this whole machine (`host:localhost`), and nothing where the robot "
+        "is simulated.",
+        CLAIMS.or_none(),
+        None,
     )
     gates: Sequence[Gate] = _declare(
         "What must hold before each attempt at a run: conditions that are awaited, one after another.",
