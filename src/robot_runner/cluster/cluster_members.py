@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import os
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -38,7 +39,8 @@ class Member:
         name: what it was called when it was started, or its address.
         threads: how many runs it executes at a time.
         resources: what it was started with, as in `--resources "robot:alice=1"`.
-        id: tells it from another one that is started at the same address.
+        id: of the part that it takes in the experiment; another worker at the same address has another, and so has this one
+            once it was lost.
         host: the name of its machine.
         renewed: when it was asked last to renew its lease, s on the monotonic clock.
     """
@@ -96,11 +98,12 @@ async def joined(client: Client, member: Member, facts: Mapping[str, Any]) -> li
         problem = f"Robot Runner cannot be used there: {error}"
         fix = "Install it there as it is here (with the extra `cluster`), and start the worker again."
         return [_plain(Finding.warning(f"worker {member.name}", problem, fix))]
-    member.id, member.host = described["id"], described["host"]
+    member.host = described["host"]
     if found := compared(described_versions(), described["versions"], member.name):
         return [_plain(each) for each in found]
-    answered = await answer_of(client, member, lease * 4, on_worker.join, facts["worker_facts"])
-    is_shared = _is_answered(Path(facts["root"]), answered)
+    member.id = os.urandom(8).hex()
+    answered = await answer_of(client, member, lease * 4, on_worker.join, {**facts["worker_facts"], "id": member.id})
+    is_shared = _is_answered(Path(facts["root"]), answered) and facts["in_place"]
     await answer_of(client, member, lease, _settle, facts["session"], is_shared)
     member.has_joined = True
     return []

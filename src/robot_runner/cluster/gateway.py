@@ -23,10 +23,13 @@ import json
 import os
 import sys
 import time
+from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import dask.config
+from dask.utils import parse_timedelta
 from distributed import Client
 
 from robot_runner.cluster import on_worker
@@ -74,8 +77,9 @@ class Gateway:
     """Speaks to the cluster.
 
     Args:
-        facts: `address`, `session`, `root` of the experiment's folder, `runs` in it, `lease`, `closing` (how long the
-            end of a run may take once it is asked to stop, s), and what workers are told (`worker_facts`).
+        facts: `address`, `session`, `root` of the experiment's folder, `runs` in it, `closing` (how long the end of a run
+            may take once it is asked to stop, s), what workers are told (`worker_facts`), and the settings of `lease`
+            and `patience`, both in s, and `in_place`.
         requests: a descriptor from which the orchestrator's requests are read.
         replies: a descriptor that takes what is told to it.
     """
@@ -117,7 +121,7 @@ class Gateway:
                 self._facts["address"], asynchronous=True, set_as_default=False, timeout=self._facts["lease"]
             ) as self._client:
                 self._client.subscribe_topic(on_worker.TOPIC, self._take_event)
-                self._replies.tell("connected", {})
+                self._replies.tell("connected", {name: self._facts[name] for name in ("lease", "patience")})
                 while True:
                     await self._look_for_workers(self._client)
                     await asyncio.sleep(max(_LOOK, len(self._members) / _WORKERS_A_SECOND))
@@ -188,7 +192,7 @@ class Gateway:
         assert attempt.future is not None  # noqa: S101 - it was submitted
         try:
             error = await attempt.future.exception()
-        except (asyncio.CancelledError, OSError) as cancelled:
+        except (asyncio.CancelledError, CancelledError, OSError) as cancelled:
             error = cancelled
         if error is None:
             await asyncio.sleep(_LATE)
@@ -224,8 +228,8 @@ class Gateway:
     async def _end(self, attempt: _Attempt, ended: dict[str, Any]) -> None:
         """Bring home what an attempt has left, and tell that it is over."""
         if "lost" in ended:
-            self._replies.tell("aside", {"address": attempt.member.address, "because": ended["lost"]})
-            await self._tell_lost(attempt, ended["lost"])
+            self._replies.tell("aside", {"worker": attempt.member.id, "because": ended["lost"]})
+            await self._tell_lost(attempt, ended["lost"], is_certain=not ended.get("has_begun", True))
             return
         over = {name: ended[name] for name in ("because", "is_interrupted", "seconds")} | {"skipped": ended.get("skipped", [])}
         if ended.get("files"):
@@ -266,15 +270,16 @@ class Gateway:
             return
         member.is_lost = True
         if member.has_joined:
-            self._replies.tell("gone", {"address": member.address, "worker": member.id, "because": because})
+            self._replies.tell("gone", {"worker": member.id, "name": member.name, "because": because})
         for attempt in [each for each in self._attempts.values() if each.member is member]:
             self._go_on(self._tell_lost(attempt, because))
 
-    async def _tell_lost(self, attempt: _Attempt, because: str) -> None:
+    async def _tell_lost(self, attempt: _Attempt, because: str, *, is_certain: bool = False) -> None:
+        """Tell that an attempt is lost, once its run has ended in any case; at once where it has not begun for certain."""
         if attempt.is_over:
             return
         attempt.is_over = attempt.is_ending = True
-        end = attempt.member.renewed + self._facts["lease"] + self._facts["closing"]
+        end = 0.0 if is_certain else attempt.member.renewed + self._facts["lease"] + self._facts["closing"]
         while time.monotonic() < end and not attempt.is_killed:
             await asyncio.sleep(min(0.1, max(0.0, end - time.monotonic())))
         self._forget(attempt)
@@ -349,7 +354,19 @@ def main(requests: int, replies: int) -> None:
         if not begun[1]:
             return
         time.sleep(0.01)
-    asyncio.run(_served(begun[0][0][1], requests, replies))
+    asyncio.run(_served(_with_settings(begun[0][0][1]), requests, replies))
+
+
+def _with_settings(facts: dict[str, Any]) -> dict[str, Any]:
+    """Add what is set in Dask's own configuration, under `robot-runner`."""
+    set_here = {"lease": "30s", "patience": "5m", "in-place": True} | dask.config.get("robot-runner", {})
+    lease = parse_timedelta(set_here["lease"])
+    return facts | {
+        "lease": lease,
+        "patience": parse_timedelta(set_here["patience"]),
+        "in_place": bool(set_here["in-place"]),
+        "worker_facts": facts["worker_facts"] | {"lease": lease},
+    }
 
 
 async def _served(facts: Mapping[str, Any], requests: int, replies: int) -> None:

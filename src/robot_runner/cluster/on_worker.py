@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from distributed import Worker
 
-__all__ = ["TOPIC", "describe", "discard", "execute", "join", "leave", "read_piece", "renew", "stop"]
+__all__ = ["TOPIC", "describe", "discard", "execute", "join", "leave", "read_piece", "renew", "settle", "stop"]
 
 #: What workers tell of runs goes through the scheduler under this topic, which keeps the last thousand messages of it.
 TOPIC = "robot-runner"
@@ -41,16 +41,16 @@ _CLOSING = 30.0
 _sessions: dict[str, _Session] = {}
 
 
-def describe(dask_worker: Worker) -> dict[str, Any]:
-    """Return what tells this worker from another that is started at the same address, and its versions."""
-    return {"id": dask_worker.id, "host": os.uname().nodename, "versions": described_versions()}
+def describe() -> dict[str, Any]:
+    """Return the name of this machine, and its versions."""
+    return {"host": os.uname().nodename, "versions": described_versions()}
 
 
 def join(facts: Mapping[str, Any], dask_worker: Worker) -> dict[str, Any]:
     """Begin to take part in an experiment; what is left of a time before is ended.
 
     Args:
-        facts: `session`, `snapshot`, `probe` with its `path` and `digest`, `runs`, and `lease` in s.
+        facts: `session`, the `id` of the part that this worker takes in it, `snapshot`, `probe` with its `path` and `digest`, `runs`, and `lease` in s.
         dask_worker: given by Dask.
 
     Returns:
@@ -101,7 +101,7 @@ def execute(order: dict[str, Any]) -> None:
     """Execute one attempt at a run: a task of Dask. What happens is told under the topic, and nothing is returned.
 
     Args:
-        order: `session`, `token` of the attempt, `worker` that is meant, and the `task`.
+        order: `session`, `token` of the attempt, the id of the `worker` that is meant, and the `task`.
 
     Raises:
         RuntimeError: it is refused: another worker was meant, or this attempt was begun before.
@@ -110,9 +110,9 @@ def execute(order: dict[str, Any]) -> None:
 
     worker = get_worker()
     session = _sessions.get(order["session"])
-    if session is None or worker.id != order["worker"]:
+    if session is None or session.id != order["worker"]:
         # Dask gives the tasks of a worker that it has lost to another one that listens at the same address.
-        raise RuntimeError("the order was given to a worker that is gone")
+        raise RuntimeError("the order was meant for a worker that was lost")
     session.execute(order, lambda message: worker.log_event(TOPIC, message))
 
 
@@ -120,7 +120,8 @@ class _Session:
     """The part that a worker takes in one experiment."""
 
     def __init__(self, facts: Mapping[str, Any], local: Path) -> None:
-        self.folder = local / f"robot-runner-{facts['session']}"
+        self.id: str = facts["id"]
+        self.folder = local / f"robot-runner-{self.id}"
         self.folder.mkdir(mode=0o700)
         self._facts = facts
         self._lock = threading.Lock()
@@ -273,7 +274,7 @@ class _HostProcess:
                 self.is_alive = False
                 code = self._process.wait()
                 because = f"the process that executed it ended with code {code}"
-                return {"lost": "; ".join(self._refused) or because, "refuses": bool(self._refused)}
+                return {"lost": "; ".join(self._refused) or because, "has_begun": not self._refused}
             outgoing.send_if_due()
 
     def let_go(self) -> None:

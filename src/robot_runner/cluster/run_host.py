@@ -22,6 +22,7 @@ import sys
 import time
 import traceback
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -126,9 +127,10 @@ class _Host:
         self._token, self._lease = order["token"], order["until"]
         room = shutil.disk_usage(self._folder).free
         if room < _ROOM:
-            self._tell("ended", {"lost": f"the worker's disk is full: {room / 1e6:.0f} MB are left"})
+            lost = f"the worker's disk is full: {room / 1e6:.0f} MB are left"
+            self._tell("ended", {"lost": lost, "has_begun": False})
             return
-        self._task = task = task_of(self._experiment, order["task"])
+        self._task = task = replace(task_of(self._experiment, order["task"]), slot=1)  # of this machine
         for plugin in self._experiment.plugins:  # which the orchestrator has done as well
             bind(plugin, task.combination)
         self._is_stopped = False
