@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AUTHORS",
+    "CLAIMS",
     "CLUSTER",
     "FLAG",
     "HOSTS",
@@ -39,6 +40,7 @@ __all__ = [
     "SECONDS",
     "SMOKE",
     "TEXT",
+    "WORKERS",
     "Kind",
     "choice",
     "instances",
@@ -189,6 +191,17 @@ SMOKE = Kind(
     dict,
 )
 TEXT = Kind("a text", _is_text)
+CLAIMS = Kind(
+    'a list of texts such as "serial:/dev/ttyUSB0"; from outside, separated by commas',
+    lambda value: isinstance(value, list | tuple) and all(map(_is_text, value)),
+    lambda text: [name.strip() for name in text.split(",") if name.strip()],
+    tuple,
+)
+WORKERS = Kind(
+    'a whole number, 1 or more, or "auto"',
+    lambda value: value == "auto" or (_is_integer(value) and value >= 1),
+    lambda text: int(text) if text.strip().isdecimal() else text.strip().casefold(),
+)
 OPERATOR_STEPS = replace(
     instances(OperatorStep, "a list of OperatorStep(...) in the config file; from outside, none"),
     from_text=lambda text: () if text.casefold() == "none" else _not_from_text(text),

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 from robot_runner.core.config.gate_parameters import Gate, Guard
 from robot_runner.core.config.parameter_kinds import (
     AUTHORS,
+    CLAIMS,
     CLUSTER,
     FLAG,
     HOSTS,
@@ -31,6 +32,7 @@ from robot_runner.core.config.parameter_kinds import (
     SECONDS,
     SMOKE,
     TEXT,
+    WORKERS,
     Kind,
     choice,
     instances,
@@ -230,6 +232,19 @@ class StaticParameters:
         "orchestrator itself (IN_PROCESS).",
         choice(RunProcess),
         RunProcess.FORK,
+    )
+    workers: int | str = _declare(
+        'How many runs this machine executes at the same time: a number, or "auto" for as many as it has cores. Runs '
+        "that claim the same thing never overlap.",
+        WORKERS,
+        1,
+    )
+    claims: Sequence[str] | None = _declare(
+        "What the config's own callbacks need for themselves in a run, such as `serial:/dev/ttyUSB0`; an empty list "
+        "where runs may go on side by side. None is this whole machine (`host:localhost`), and nothing where the robot "
+        "is simulated.",
+        CLAIMS.or_none(),
+        None,
     )
     cluster: str | None = _declare(
         "The scheduler of the Dask cluster whose workers execute the runs, such as tcp://scheduler:8786; None executes "

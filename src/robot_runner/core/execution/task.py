@@ -60,6 +60,8 @@ class RunTask:
         run_seed: a seed for this run alone, the same each time that it is executed.
         attempts_left: how often it is tried again where this attempt fails.
         entered: what a person answered about this run, by column.
+        place: where it is executed; empty where there is one place only.
+        slot: the number of the slot of this machine that has its files meanwhile; 0 where none has.
     """
 
     run_id: str
@@ -72,6 +74,8 @@ class RunTask:
     run_seed: int
     attempts_left: int = 0
     entered: Mapping[str, MeasureValue] = field(default_factory=dict)
+    place: str = ""
+    slot: int = 1
 
     @property
     def is_warm_up(self) -> bool:

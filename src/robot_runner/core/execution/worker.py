@@ -9,7 +9,7 @@ import json
 import os
 import signal
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -78,8 +78,9 @@ def _execute(experiment: Experiment, task: RunTask, systems: SystemsState | None
 def _execute_described(description: Mapping[str, Any], report: RecordWriter) -> None:
     experiment = prepare_or_refuse(Path(description["config"]), description["set"])
     restore_revisions(experiment.model.factors, description["revisions"])
-    RunMark(experiment.folder).sign()  # the lock was lost when the process was replaced
     task = task_of(experiment, description["task"])
+    experiment = replace(experiment, folder=experiment.folder.at_slot(task.slot))
+    RunMark(experiment.folder).sign()  # the lock was lost when the process was replaced
     for plugin in experiment.plugins:  # a forked run finds this done
         bind(plugin, task.combination)
     shared = description["systems"]
