@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 __all__ = [
     "AUTHORS",
     "CLAIMS",
+    "CLUSTER",
     "FLAG",
     "HOSTS",
     "LICENCE",
@@ -152,6 +153,11 @@ PATH = Kind(
     Path,
 )
 LINK = Kind('the name of a robot link, such as "simulated"', lambda value: isinstance(value, str) and value != "")
+_SCHEDULER = re.compile(r"(tcp|tls)://(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+):[0-9]{1,5}")
+CLUSTER = Kind(
+    "the address of a Dask scheduler, such as tcp://scheduler:8786 or tls://scheduler:8786",
+    lambda value: isinstance(value, str) and _SCHEDULER.fullmatch(value) is not None,
+)
 ROS_GENERATION = Kind(
     "", lambda value: _is_integer(value) and value in {1, 2}, lambda text: int(text) if text.isdigit() else text
 ).or_any("1, 2, any or None")
