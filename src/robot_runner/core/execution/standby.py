@@ -32,7 +32,7 @@ from robot_runner.core.storage.lock_files import open_to_lock, was_open_to_stran
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from typing import Any
 
     from robot_runner.core.config.experiment import Experiment
@@ -87,22 +87,30 @@ class Standby:
                 os.close(descriptor)
             self._stand_by(run)
 
-    def wait(self) -> None:
+    def wait(self, seconds: float = _LONGEST) -> None:
         """Wait until the process of `begin` has ended, once the run is dead; kill it where it hangs."""
-        if not _ends(self._pid, _LONGEST):
+        if not _ends(self._pid, seconds):
             with suppress(ProcessLookupError):
                 os.kill(self._pid, signal.SIGKILL)
         with suppress(ChildProcessError):  # reaped by who reaps all
             os.waitpid(self._pid, 0)
 
     def look_after(self, run: int) -> None:
-        """Wait for the standby of a run that is dead, and do its work where it was killed: for the orchestrator."""
+        """Wait for the standby of a run that is dead, and do its work where it was killed."""
+        for seconds in self.looked_after(run):
+            time.sleep(seconds)
+
+    def looked_after(self, run: int) -> Iterator[float]:
+        """Do the same step by step, for the orchestrator: yield how long to wait each time, s."""
         deadline = time.monotonic() + _LONGEST
         while self.state.care is Care.STANDBY and time.monotonic() < deadline:
-            time.sleep(_LOOK)
+            yield _LOOK
         if self.state.care is Care.RUN:  # nobody stood by any more, or it has not woken up yet: twice does no harm
             self.begin(run)
-            self.wait()
+            deadline = time.monotonic() + _LONGEST
+            while not _ends(self._pid, 0.0) and time.monotonic() < deadline:
+                yield _LOOK
+            self.wait(0.0)
 
     def finding(self) -> dict[str, Any] | None:
         """Return the fields of a finding on what became of the systems; None where the run made them safe itself."""
@@ -154,23 +162,27 @@ def await_standby(folder: ExperimentFolder) -> Finding | None:
         ExecutionError: it is still there afterwards; that takes another user's process.
     """
     began = time.monotonic()
-    while (pid := _locked_by(folder)) is not None:
-        waited = time.monotonic() - began
-        if waited > _LONGEST:
-            _kill(pid, folder)
-        if waited > _LONGEST + _DYING:
-            problem = (
-                "the systems of an earlier execution are still being made safe, and that cannot be ended from here"
-            )
-            raise ExecutionError(problem, where=str(folder.root), fix=f"End process {pid} by hand.")
-        time.sleep(_LOOK)
-    if was_open_to_strangers(folder.standing_by, folder.root):  # as earlier versions made it
-        remove(folder.standing_by, folder.root)
+    for slot in map(folder.at_slot, folder.used_slots()):
+        _await_at(slot)
     waited = time.monotonic() - began
     if waited < _LOOK:
         return None
     problem = f"an earlier execution was killed; its systems were still being made safe, which took {waited:.1f} s"
     return Finding.warning(str(folder.root), problem, "Look where the robot stands.")
+
+
+def _await_at(slot: ExperimentFolder) -> None:
+    began = time.monotonic()
+    while (pid := _locked_by(slot)) is not None:
+        waited = time.monotonic() - began
+        if waited > _LONGEST:
+            _kill(pid, slot)
+        if waited > _LONGEST + _DYING:
+            problem = "systems of an earlier execution are still being made safe, and that cannot be ended from here"
+            raise ExecutionError(problem, where=str(slot.root), fix=f"End process {pid} by hand.")
+        time.sleep(_LOOK)
+    if was_open_to_strangers(slot.standing_by, slot.root):  # as earlier versions made it
+        remove(slot.standing_by, slot.root)
 
 
 def _kill(pid: int, folder: ExperimentFolder) -> None:
@@ -198,11 +210,8 @@ def _locked_by(folder: ExperimentFolder) -> int | None:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         with suppress(ValueError):
-            pid = int(os.pread(descriptor, _DIGITS, 0))
-            if not was_open_to_strangers(folder.standing_by, folder.root) or has_locked(
-                pid, folder.standing_by.resolve()
-            ):
-                return pid
+            pid, path = int(os.pread(descriptor, _DIGITS, 0)), folder.standing_by
+            return pid if not was_open_to_strangers(path, folder.root) or has_locked(pid, path.resolve()) else None
     finally:
         os.close(descriptor)
     return None

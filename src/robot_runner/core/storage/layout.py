@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import json
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.storage.guarded_files import make_folder, open_descriptor, open_to_append
@@ -44,6 +44,7 @@ class ExperimentFolder:
         root: the experiment's folder.
         runs_name: the folder in it that holds a folder for each run; empty where they stand in the root itself, as the
             earlier tools had them.
+        slot: the number of the slot of this machine that a run is executed at, from 1: each has files of its own.
 
     Example:
         >>> from pathlib import Path
@@ -53,6 +54,7 @@ class ExperimentFolder:
 
     root: Path
     runs_name: str = _RUNS
+    slot: int = 1
     #: One folder a run.
     runs: Path = field(init=False, repr=False, compare=False)
     #: What the run that is being executed has printed so far.
@@ -61,7 +63,24 @@ class ExperimentFolder:
     def __post_init__(self) -> None:
         # Made once: they are asked for in every run, and making a path takes longer than all else there.
         object.__setattr__(self, "runs", self.root / self.runs_name)
-        object.__setattr__(self, "current_log", self.root / "current_log.txt")
+        object.__setattr__(self, "current_log", self.root / f"current_log{self._of_slot}.txt")
+
+    @property
+    def _of_slot(self) -> str:
+        """What the names of a slot's files end in; those of the first one have nothing."""
+        return "" if self.slot == 1 else f"_{self.slot}"
+
+    def at_slot(self, slot: int) -> ExperimentFolder:
+        """Return the same folder with the files of this slot."""
+        return self if slot == self.slot else replace(self, slot=slot)
+
+    def used_slots(self) -> list[int]:
+        """Return the numbers of the slots that have files, the first one always among them."""
+        used = {1}
+        for pattern in ("current_log_*.txt", ".alive_*", ".standing_by_*"):
+            ends = (path.stem.rpartition("_")[2] for path in self.root.glob(pattern))
+            used.update(int(end) for end in ends if end.isdecimal())
+        return sorted(used)
 
     @classmethod
     def found_at(cls, root: Path) -> ExperimentFolder:
@@ -141,12 +160,12 @@ class ExperimentFolder:
     @property
     def alive(self) -> Path:
         """Locked by each process of a run, as long as it lives."""
-        return self.root / ".alive"
+        return self.root / f".alive{self._of_slot}"
 
     @property
     def standing_by(self) -> Path:
         """Locked by the process that stands by to make the systems of a run safe; it has that process's id."""
-        return self.root / ".standing_by"
+        return self.root / f".standing_by{self._of_slot}"
 
     @property
     def outliving(self) -> Path:
