@@ -57,13 +57,13 @@ def test_only_the_kinds_asked_for_are_read(tmp_path: Path) -> None:
     path = tmp_path / "journal.jsonl"
     with Journal(path) as journal:
         for kind in ("event", "finding", "event", "eventual"):
-            journal.append(kind)
+            journal.append(kind, event="start_run", owner="PsUtil", problem="a gap", fix="")
     assert [record["kind"] for record in read_journal(path, kinds={"event"})] == ["event", "event"]
 
 
 def test_a_line_that_is_no_record_is_refused_with_its_number(tmp_path: Path) -> None:
     path = tmp_path / "journal.jsonl"
-    path.write_text('{"kind":"a"}\nnonsense\n{"kind":"b"}\n')
+    path.write_text('{"kind":"a","at":"2026-01-31T12:00:00Z"}\nnonsense\n{"kind":"b"}\n')
     with pytest.raises(StorageError) as refused:
         list(read_journal(path))
     assert refused.value.where == f"{path}:2"

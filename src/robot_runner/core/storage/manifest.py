@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.declared_shapes import checked_json, shape_findings
+from robot_runner.core.storage.file_shapes import Manifest
 from robot_runner.core.storage.safe_write import write_beside_and_rename
 
 if TYPE_CHECKING:
@@ -21,6 +23,7 @@ __all__ = ["FORMAT", "describe_host", "describe_software", "is_damaged", "read_m
 
 #: Version of the experiment folder's format; a newer one is refused by readers.
 FORMAT = 1
+_RESTORE = "Restore it from a backup."
 
 
 def describe_host() -> dict[str, Any]:
@@ -60,7 +63,7 @@ def is_damaged(path: Path) -> bool:
     """Return whether a file that is there cannot be any version's manifest: empty, torn, or something else."""
     try:
         manifest = json.loads(path.read_bytes())
-    except ValueError:
+    except (ValueError, RecursionError):
         return True
     except OSError:
         return False
@@ -71,26 +74,27 @@ def read_manifest(path: Path) -> dict[str, Any]:
     """Return the manifest of an experiment folder.
 
     Raises:
-        StorageError: there is none, it does not parse, or its format is newer than this version knows.
+        StorageError: there is none, it does not parse, its format is newer than this version knows, or it is not as a
+            manifest is.
     """
     try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
+        manifest = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=checked_json)
     except FileNotFoundError as error:
         raise StorageError(
             "there is no experiment here", where=str(path.parent), fix="Name the folder that holds manifest.json."
         ) from error
-    except (OSError, ValueError) as error:
-        raise StorageError(
-            f"the manifest cannot be read: {error}", where=str(path), fix="Restore it from a backup."
-        ) from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise StorageError(f"the manifest cannot be read: {error}", where=str(path), fix=_RESTORE) from error
     if not isinstance(manifest, dict) or not isinstance(manifest.get("format"), int):
-        raise StorageError("the file is no manifest of an experiment", where=str(path), fix="Restore it from a backup.")
+        raise StorageError("the file is no manifest of an experiment", where=str(path), fix=_RESTORE)
     if manifest["format"] > FORMAT:
         raise StorageError(
             f"the manifest has format {manifest['format']}, newer than {FORMAT}, which this version knows",
             where=str(path),
             fix="Update robot-runner.",
         )
+    if findings := shape_findings(str(path), "manifest of an experiment", manifest, Manifest, _RESTORE):
+        raise StorageError.of_findings(findings)
     return manifest
 
 
