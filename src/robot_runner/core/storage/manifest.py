@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.storage.declared_shapes import checked_json, shape_findings
+from robot_runner.core.storage.declared_shapes import shape_findings
 from robot_runner.core.storage.file_shapes import Manifest
-from robot_runner.core.storage.safe_write import write_beside_and_rename
+from robot_runner.core.storage.guarded_files import DamagedFileError, MissingFileError, read_json, replace
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -50,22 +50,22 @@ def describe_software() -> dict[str, Any]:
 
 
 def write_manifest(path: Path, manifest: Mapping[str, Any]) -> None:
-    """Write the manifest beside and rename it.
+    """Write the manifest, whole or not at all.
 
     Raises:
         StorageError: the folder cannot be written.
     """
     text = json.dumps({"format": FORMAT, **manifest}, indent=2, ensure_ascii=False, default=str) + "\n"
-    write_beside_and_rename(path, lambda file: file.write(text))
+    replace(path, text)
 
 
 def is_damaged(path: Path) -> bool:
     """Return whether a file that is there cannot be any version's manifest: empty, torn, or something else."""
     try:
-        manifest = json.loads(path.read_bytes())
-    except (ValueError, RecursionError):
+        manifest = read_json(path)
+    except DamagedFileError:
         return True
-    except OSError:
+    except StorageError:
         return False
     return not isinstance(manifest, dict) or not isinstance(manifest.get("format"), int)
 
@@ -78,13 +78,13 @@ def read_manifest(path: Path) -> dict[str, Any]:
             manifest is.
     """
     try:
-        manifest = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=checked_json)
-    except FileNotFoundError as error:
+        manifest = read_json(path)
+    except MissingFileError as error:
         raise StorageError(
             "there is no experiment here", where=str(path.parent), fix="Name the folder that holds manifest.json."
         ) from error
-    except (OSError, ValueError, RecursionError) as error:
-        raise StorageError(f"the manifest cannot be read: {error}", where=str(path), fix=_RESTORE) from error
+    except DamagedFileError as error:
+        raise StorageError(f"the manifest cannot be read: {error.problem}", where=error.where, fix=error.fix) from error
     if not isinstance(manifest, dict) or not isinstance(manifest.get("format"), int):
         raise StorageError("the file is no manifest of an experiment", where=str(path), fix=_RESTORE)
     if manifest["format"] > FORMAT:
