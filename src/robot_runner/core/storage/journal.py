@@ -12,6 +12,8 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.declared_shapes import checked_json, faults_of
+from robot_runner.core.storage.file_shapes import RECORDS, Record
 from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, open_to_read, read_blocks
 from robot_runner.core.storage.system_refusals import storage_error
 
@@ -28,6 +30,7 @@ _RECORD, _END = _BEGINNING.encode(), b"}\n"
 #: How much of the end of a journal tells of the last runs: some thousand of them.
 _LAST_BYTES = 4_000_000
 
+_decode = json.JSONDecoder(object_pairs_hook=checked_json).decode
 _encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), default=str).encode
 
 
@@ -196,23 +199,25 @@ def parsed_record(path: Path, line: bytes) -> dict[str, Any]:
     """Return the record that a line of the journal holds.
 
     Raises:
-        StorageError: it is no record.
+        StorageError: it is no record, or not as records of its kind are.
     """
     try:
-        record = json.loads(line)
-    except ValueError as error:
-        raise _corrupt(path, line) from error
-    if not isinstance(record, dict) or not isinstance(record.get("kind"), str):
-        raise _corrupt(path, line)
+        record: dict[str, Any] = _decode(line.decode())
+    except (ValueError, RecursionError) as error:
+        raise _corrupt(path, line, str(error)) from error
+    kind = record.get("kind") if isinstance(record, dict) else None
+    faults = faults_of(record, RECORDS.get(kind, Record) if isinstance(kind, str) else Record)
+    if faults:
+        raise _corrupt(path, line, "; ".join(faults))
     return record
 
 
-def _corrupt(path: Path, line: bytes) -> StorageError:
+def _corrupt(path: Path, line: bytes, reason: str = "") -> StorageError:
     # Lines are counted only where one is wrong.
     lines = chain.from_iterable(map(BytesIO, read_blocks(path)))
     number = next((number for number, each in enumerate(lines, start=1) if each == line), 0)
     return StorageError(
-        "this line is no record of a journal",
+        f"this line is no record of a journal{f': {reason}' if reason else ''}",
         where=f"{path}:{number}",
         fix="Restore the file from a backup, or delete the line to go on without it.",
     )
