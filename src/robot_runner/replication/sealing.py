@@ -37,7 +37,6 @@ __all__ = ["Packing", "PackingPlan", "Progress", "Replaced", "Sealing"]
 Progress = Callable[[int, int], None]
 
 
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Packing:
     """What is asked of a package.
