@@ -285,9 +285,7 @@ class ClusterPlace:
 class _RunAtWorker:
     """One attempt at a run that a worker executes."""
 
-    def __init__(
-        self, place: ClusterPlace, places: ClusterPlaces, builder: OutcomeBuilder, watch: Watch
-    ) -> None:
+    def __init__(self, place: ClusterPlace, places: ClusterPlaces, builder: OutcomeBuilder, watch: Watch) -> None:
         self._place = place
         self._places = places
         self._builder = builder

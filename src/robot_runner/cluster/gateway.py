@@ -138,7 +138,9 @@ class Gateway:
             self._lose(self._members[address], "its worker is gone")
         for address, facts in workers.items():
             if address not in self._members:
-                member = self._members[address] = Member(address, str(facts["name"]), facts["nthreads"], facts["resources"])
+                member = self._members[address] = Member(
+                    address, str(facts["name"]), facts["nthreads"], facts["resources"]
+                )
                 self._go_on(self._keep(client, member))
 
     async def _keep(self, client: Client, member: Member) -> None:
@@ -206,7 +208,13 @@ class Gateway:
             with contextlib.suppress(*ANSWER):
                 asked = {"kind": kind, **request}
                 await answer_of(
-                    self._client, attempt.member, self._facts["lease"], on_worker.stop, self._session, attempt.token, asked
+                    self._client,
+                    attempt.member,
+                    self._facts["lease"],
+                    on_worker.stop,
+                    self._session,
+                    attempt.token,
+                    asked,
                 )
 
     def _take_event(self, event: tuple[float, Mapping[str, Any]]) -> None:
@@ -231,7 +239,9 @@ class Gateway:
             self._replies.tell("aside", {"worker": attempt.member.id, "because": ended["lost"]})
             await self._tell_lost(attempt, ended["lost"], is_certain=not ended.get("has_begun", True))
             return
-        over = {name: ended[name] for name in ("because", "is_interrupted", "seconds")} | {"skipped": ended.get("skipped", [])}
+        over = {name: ended[name] for name in ("because", "is_interrupted", "seconds")} | {
+            "skipped": ended.get("skipped", [])
+        }
         if ended.get("files"):
             try:
                 await self._brought_home(attempt, ended)
