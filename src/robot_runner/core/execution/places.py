@@ -4,7 +4,8 @@ The orchestrator keeps as many runs in flight as there are free places whose cla
 waits for is *awaited* in one poll loop (`patience.py`), a run in flight like the end of a rest. So a place
 
 1. begins a run and returns at once with a `RunInFlight`;
-2. names descriptors that become readable when there is something to do, and the moment at which it is due at the latest;
+2. names descriptors that become readable when there is something to do, and the moment at which that is due at the
+   latest;
 3. does in `advance` what there is to do, and never waits there.
 
 What comes to light of a run is reported in the order in which it happened, before its end is told. The orchestrator
@@ -19,15 +20,14 @@ from typing import TYPE_CHECKING, Protocol
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
 
+    from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.interruption import Interruption
     from robot_runner.core.execution.task import OutcomeBuilder, Report, RunOutcome, RunTask
 
-__all__ = ["INTERRUPTED", "THIS_MACHINE", "Awaited", "Place", "Places", "RunInFlight", "Watch"]
+__all__ = ["INTERRUPTED", "Awaited", "Place", "Places", "RunInFlight", "Watch"]
 
 #: Why a run is ended that the user's interruption ends.
 INTERRUPTED = "the user interrupted the experiment"
-#: The claim of who measures the computer that executes the run, or keeps it busy: no other run beside it.
-THIS_MACHINE = "host:localhost"
 
 
 class Awaited(Protocol):
@@ -99,11 +99,20 @@ class Place(Protocol):
 
     Attributes:
         name: tells it from the other places: for screens, the journal and findings.
+        experiment: as a run here has it: with the robot of this place. Gates and callbacks of the orchestrator see it.
+        slot: the number under which the files are kept that a run on this machine has while it is executed, from 1; 0
+            where it has none here.
         is_aside: whether it takes no runs any more, or not now: its worker is gone, or its robot was set aside.
     """
 
     @property
     def name(self) -> str: ...  # noqa: D102 - as above
+
+    @property
+    def experiment(self) -> Experiment: ...  # noqa: D102 - as above
+
+    @property
+    def slot(self) -> int: ...  # noqa: D102 - as above
 
     @property
     def is_aside(self) -> bool: ...  # noqa: D102 - as above

@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
