@@ -76,13 +76,18 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
     }
 
 
+#: What an experiment that goes on is compared with.
+_NEEDED = {"design", "executions", "experiment_name", "seed"}
+_NEEDED_OF_DESIGN = {"factors", "repetitions", "source"}
+
+
 def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[str, Any]:
     """Return the manifest of an experiment that goes on.
 
     Raises:
         ExecutionError: the folder holds another experiment.
     """
-    if "executions" not in manifest or "seed" not in manifest:
+    if not (_NEEDED <= manifest.keys() and _NEEDED_OF_DESIGN <= manifest["design"].keys() and manifest["executions"]):
         raise ExecutionError(
             "the folder's manifest is none of Robot Runner's",
             where=str(experiment.folder.manifest),

@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.declared_shapes import shape_findings
+from robot_runner.core.storage.file_shapes import Manifest
 from robot_runner.core.storage.guarded_files import DamagedFileError, MissingFileError, read_json, replace
 from robot_runner.core.storage.system_packages import describe_system, installed_system_packages
 
@@ -22,6 +24,7 @@ __all__ = ["FORMAT", "describe_host", "describe_software", "is_damaged", "read_m
 
 #: Version of the experiment folder's format; a newer one is refused by readers.
 FORMAT = 1
+_RESTORE = "Restore it from a backup."
 
 
 def describe_host() -> dict[str, Any]:
@@ -74,7 +77,8 @@ def read_manifest(path: Path) -> dict[str, Any]:
     """Return the manifest of an experiment folder.
 
     Raises:
-        StorageError: there is none, it does not parse, or its format is newer than this version knows.
+        StorageError: there is none, it does not parse, its format is newer than this version knows, or it is not as a
+            manifest is.
     """
     try:
         manifest = read_json(path)
@@ -85,13 +89,15 @@ def read_manifest(path: Path) -> dict[str, Any]:
     except DamagedFileError as error:
         raise StorageError(f"the manifest cannot be read: {error.problem}", where=error.where, fix=error.fix) from error
     if not isinstance(manifest, dict) or not isinstance(manifest.get("format"), int):
-        raise StorageError("the file is no manifest of an experiment", where=str(path), fix="Restore it from a backup.")
+        raise StorageError("the file is no manifest of an experiment", where=str(path), fix=_RESTORE)
     if manifest["format"] > FORMAT:
         raise StorageError(
             f"the manifest has format {manifest['format']}, newer than {FORMAT}, which this version knows",
             where=str(path),
             fix="Update robot-runner.",
         )
+    if findings := shape_findings(str(path), "manifest of an experiment", manifest, Manifest, _RESTORE):
+        raise StorageError.of_findings(findings)
     return manifest
 
 
