@@ -16,6 +16,7 @@ from robot_runner.core.secret_names import without_environment_secrets
 from robot_runner.core.storage.declared_shapes import shape_findings
 from robot_runner.core.storage.file_shapes import Manifest
 from robot_runner.core.storage.guarded_files import DamagedFileError, MissingFileError, read_json, replace
+from robot_runner.core.storage.system_packages import describe_system, installed_system_packages
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -45,12 +46,14 @@ def describe_host() -> dict[str, Any]:
 
 
 def describe_software() -> dict[str, Any]:
-    """Return the versions of Python, of Robot Runner, and of every installed package."""
+    """Return the versions of Python, Robot Runner and the system, and of every package of Python and of the system."""
     return {
         "python": platform.python_version(),
         "implementation": sys.implementation.name,
         "robot_runner": version("robot-runner"),
         "packages": _packages(),
+        "system": describe_system(),
+        "system_packages": installed_system_packages(),
     }
 
 
