@@ -15,4 +15,5 @@ lock() {
 mkdir -p requirements
 lock requirements/test.txt --extra dev
 # Within the versions of the tests, so that `make test` after `make demo` changes none.
-lock requirements/demo.txt --extra sim --constraint requirements/test.txt
+# Beside the robot: what packs, replicates and compares its experiment.
+lock requirements/demo.txt --extra sim --extra analysis --extra replication --constraint requirements/test.txt

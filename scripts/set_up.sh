@@ -1,9 +1,10 @@
 #!/bin/sh
 # Make .venv and install the project into it. Usage: set_up.sh demo|test
 #
-# `demo` is what the embedded robot needs, `test` also what every check needs: the versions in requirements/, and no
-# others. A second call finds its stamp and returns at once; a changed pyproject.toml or lock, a moved folder or another
-# PYTHON is noticed. ROBOT_RUNNER_SYSTEM_PACKAGES=no keeps it from installing anything outside this folder.
+# `demo` is what the embedded robot needs, and whoever packs, replicates and compares its experiment; `test` is also
+# what every check needs: the versions in requirements/, which are the same for both, and no others. A second call finds
+# its stamp and returns at once; a changed pyproject.toml or lock, a moved folder or another PYTHON is noticed.
+# ROBOT_RUNNER_SYSTEM_PACKAGES=no keeps it from installing anything outside this folder.
 set -eu
 cd "$(dirname "$0")/.."
 
