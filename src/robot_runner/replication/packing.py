@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, PackageError, StorageError
+from robot_runner.core.secret_names import is_secret_name
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of
@@ -25,7 +26,7 @@ from robot_runner.replication.crate_actions import executed_runs
 from robot_runner.replication.environment import record_environment
 from robot_runner.replication.index_hashes import findings_of_hashes, with_index_hashes
 from robot_runner.replication.plain_zip import written_beside
-from robot_runner.replication.redaction import SECRET_NAME, Redactor, secrets_in_code
+from robot_runner.replication.redaction import Redactor, secrets_in_code
 from robot_runner.replication.sealing import Packing, PackingPlan, Progress, Replaced, Sealing
 
 if TYPE_CHECKING:
@@ -173,7 +174,7 @@ def _known_secrets(files: ExperimentFolder, manifest: Mapping[str, Any]) -> set[
                 raise storage_error(path, "read", error) from error
     for execution in (manifest, *(manifest.get("executions") or ())):
         settings = execution.get("deviations") or {}
-        found |= {str(text) for name, text in settings.items() if text and SECRET_NAME.search(str(name))}
+        found |= {str(text) for name, text in settings.items() if text and is_secret_name(str(name))}
     return found
 
 
