@@ -205,7 +205,7 @@ def _log() -> Iterator[Planted]:
         "SendGrid": "S" + "G." + marker("SendGrid", 22) + "." + marker("SendGrid b", 43),
         "Stripe": "sk_" + "live_" + marker("Stripe", 24),
         "Telegram": "612345678" + ":AA" + marker("Telegram", 33),
-        "JWT": "ey" + "JhbGciOiJIUzI1NiJ9.ey" + marker("JWT", 40) + "." + marker("JWT b", 43),
+        "JWT": "ey" + "JhbGciOiJIUzI1NiJ9.eyJ" + marker("JWT", 40) + "." + marker("JWT b", 43),
         "age": "AGE-SECRET-" + "KEY-1" + marker("age", 58, string.ascii_uppercase),
     }
     for kind, token in tokens.items():

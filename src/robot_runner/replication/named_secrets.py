@@ -31,6 +31,7 @@ NAME_HINTS = (
 )
 _HINT = re.compile(b"|".join(NAME_HINTS))
 _LONGEST_NAME = 64
+_LONGEST_LINE = 400
 _NAME_BEFORE = re.compile(rb"[\w.-]*\Z", re.ASCII)
 _NAME_AFTER = re.compile(rb"[\w.-]{0,64}", re.ASCII)
 
@@ -60,9 +61,11 @@ _PAIR = _form(_QUOTE + rb"?\s*[:=]\s*\(\s*[\"'][^\"'\n]*[\"']\s*,\s*" + _TEXT + 
 _VALUE_BEFORE = re.compile(rb"(?:value|default)\s*=\s*([\"'])(?P<quoted>[^\"'\n<>]+)\1\s+name\s*=\s*[\"']\Z")
 _ELEMENT = _form(rb">(?P<bare>[^<>\n]+)</")
 _NUMERIC = _form(rb"(?:" + _QUOTE + rb")?[ \t]*(?::[ \t]*int[ \t]*=|:=|[:=])[ \t]*" + _NUMBER)
+#: Of a URL: ?token=X&next=...
+_PARAMETER = _form(rb"=(?P<bare>[^\s\"'&#\\<>{}]+)")
 #: A line of a settings file or a log: password: X
 _LOOSE = _form(rb"[ \t]*(?::=|[:=])[ \t]*(?:!!str[ \t]+)?" + _BARE)
-_OF_SOMEBODY = _form(rb"[ \t]+(?:for|of|von|van|voor|f\xc3\xbcr)[ \t]+[\w@.-]+:[ \t]+" + _BARE)
+_OF_SOMEBODY = _form(rb"[ \t]+(?:for|of|von|van|voor|f\xc3\xbcr)[ \t]+(?:[\w@.'-]+[ \t]+){0,3}[\w@.'-]+:[ \t]+" + _BARE)
 _BLOCK_SCALAR = _form(rb"[ \t]*:[ \t]*[|>][-+0-9]*[ \t]*\n(?P<indent>[ \t]+)(?P<bare>[^\n]+(?:\n(?P=indent)[^\n]+)*)")
 _FLAG = _form(_QUOTE + rb"?(?:[ \t]+)(?!-)" + _BARE)
 #: The robot's password is X; pw - X
@@ -106,10 +109,10 @@ def named_secrets(block: bytes, grammar: Grammar) -> Iterator[Found]:
 def _after(block: bytes, place: tuple[int, int], name: str, grammar: Grammar) -> Iterator[Found]:
     """Yield the secret that belongs to a name at a place of a block; at most one."""
     start, end = place
-    before = block[max(0, start - 80) : start].rsplit(b"\n", 1)[-1]
+    before = block[max(0, start - _LONGEST_LINE) : start].rsplit(b"\n", 1)[-1]
     is_flag = before.endswith(b"-") or name.startswith("-")
     for form in _QUOTED:
-        if match := form.match(block, end):
+        if (match := form.match(block, end)) and not _is_closing(match, before):
             yield from _judged(match, "quoted", name, start)
             return
     if (match := _NEXT.match(block, end)) and (is_flag or _BEFORE_NEXT.search(before)):
@@ -118,6 +121,9 @@ def _after(block: bytes, place: tuple[int, int], name: str, grammar: Grammar) ->
         return
     if match := _PAIR.match(block, end):
         yield from _judged(match, "quoted", name, start)
+        return
+    if before.endswith((b"?", b"&")) and (match := _PARAMETER.match(block, end)):
+        yield from _judged(match, "bare", name, start)
         return
     if match := _NUMERIC.match(block, end):
         yield from _judged_number(match, name, start, grammar)
@@ -138,17 +144,20 @@ def _after(block: bytes, place: tuple[int, int], name: str, grammar: Grammar) ->
         yield from _loosely(block, place, name, before)
 
 
+def _is_closing(match: re.Match[bytes], before: bytes) -> bool:
+    """Whether a quotation mark ends the text in which the name stands, as in `ask("Password: ")`."""
+    mark = match["mark"]
+    is_in_quotes = before.endswith(mark) and match[0].startswith(mark)
+    return before.count(mark) % 2 == 1 and not is_in_quotes
+
+
 def _loosely(block: bytes, place: tuple[int, int], name: str, before: bytes) -> Iterator[Found]:
     """Yield what a text without a grammar says of a secret."""
     start, end = place
     if match := _BLOCK_SCALAR.match(block, end):
         yield from _judged(match, "bare", name, start)
     elif (match := _LOOSE.match(block, end)) or (match := _OF_SOMEBODY.match(block, end)):
-        if before[-1:] in b"?&" and before:  # of a URL: the next parameter is another matter
-            cut = match["bare"].split(b"&")[0].split(b"#")[0]
-            if _is_secret(cut, name):
-                yield Found(match.start("bare"), match.start("bare") + len(cut), _WHAT, start)
-        elif not _is_code(match["bare"]) and block[match.end() : match.end() + 1] not in {b"("}:
+        if not _is_code(match["bare"]) and block[match.end() : match.end() + 1] not in {b"("}:
             yield from _judged(match, "bare", name, start)
     elif match := _PROSE.match(block, end):
         yield from _told(match, name, start)

@@ -133,7 +133,7 @@ def _addresses() -> Iterator[Kind]:
     yield _kind("token in a URL", rb"\bhooks\.slack\.com/services/([\w/]{20,})", b"hooksslackcom/")
     yield _kind("token in a URL", rb"\bdiscord(?:app)?\.com/api/webhooks/\d+/([\w-]{20,})", b"discord")
     yield _kind("password", rb"(?m)^[\w.*-]*[A-Za-z*][\w.*-]*:(?:\d{4,5}|\*):[\w*-]+:[\w*.-]+:([^\s:\"',]+)$",
-                b":::", b":*:")  # fmt: skip
+                b"::", b":*:")  # fmt: skip
 
 
 def _headers() -> Iterator[Kind]:
@@ -141,6 +141,7 @@ def _headers() -> Iterator[Kind]:
     methods = rb"(?:basic|bearer|token|digest|apikey|negotiate|key)\s+"
     yield _kind("authorisation", before + methods + rb"(?!\$|\{|<|%)([^\s\"'\\,]{6,})", b"authorization")
     yield _kind("authorisation", rb"(?i)\bbearer\s+([A-Za-z0-9._~+/=-]{12,})", b"bearer")
+    yield _kind("authorisation", rb"[\"']op[\"']\s*:\s*[\"']auth[\"'][^{}]{0,400}?[\"']mac[\"']\s*:\s*[\"']([^\"'\n]+)", b"auth")
     yield _kind("cookie", rb"(?i)\b(?:set-)?cookie:[ \t]*([\w.-]+=[^\r\n\"']{8,})", b"cookie:")
 
 
@@ -166,7 +167,7 @@ def _tokens() -> Iterator[Kind]:
 
 def _commands() -> Iterator[Kind]:
     near = rb"[^\n|;]{0,200}?"
-    yield _kind("password", rb"\bsshpass" + near + rb"-p" + _GAP + rb"?" + _VALUE, b"sshpass")
+    yield _kind("password", rb"\bsshpass" + near + rb"(?<=[\s\"'])-p" + _GAP + rb"?" + _VALUE, b"sshpass")
     yield _kind("password", rb"\b(?:curl|wget)\b" + near + rb"(?:-[a-zA-Z]*u|--user|-U|--proxy-user)(?:" + _GAP + rb"|=)?[\"']?"
                 rb"[^\s:\"'/-][^\s:\"'/]*:([^\s\"',\\/$]+)", b"curl", b"wget")  # fmt: skip
     upper = rb"\b(?:mosquitto_(?:pub|sub|rr)|zip|unzip)\b" + near + _GAP + rb"-P" + _GAP + rb"?" + _VALUE
