@@ -19,9 +19,11 @@ from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.replication.about import About
+from robot_runner.replication.citation_files import missing_text
 from robot_runner.replication.cleaning import Replaced
-from robot_runner.replication.contents import DESCRIPTION, LeftOut, choose_contents
-from robot_runner.replication.crate import require_rocrate
+from robot_runner.replication.contents import DESCRIPTION, LICENCE, LeftOut, choose_contents
+from robot_runner.replication.crate import Executed, require_rocrate
+from robot_runner.replication.crate_actions import executed_runs
 from robot_runner.replication.environment import record_environment
 from robot_runner.replication.index_hashes import findings_of_hashes, with_index_hashes
 from robot_runner.replication.plain_zip import written_beside
@@ -92,17 +94,20 @@ def pack(folder: Path, target: Path, packing: Packing | None = None, progress: P
     lacking: Mapping[str, str] = {}
     if asked.with_hashes:
         environment, lacking = with_index_hashes(environment)
+    columns = read_schema(files.schema)
+    runs_folder = f"{files.runs_name}/" if files.runs_name else ""
     plan = PackingPlan(
         asked,
         about,
         manifest,
-        columns=read_schema(files.schema),
+        Executed(columns, executed_runs(rows, columns), {f"{runs_folder}{each}/": each for each in run_ids}),
         contents=choose_contents(files, run_ids, asked.raw),
         environment=environment,
         redactor=Redactor.knowing(
             _known_secrets(files, manifest), home=Path.home(), replaces_doubtful=asked.doubtful == "replace"
         ),
-        failed=rows.count(RunStatus.FAILED),
+        runs=len(rows),
+        undone=_undone(rows),
     )
     with written_beside(target) as archive:
         sealing = Sealing(plan, archive, progress)
@@ -112,6 +117,7 @@ def pack(folder: Path, target: Path, packing: Packing | None = None, progress: P
             raise PackageError.of_findings(refused)
     unknown = environment.without_hash(sealing.wheels)
     about_hashes = findings_of_hashes(unknown, lacking) if asked.with_hashes else ()
+    terms = () if LICENCE in archive.stored else (missing_text(about),)
     return Packed(
         target,
         target.stat().st_size,
@@ -124,7 +130,7 @@ def pack(folder: Path, target: Path, packing: Packing | None = None, progress: P
         tuple(sorted(sealing.wheels)),
         len(environment.needed),
         tuple(each.name for each in unknown),
-        (*about.findings(), *environment.findings, *about_hashes, *_findings(files, rows)),
+        (*about.findings(), *terms, *environment.findings, *about_hashes, *_findings(files, rows)),
     )
 
 
@@ -184,12 +190,15 @@ def _known_secrets(files: ExperimentFolder, manifest: Mapping[str, Any]) -> set[
     return found
 
 
+def _undone(rows: RunTableRows) -> int:
+    return sum(rows.status(place) is not RunStatus.DONE for place in range(len(rows)) if rows.excluded(place) is None)
+
+
 def _findings(files: ExperimentFolder, rows: RunTableRows) -> Iterator[Finding]:
     where = str(files.root)
     if not any(files.config.glob("*.py")):
         yield Finding.warning(where, "there is no config: nobody can execute it again", "Add it to the folder config.")
     if not files.report.exists():
         yield Finding.warning(where, "there is no report in it", f"Make one first: robot-runner report {where}")
-    undone = sum(rows.status(place) is not RunStatus.DONE for place in range(len(rows)) if rows.excluded(place) is None)
-    if undone:
+    if undone := _undone(rows):
         yield Finding.warning(where, f"{undone} of {len(rows)} runs are not done", "Resume the experiment first.")
