@@ -303,6 +303,7 @@ class _RunAtWorker:
             "token": self._token,
             "address": worker["address"],
             "worker": worker["worker"],
+            "name": worker["name"],
             "run": task.run_id,
             "claims": list(claims),
             "task": described_task(self._place.experiment, task),
