@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+import subprocess
+
 import pytest
 
 from robot_runner.core.errors import LinkError
@@ -33,3 +36,35 @@ def test_the_simulation_can_go_in_real_time():
 def test_a_pace_that_no_clock_can_keep_is_refused(pace):
     with pytest.raises(LinkError, match="real_time_factor"):
         simulation_options({"real_time_factor": pace})
+
+
+def test_the_simulator_is_imported_once_for_all_forked_runs(program, tmp_path):
+    """Each run's process is forked from the orchestrator, which has imported MuJoCo before the first."""
+    config = tmp_path / "imports.py"
+    config.write_text(_IMPORTS, encoding="utf-8")
+    subprocess.run([program, config], check=True, capture_output=True, timeout=60)
+    [folder] = tmp_path.glob("out/imports")
+    with (folder / "run_table.csv").open(encoding="utf-8", newline="") as file:
+        assert [row["Imported"] for row in csv.DictReader(file)] == ["1", "1"]
+
+
+_IMPORTS = """
+import sys
+from pathlib import Path
+from robot_runner import ExperimentConfig, Factor, RunTableModel
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "imports"
+    results_output_path = Path(__file__).parent / "out"
+    robot = "simulated"
+
+    def create_run_table(self):
+        return RunTableModel(factors=[Factor("Task", ["a", "b"])], data_columns=["Imported"])
+
+    def before_run(self, context):
+        self.imported = "robot_runner.simulator.simulated_link" in sys.modules
+
+    def populate_run_data(self, context):
+        return {"Imported": int(self.imported)}
+"""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 import textwrap
@@ -13,10 +14,18 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from rich.cells import cell_len, set_cell_size
 from rich.console import Console
+from rich.control import Control
+from rich.segment import ControlType
 from rich.text import Text
+
+from robot_runner.cli.harmless_stream import HarmlessStream, unguarded
+from robot_runner.core.words import harmless, harmless_json, one_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
+
+    from rich.console import ConsoleOptions, RenderableType
+    from rich.segment import Segment
 
 __all__ = [
     "Column",
@@ -43,11 +52,32 @@ _UNLIMITED = 100_000
 
 
 class UserConsole(Console):
-    """A rich console that shows text as it is."""
+    """A rich console that shows text as it is: no markup, and no command to the terminal but rich's own.
+
+    Attributes:
+        lines: takes plain lines, and makes them harmless, too.
+    """
 
     def __init__(self, stream: TextIO) -> None:
         width = None if stream.isatty() else _UNLIMITED
-        super().__init__(file=stream, width=width, highlight=False, markup=False, emoji=False, soft_wrap=False)
+        self.lines = HarmlessStream(stream)
+        # Past the stream that makes text harmless, which would show rich's colours as text.
+        terminal = unguarded(stream)
+        super().__init__(file=terminal, width=width, highlight=False, markup=False, emoji=False, soft_wrap=False)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        """Yield what is written: everything that is printed comes by here, whatever it is made of."""
+        for segment in super().render(renderable, options):
+            if segment.control:
+                yield segment
+            else:
+                # A link is an escape sequence, too, and its address is somebody's text.
+                style = segment.style.update_link(None) if segment.style and segment.style.link else segment.style
+                yield segment._replace(text=harmless(segment.text), style=style)
+
+    def erase_line(self) -> None:
+        """Begin the line anew that is being shown."""
+        self.control(Control(ControlType.CARRIAGE_RETURN, (ControlType.ERASE_IN_LINE, 2)))
 
     def on_broken_pipe(self) -> None:
         """Leave it to the caller: a command may have more to do than to print.
@@ -74,8 +104,17 @@ def is_live_terminal(stream: TextIO) -> bool:
 
 
 def print_json(facts: Any) -> None:
-    """Print facts as JSON."""
-    print(json.dumps(facts, indent=2, ensure_ascii=False, default=str))
+    """Print facts as JSON, or a text that is JSON already; a number that JSON does not have becomes its name."""
+    text = facts if isinstance(facts, str) else json.dumps(_finite(facts), indent=2, ensure_ascii=False, default=str)
+    print(harmless_json(text))
+
+
+def _finite(facts: Any) -> Any:
+    if isinstance(facts, dict):
+        return {name: _finite(each) for name, each in facts.items()}
+    if isinstance(facts, list | tuple):
+        return list(map(_finite, facts))
+    return str(facts) if isinstance(facts, float) and not math.isfinite(facts) else facts
 
 
 def shown_path(path: Path) -> str:
@@ -117,7 +156,7 @@ _NARROWEST = 20
 
 def print_facts(console: UserConsole, facts: Iterable[tuple[str, str]], *, indent: int = 2) -> None:
     """Print facts beneath each other; long ones are folded beneath themselves, and empty ones left out."""
-    told = [(name, fact) for name, fact in facts if fact]
+    told = [(one_line(name), fact) for name, fact in facts if fact]
     names = max((len(name) for name, _ in told), default=0) + indent + 2
     for name, fact in told:
         print_folded(console, f"{' ' * indent}{name}".ljust(names), fact, style="bold")
@@ -157,7 +196,7 @@ class Column:
 
 def width_of(texts: Iterable[str]) -> int:
     """Return the width that a column needs for these texts, within reason."""
-    return min(_WIDEST, max(map(cell_len, texts), default=0))
+    return min(_WIDEST, max(map(cell_len, map(one_line, texts)), default=0))
 
 
 def fitting(columns: Sequence[Column], width: int) -> int:
@@ -172,7 +211,7 @@ def fitting(columns: Sequence[Column], width: int) -> int:
 
 def aligned(columns: Sequence[Column], cells: Sequence[str]) -> str:
     """Return a row as one line; what is too long for its column ends in `…`."""
-    parts = [_placed(column, cell) for column, cell in zip(columns, cells, strict=False)]
+    parts = [_placed(column, one_line(cell)) for column, cell in zip(columns, cells, strict=False)]
     return _GAP.join(parts).rstrip()
 
 

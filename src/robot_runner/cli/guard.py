@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 
+from robot_runner.cli.harmless_stream import guard_streams
+
 TYPE_CHECKING = False  # `typing` takes long to import, and `--help` is to be quick
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,8 +22,16 @@ BROKEN_PIPE = 141
 
 
 def guarded(command: Callable[[], int], *, show_traceback: bool = False) -> int:
-    """Execute a command and return its exit code, whatever it raises."""
+    """Execute a command and return its exit code, whatever it raises and prints."""
     _make_streams_lenient()
+    earlier = guard_streams()
+    try:
+        return _executed(command, show_traceback=show_traceback)
+    finally:
+        sys.stdout, sys.stderr = earlier
+
+
+def _executed(command: Callable[[], int], *, show_traceback: bool) -> int:
     try:
         code = command()
         sys.stdout.flush()

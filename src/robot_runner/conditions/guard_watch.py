@@ -48,6 +48,11 @@ class GuardWatch(Profiler):
         self.guards = tuple(guards)
         self._watched: list[_WatchedGuard] = []
 
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: nothing, as watching disturbs nobody."""
+        del robot
+        return ()
+
     def start_measurement(self, context: RobotRunnerContext) -> None:
         """Begin to watch, before other profilers begin."""
         self._watched = []

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "GROUPS",
+    "THIS_MACHINE",
     "Circumstances",
     "InstalledPlugin",
     "Plugin",
@@ -36,6 +37,9 @@ __all__ = [
 _log = logging.getLogger(__name__)
 
 # The two kinds of plugin and what validation asks them.
+
+#: The claim of who measures the computer that executes the run, or keeps it busy: no other run beside it.
+THIS_MACHINE = "host:localhost"
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 _RESERVED_NAMES = frozenset({"config", "log", "operator"})
@@ -100,6 +104,27 @@ class Plugin(Bindable):
         """
         del combination
         return None
+
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself because of this plugin: two runs with the same claim never overlap.
+
+        A plugin that does not say claims the whole machine, so that nothing spoils its numbers without being declared.
+        The robot of the experiment, and the hosts that it names, are claimed by the experiment itself.
+
+        Args:
+            robot: how the run's robot is reached, such as `"simulated"`, or None.
+
+        Returns:
+            texts such as `host:localhost` (this machine's processor, memory or energy), `host:pi@robot`,
+            `serial:/dev/ttyUSB0`, `device:camera 0`; none where any number of such runs may go on side by side.
+
+        Example:
+            >>> class Scale(Profiler):
+            ...     def claims(self, robot):
+            ...         return ["serial:/dev/ttyUSB1"]
+        """
+        del robot
+        return (THIS_MACHINE,)
 
     @property
     def knows_duration(self) -> bool:

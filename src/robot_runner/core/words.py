@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
+TYPE_CHECKING = False  # `typing` takes long to import, and `--help` is to be quick
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
 __all__ = [
     "counted",
     "enumerated",
+    "harmless",
+    "harmless_json",
     "listed",
     "one_line",
     "plain",
@@ -25,6 +27,8 @@ _MINUTE = 60
 _HOUR = 3600
 _SHOWN = 4
 _MISSING = "\N{EN DASH}"  # not a hyphen, which is a run that is still to do
+#: What lays text out and is no command: lines, tabs, and the blanks of other scripts.
+_LAYOUT = frozenset("\n\t\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}\N{IDEOGRAPHIC SPACE}")
 
 
 def one_line(text: str) -> str:
@@ -35,6 +39,38 @@ def one_line(text: str) -> str:
         'two\\nlines'
     """
     return text if text.isprintable() else "".join(_printable(character) for character in text)
+
+
+def harmless(text: str) -> str:
+    r"""Return a text that commands no terminal; its lines and tabs stay.
+
+    Control characters (C0, C1, and so every escape sequence), marks that turn the direction of writing round and
+    whatever else has no glyph are shown as Python writes them.
+
+    Example:
+        >>> harmless("Task\x1b]0;owned\x07")
+        'Task\\x1b]0;owned\\x07'
+    """
+    if text.isprintable() or text.replace("\n", "").isprintable():
+        return text
+    return "".join(each if each in _LAYOUT else _printable(each) for each in text)
+
+
+def harmless_json(text: str) -> str:
+    r"""Return JSON that says the same and commands no terminal: what could is escaped as JSON escapes it.
+
+    Example:
+        >>> harmless_json('{"Task": "\x9b2J"}')
+        '{"Task": "\\u009b2J"}'
+    """
+    if harmless(text) == text:
+        return text
+    return "".join(each if each == "\n" or each.isprintable() else _json_escape(each) for each in text)
+
+
+def _json_escape(character: str) -> str:
+    units = character.encode("utf-16-be", "surrogatepass")  # two bytes each: JSON has no escape beyond U+FFFF
+    return "".join(f"\\u{units[place : place + 2].hex()}" for place in range(0, len(units), 2))
 
 
 def _printable(character: str) -> str:

@@ -153,6 +153,11 @@ class Joulescope(ElectricalProfiler):
         self.device = device
         self._path = ""
 
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: the instrument."""
+        del robot
+        return (f"device:joulescope {self.device or ''}".rstrip(),)
+
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no driver, no instrument, or several of which none is named."""
         where = f"plugin {self.name}"

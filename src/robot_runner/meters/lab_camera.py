@@ -97,6 +97,11 @@ class LabCamera(Profiler):
         self._clock: Clock | None = None
         self._forget()
 
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: the camera."""
+        del robot
+        return (f"device:camera {self.device}",)
+
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: ffmpeg or the device is not there."""
         del circumstances

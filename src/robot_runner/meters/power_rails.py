@@ -188,6 +188,11 @@ class PowerRails(ElectricalProfiler):
         """The computer whose rails are read."""
         return Computer(self.host, self.ssh_config)
 
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: the computer that it measures."""
+        del robot
+        return (f"host:{self.host}",)
+
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: the computer cannot be reached, or has no such rail."""
         where = f"plugin {self.name}"

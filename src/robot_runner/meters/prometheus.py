@@ -238,6 +238,11 @@ class Prometheus(PolledProfiler[Scrape]):
         self.secret = Secret.named(password_env, password_file, where=self.name)
         self.timeout_s = timeout_s
 
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: what the server tells of."""
+        del robot
+        return (f"device:{self.url}",)
+
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no library, no exporter, or a metric that it does not show."""
         del circumstances

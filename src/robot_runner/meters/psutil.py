@@ -129,6 +129,11 @@ class PsUtil(Profiler):
             return None
         return Computer(self.host, self.ssh_config, self.form, self.selection.processes)
 
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: the computer that it measures; a simulated one belongs to the run."""
+        del robot
+        return () if self.host is None else (f"host:{self.host}",)
+
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no computer is named, or it cannot be reached."""
         names = [each.name for each in circumstances.plugins]

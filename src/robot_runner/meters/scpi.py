@@ -217,6 +217,11 @@ class Scpi(ElectricalProfiler):
         self.backend = backend
         self._identity = ""
 
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: the instrument."""
+        del robot
+        return (f"device:{self.resource}",)
+
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no library, no instrument, or a query that it does not understand."""
         where = f"plugin {self.name}"

@@ -140,6 +140,11 @@ class SmartPlug(ElectricalProfiler):
         """How plugs of this kind are asked."""
         return DIALECTS[self.kind]
 
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: the plug."""
+        del robot
+        return (f"device:{self.url or self.broker} {self.topic or self.channel}",)
+
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no library, a simulated robot, or a plug that does not tell its power."""
         where = f"plugin {self.name}"

@@ -162,6 +162,11 @@ class WattsUpPro(Profiler):
         self._sampled: Window | None = None
         self._is_over = False
 
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: its serial port."""
+        del robot
+        return (f"serial:{self.port}",)
+
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no such port, no right to open it, no pyserial, or a simulated robot."""
         where = f"plugin {self.name}"

@@ -137,7 +137,8 @@ CONFIG_OWNER = "config"
 
 _RUN_FILES = frozenset({"log.txt", "refused.jsonl"})
 _TRANSIENT = re.compile(
-    r"\.(?:lock|control|alive|outliving)|current_log\.txt|.*\.tmp|.*\.pyc|\.DS_Store|Thumbs\.db|.*~"
+    r"\.(?:lock|control|outliving|(?:alive|standing_by)(?:_\d+)?)|current_log(?:_\d+)?\.txt"
+    r"|.*\.tmp|.*\.pyc|\.DS_Store|Thumbs\.db|.*~"
 )
 _TRANSIENT_FOLDERS = frozenset({"__pycache__", ".git", ".ipynb_checkpoints", ".venv"})
 

@@ -13,7 +13,6 @@ from robot_runner.core.config.treatment_makers import known_treatments
 from robot_runner.core.design.batches import EXTENDED, REPEATED, records_of
 from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.recovery import table_differences
-from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
@@ -39,12 +38,11 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Replication",
-    "Sameness",
     "Source",
     "find_source",
-    "identical_values",
     "original_settings",
     "prepare_replication",
+    "replicated_folder",
 ]
 
 _UNPACKED = "package"
@@ -227,20 +225,25 @@ def _refuse_redacted(settings: Mapping[str, str]) -> None:
 
 
 def _facts(files: ExperimentFolder, manifest: Mapping[str, Any], deviations: Mapping[str, str]) -> dict[str, Any]:
-    sums = files.root / SUMS
-    identity = sums if sums.is_file() else files.manifest
-    try:
-        digest = hashlib.sha256(identity.read_bytes()).hexdigest()
-    except OSError as error:
-        raise storage_error(identity, "read", error) from error
+    name, digest = _identity(files)
     return {
         "of": manifest.get("experiment_name"),
-        "identified_by": identity.name,
+        "identified_by": name,
         "sha256": digest,
         "seed": manifest.get("seed"),
         "deviations": dict(deviations),
         "treatments": known_treatments(files),  # a branch may mean another commit by now
     }
+
+
+def _identity(files: ExperimentFolder) -> tuple[str, str]:
+    """Return the file that tells which original it is, and its SHA-256."""
+    sums = files.root / SUMS
+    identity = sums if sums.is_file() else files.manifest
+    try:
+        return identity.name, hashlib.sha256(identity.read_bytes()).hexdigest()
+    except OSError as error:
+        raise storage_error(identity, "read", error) from error
 
 
 def _refuse_other(experiment: Experiment, facts: Mapping[str, Any]) -> None:
@@ -315,58 +318,21 @@ def _has_exclusions(files: ExperimentFolder) -> bool:
     return files.schema.exists() and TableLayout.of_schema(read_schema(files.schema)).has_exclusions
 
 
-@dataclass(frozen=True, slots=True)
-class Sameness:
-    """One measure in the runs that are done in both experiments.
+def replicated_folder(target: Path, root: Path) -> Path:
+    """Return the folder in which a package was executed again.
 
-    Attributes:
-        runs: how many of them have a value in either.
-        identical: in how many of these the two values are the same, to the last digit.
-
-    Example:
-        >>> Sameness(15, 15).is_complete
-        True
-    """
-
-    runs: int
-    identical: int
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether there are values, and all are the same."""
-        return self.runs > 0 and self.identical == self.runs
-
-
-def identical_values(original: Path, replication: Path) -> dict[str, Sameness]:
-    """Compare the run tables of two experiments run by run, by the runs' ids; excluded runs are passed over.
-
-    Returns:
-        Each measure that both have.
+    Args:
+        target: the folder below which it is.
+        root: the unpacked package, or the experiment's folder that was replicated.
 
     Raises:
-        StorageError: a run table cannot be read.
+        PackageError: there is none.
+        StorageError: something cannot be read.
     """
-    ours, theirs = _rows(original), _rows(replication)
-    pairs = [
-        (place, other)
-        for place in range(len(ours))
-        if (other := theirs.place_of(ours.run_id(place))) is not None
-        and ours.status(place) is theirs.status(other) is RunStatus.DONE
-        and ours.excluded(place) is theirs.excluded(other) is None
-        and not ours.is_warm_up(place)
-    ]
-    return {
-        name: _sameness(ours, theirs, name, pairs) for name in ours.layout.measures if name in theirs.layout.measures
-    }
-
-
-def _sameness(ours: RunTableRows, theirs: RunTableRows, name: str, pairs: list[tuple[int, int]]) -> Sameness:
-    first_values, second_values = list(ours.values(name)), list(theirs.values(name))
-    values = [(first_values[place], second_values[other]) for place, other in pairs]
-    with_value = [pair for pair in values if pair != (None, None)]
-    return Sameness(len(with_value), sum(first == second for first, second in with_value))
-
-
-def _rows(folder: Path) -> RunTableRows:
-    files = ExperimentFolder.found_at(folder)
-    return read_run_table(files.run_table, TableLayout.of_schema(read_schema(files.schema)))
+    digest = _identity(ExperimentFolder.found_at(root))[1]
+    for folder in sorted(each for each in target.iterdir() if each.resolve() != root.resolve()):
+        manifest = ExperimentFolder.found_at(folder).manifest
+        if manifest.is_file() and (read_manifest(manifest).get("replication") or {}).get("sha256") == digest:
+            return folder
+    fix = "Repeat the command: what was executed before is kept."
+    raise PackageError("the package was not executed again here", where=str(target), fix=fix)

@@ -113,6 +113,11 @@ class RosBag(Profiler):
         self._size: int | None = None
         self._problems: list[str] = []
 
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
+        del robot
+        return ()
+
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no robot, or a host that cannot be reached."""
         findings = robot_findings(self.name, circumstances)

@@ -111,6 +111,11 @@ class RosGraph(Profiler):
         self._graphs: dict[str, Any] = {}
         self._is_simulated = False
 
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: the computer whose processes it measures, if any."""
+        del robot
+        return (f"host:{self.host}",) if self.nodes else ()
+
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no robot, or nodes whose processes cannot be reached."""
         findings = robot_findings(self.name, circumstances)

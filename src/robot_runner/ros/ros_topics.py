@@ -94,6 +94,11 @@ class RosTopics(Profiler):
         self._begun_at = 0.0
         self._sampled: Window | None = None
 
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
+        del robot
+        return ()
+
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no robot."""
         return robot_findings(self.name, circumstances)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 from dataclasses import dataclass, fields
 from math import inf
@@ -26,6 +27,7 @@ __all__ = ["EMBEDDED_ROBOT", "SimulationOptions", "simulation_options"]
 _WHERE = "robot"
 _NAME = "simulated"
 _PACKAGES = ("mujoco", "numpy")
+_MODULES = ("robot_runner.simulator.simulated_link", "robot_runner.simulator.simulated_devices")
 _REAL_TIME_FACTOR = "real_time_factor"
 
 
@@ -48,6 +50,12 @@ class _EmbeddedRobot:
         if name.options:
             simulation_options(name.options)
         return []
+
+    def preload(self, name: RobotName) -> None:
+        """Import MuJoCo, and what else each run of a simulated robot would import anew; nothing is opened."""
+        del name
+        for module in _MODULES:
+            importlib.import_module(module)
 
     def open_robot(
         self, name: RobotName, *, resources: Resources, clock: Clock, seed: int, namespace: str

@@ -137,7 +137,7 @@ def test_none_as_a_treatment_is_no_missing_value() -> None:
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("{", "Expecting property name enclosed in double quotes"),
+        ("{", "the file is not valid JSON: Expecting property name enclosed in double quotes"),
         ("[]", "the file has no list of fields"),
         ('{"fields": 5}', "the file has no list of fields"),
         ('{"fields": [{"type": "number"}]}', "fields[0] has no name"),

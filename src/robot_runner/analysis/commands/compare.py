@@ -30,6 +30,7 @@ from robot_runner.cli.console import (
     output,
     print_facts,
     print_folded,
+    print_json,
     shown_path,
     width_of,
 )
@@ -160,7 +161,7 @@ def _compare(arguments: Namespace, folders: Sequence[Path], written: Mapping[str
     )
     _write(document.comparison_document(comparison, made=made_by("Comparison", datetime.now(UTC))), written)
     if arguments.json:
-        print(document.json_of_comparison(comparison))
+        print_json(document.json_of_comparison(comparison))
     else:
         _print(output(), comparison, written)
     return 0
@@ -183,7 +184,7 @@ def _combine(arguments: Namespace, folders: Sequence[Path], written: Mapping[str
     found = meta_analyse(*folders, measures=arguments.measure, alpha=arguments.alpha, same=arguments.same or ())
     _write(document.combined_document(found, made=made_by("Meta-analysis", datetime.now(UTC))), written)
     if arguments.json:
-        print(document.json_of_meta_analysis(found))
+        print_json(document.json_of_meta_analysis(found))
     else:
         _print_combined(output(), found, written)
     return 0
@@ -228,7 +229,7 @@ def _print_measure(console: UserConsole, comparison: Comparison, measure: Measur
 
 def _print_rows(console: UserConsole, table: Table) -> None:
     shown = table.for_readers
-    texts = [[one_line(cell.text) for cell in row] for row in shown.rows]
+    texts = [[cell.text for cell in row] for row in shown.rows]
     columns = [
         Column(column.name, width_of([column.name, *(row[place] for row in texts)]), is_number=column.is_number)
         for place, column in enumerate(shown.columns)

@@ -32,10 +32,10 @@ def print_understanding(console: UserConsole, found: Understanding, target: Path
     repetition = roles.repetition or ("the run ids" if roles.repetition_in_run_id else "")
     facts = [("Runs", f"{len(found.runs)}: {counts}; ids from {one_line(roles.run_id or 'their place in the table')}")]
     facts += [("Design", found.design_words)]
-    facts += [(f"Factor {one_line(name)}", listed(map(one_line, found.treatments(name)))) for name in roles.factors]
+    facts += [(f"Factor {name}", listed(map(one_line, found.treatments(name)))) for name in roles.factors]
     facts += [("Blocks", one_line(roles.block) if roles.block else "")]
     facts += [("Repetitions", f"counted by {one_line(repetition)}" if repetition else "")]
-    facts += [(f"Samples {one_line(each.file)}", _samples_words(each)) for each in found.samples]
+    facts += [(f"Samples {each.file}", _samples_words(each)) for each in found.samples]
     recipes = [f"{one_line(each.measure)} = {each.words}{' (guessed)' * each.is_guessed}" for each in found.recipes]
     questions = [f"{each.problem}. {each.fix}" for each in found.questions]
     facts += [*_beneath("Recomputed", recipes), *_beneath("Note", found.notes), *_beneath("Not sure", questions)]
@@ -54,8 +54,8 @@ def _status_counts(found: Understanding) -> dict[str, int]:
 def _column_lines(found: Understanding) -> Iterator[str]:
     """Yield a row for each column of the table: its role, unit, how sure that is and why, and its first cells."""
     rows = [
-        [one_line(guess.column), guess.role.value, _unit(found, guess.column), guess.confidence.value]
-        + [one_line(cell) for cell in found.table.column(guess.column)[:_SHOWN_ROWS]]
+        [guess.column, guess.role.value, _unit(found, guess.column), guess.confidence.value]
+        + list(found.table.column(guess.column)[:_SHOWN_ROWS])
         + [guess.reason + "; unit not known" * (guess.column in found.units and found.units[guess.column] is None)]
         for guess in found.roles.guesses
     ]

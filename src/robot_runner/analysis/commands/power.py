@@ -187,9 +187,11 @@ def _progress() -> Callable[[int, int], None]:
     if not is_live_terminal(sys.stderr):
         return lambda _, __: None
 
+    console = complaints()
+
     def tell(repetitions: int, experiments: int) -> None:
-        text = f"{repetitions} repetitions: {experiments:,} experiments"
-        print(f"\r\033[K{text}", end="\r", file=sys.stderr, flush=True)
+        console.erase_line()
+        console.print(f"{repetitions} repetitions: {experiments:,} experiments", end="")
 
     return tell
 
@@ -198,7 +200,7 @@ def _print(console: UserConsole, analysis: PowerAnalysis, scenario: ScenarioPowe
     from robot_runner.analysis.planning.power_analysis import answer_in_words, share_in_words  # noqa: PLC0415 - slow, and an extra
 
     if is_live_terminal(sys.stderr):
-        complaints().print("\033[K", end="")
+        complaints().erase_line()
     console.print(f"Power at {scenario.scenario.title}", style="bold")
     columns = [
         Column("Repetitions", 11, is_number=True),

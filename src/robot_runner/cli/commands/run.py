@@ -63,11 +63,19 @@ def add_arguments(parser: Parser) -> None:
         help="what counts where run_table.csv and the journal disagree about runs that were executed: the journal "
         "(the file is kept beside), or the file (each change is recorded)",
     )
+    parser.add_argument(
+        "--workers",
+        metavar="N|auto",
+        help="how many runs this machine executes at the same time, or auto for as many as it has cores; the same as "
+        "--set workers=N",
+    )
     parser.add_argument("--plain", action="store_true", help="print plain lines on a terminal, too")
 
 
 def execute(arguments: Namespace) -> int:
     """Execute every run that is not done."""
+    if arguments.workers is not None:
+        arguments.set = [*arguments.set, f"workers={arguments.workers}"]
     with no_byte_code():
         preparation = prepare(Path(arguments.config), parse_assignments(arguments.set))
     if preparation.experiment is None:

@@ -337,8 +337,8 @@ class PlainScreen:
                 forget_typed(self.user_input)
                 self._print(pausing(notice, by_key=self.user_input is not None))
             case QuestionAsked(question):
-                self._console.file.write(question_asked(question))
-                self._console.file.flush()
+                self._console.lines.write(question_asked(question))
+                self._console.lines.flush()
             case AnswersRefused():
                 self._print(*refusals(notice))
             case RunRecord(run_id, "asked", fields):
@@ -364,8 +364,8 @@ class PlainScreen:
         """Do nothing: a line that was printed stays as it is."""
 
     def _print(self, *lines: str) -> None:
-        self._console.file.write("".join(f"{line}\n" for line in lines))
-        self._console.file.flush()
+        self._console.lines.write("".join(f"{line}\n" for line in lines))
+        self._console.lines.flush()
 
     def _ended(self, outcome: RunOutcome, *, is_last: bool) -> str:
         after = f"after {shown_duration(outcome.seconds)}"

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AUTHORS",
+    "CLAIMS",
+    "CLUSTER",
     "FLAG",
     "HOSTS",
     "LICENCE",
@@ -38,6 +40,7 @@ __all__ = [
     "SECONDS",
     "SMOKE",
     "TEXT",
+    "WORKERS",
     "Kind",
     "choice",
     "instances",
@@ -150,6 +153,11 @@ PATH = Kind(
     Path,
 )
 LINK = Kind('the name of a robot link, such as "simulated"', lambda value: isinstance(value, str) and value != "")
+_SCHEDULER = re.compile(r"(tcp|tls)://(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+):[0-9]{1,5}")
+CLUSTER = Kind(
+    "the address of a Dask scheduler, such as tcp://scheduler:8786 or tls://scheduler:8786",
+    lambda value: isinstance(value, str) and _SCHEDULER.fullmatch(value) is not None,
+)
 ROS_GENERATION = Kind(
     "", lambda value: _is_integer(value) and value in {1, 2}, lambda text: int(text) if text.isdigit() else text
 ).or_any("1, 2, any or None")
@@ -183,6 +191,17 @@ SMOKE = Kind(
     dict,
 )
 TEXT = Kind("a text", _is_text)
+CLAIMS = Kind(
+    'a list of texts such as "serial:/dev/ttyUSB0"; from outside, separated by commas',
+    lambda value: isinstance(value, list | tuple) and all(map(_is_text, value)),
+    lambda text: [name.strip() for name in text.split(",") if name.strip()],
+    tuple,
+)
+WORKERS = Kind(
+    'a whole number, 1 or more, or "auto"',
+    lambda value: value == "auto" or (_is_integer(value) and value >= 1),
+    lambda text: int(text) if text.strip().isdecimal() else text.strip().casefold(),
+)
 OPERATOR_STEPS = replace(
     instances(OperatorStep, "a list of OperatorStep(...) in the config file; from outside, none"),
     from_text=lambda text: () if text.casefold() == "none" else _not_from_text(text),

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 from robot_runner.core.config.gate_parameters import Gate, Guard
 from robot_runner.core.config.parameter_kinds import (
     AUTHORS,
+    CLAIMS,
+    CLUSTER,
     FLAG,
     HOSTS,
     LICENCE,
@@ -30,6 +32,7 @@ from robot_runner.core.config.parameter_kinds import (
     SECONDS,
     SMOKE,
     TEXT,
+    WORKERS,
     Kind,
     choice,
     instances,
@@ -229,6 +232,31 @@ class StaticParameters:
         "orchestrator itself (IN_PROCESS).",
         choice(RunProcess),
         RunProcess.FORK,
+    )
+    workers: int | str = _declare(
+        'How many runs this machine executes at the same time: a number, or "auto" for as many as it has cores. Runs '
+        "that claim the same thing never overlap.",
+        WORKERS,
+        1,
+    )
+    claims: Sequence[str] | None = _declare(
+        "What the config's own callbacks need for themselves in a run, such as `serial:/dev/ttyUSB0`; an empty list "
+        "where runs may go on side by side. None is this whole machine (`host:localhost`), and nothing where the robot "
+        "is simulated.",
+        CLAIMS.or_none(),
+        None,
+    )
+    cluster: str | None = _declare(
+        "The scheduler of the Dask cluster whose workers execute the runs, such as tcp://scheduler:8786; None executes "
+        "them on this machine.",
+        CLUSTER.or_none(),
+        None,
+    )
+    attempts_if_lost: int = _declare(
+        "How often a run is tried again, beside `attempts`, as the machine that executed it was lost, which is not the "
+        "run's fault; beyond that, or with 0, such an attempt is one of `attempts`.",
+        whole(0, ""),
+        3,
     )
     gates: Sequence[Gate] = _declare(
         "What must hold before each attempt at a run: conditions that are awaited, one after another.",

@@ -19,6 +19,7 @@ from robot_runner.core.config.checks import (
     create_model,
     read_parameters,
 )
+from robot_runner.core.config.claims import check_workers
 from robot_runner.core.config.dead_names import check_dead_names
 from robot_runner.core.config.experiment import Experiment, event_manager_for, experiment_folder, grown_model
 from robot_runner.core.config.loader import LoadedConfig, load_config
@@ -124,6 +125,7 @@ def prepare(
         findings += [*check_analysis(parameters, complete, columns), *check_threads(loaded, parameters)]
         findings += check_registration(loaded, model, parameters, columns) if is_for_here else ()
         findings += check_repeat_until(loaded, parameters, model, columns)
+        findings += check_workers(loaded.where, parameters, plugins, events, model)
     if is_for_here:
         findings += _check_machine(loaded, parameters, plugins, complete)
     ordered = tuple(sorted(findings, key=lambda finding: not finding.is_error))

@@ -6,6 +6,7 @@ as a run is, in a scratch folder: what it opens, breaks or leaves behind is gone
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,6 +16,7 @@ from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents, methods_of
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.execution.executor import executor_for
+from robot_runner.core.execution.patience import Patience
 from robot_runner.core.execution.task import OutcomeBuilder
 from robot_runner.core.storage.layout import ExperimentFolder
 
@@ -22,14 +24,23 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
 
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.executor import Watch
+    from robot_runner.core.execution.patience import Steps
+    from robot_runner.core.execution.places import Watch
     from robot_runner.core.execution.task import RunOutcome, RunTask
     from robot_runner.core.plugin import Profiler
 
-__all__ = ["execute_aside"]
+__all__ = ["execute_aside", "executed_aside"]
 
 
 def execute_aside(
+    experiment: Experiment, task: RunTask, mission: Callable[..., object], watch: Watch, **asked: Any
+) -> RunOutcome:
+    """Go through the steps of `executed_aside` while nothing else goes on, and return how that went."""
+    patience = Patience(watch.interruption, watch.refresh, watch.refresh_interval)
+    return patience.follow(executed_aside(experiment, task, mission, watch, **asked))
+
+
+def executed_aside(
     experiment: Experiment,
     task: RunTask,
     mission: Callable[..., object],
@@ -39,8 +50,8 @@ def execute_aside(
     profilers: Sequence[Profiler] = (),
     events: Collection[RobotRunnerEvents] = (),
     **changed: Any,
-) -> RunOutcome:
-    """Execute `mission` beside the runs, and return how that went; what is written there is not kept.
+) -> Steps[RunOutcome]:
+    """Execute `mission` beside the runs, step by step, and return how that went; what is written there is not kept.
 
     Args:
         experiment: whose robot and parameters it sees.
@@ -74,4 +85,6 @@ def execute_aside(
             events=manager,
             folder=ExperimentFolder(Path(folder)),
         )
-        return executor_for(aside).execute(task, OutcomeBuilder(task.run_id, aside.columns), watch)
+        with closing(executor_for(aside).begin(task, OutcomeBuilder(task.run_id, aside.columns), watch)) as run:
+            yield run
+            return run.outcome()

@@ -10,14 +10,31 @@ from robot_runner.core.execution.circumstances import manifest_of, restored_mani
 from robot_runner.core.execution.extension import refuse_unplanned, unplanned_additions
 from robot_runner.core.execution.recovery import config_changes
 from robot_runner.core.storage.manifest import read_manifest
+from robot_runner.core.storage.safe_write import fsync_folder, storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.recovered_table import RecoveredTable
+    from robot_runner.core.storage.layout import ExperimentFolder
 
-__all__ = ["begun_manifest", "refuse_unfit_treatments"]
+__all__ = ["begun_manifest", "made_folder", "refuse_unfit_treatments"]
+
+
+def made_folder(folder: ExperimentFolder) -> set[str]:
+    """Make the folder of an experiment where it is not there; return the names of what runs have left in it.
+
+    Raises:
+        StorageError: it cannot be made.
+    """
+    try:
+        folder.runs.mkdir(parents=True, exist_ok=True)
+        left_behind = {path.name for path in folder.runs.iterdir()}
+        fsync_folder(folder.root)
+    except OSError as error:
+        raise storage_error(folder.root, "made", error) from error
+    return left_behind
 
 
 def begun_manifest(experiment: Experiment, *, accept_changes: bool) -> tuple[dict[str, Any], tuple[Finding, ...]]:

@@ -120,6 +120,9 @@ class Durations:
         rest_s: how long the robot rests between two runs, s.
         waits: what else comes between two runs, in words: nobody knows how long it takes before it was seen.
 
+    Attributes:
+        places: at how many places runs are executed at the same time.
+
     Example:
         >>> durations = Durations(rest_s=5.0)
         >>> video = {"Task": "Video"}
@@ -145,8 +148,9 @@ class Durations:
         self._said = {} if self._are_alike else said_of_all(self.knowledge, [each for each, _ in found])
         self._done, self._failed = SeenRuns(), SeenRuns()
         self._pauses: deque[float] = deque(maxlen=_PAUSES)
-        self._current: tuple[CombinationKey, float] | None = None
-        self._ended: float | None = None
+        self._current: dict[str, tuple[CombinationKey, float, str]] = {}
+        self._ended: dict[str, float] = {}
+        self.places = 1
         self._has_begun = False
         self._left: Counter[CombinationKey] = Counter()
         self._to_come = 0
@@ -170,9 +174,11 @@ class Durations:
             case "experiment_started":
                 self.break_off()
             case "attempt_started":
-                self.begin(record.get("combination") or {}, _seconds(record["at"]))
+                at = _seconds(record["at"])
+                self.begin(record.get("combination") or {}, at, record["run"], record.get("place", ""))
             case "attempt_finished" if not record.get("is_amended"):  # which only adds what was published later
-                self.end(_seconds(record["at"]), record["status"], is_last=record.get("is_last", True))
+                is_last = record.get("is_last", True)
+                self.end(_seconds(record["at"]), record["status"], is_last=is_last, run=record["run"])
 
     def plan(self, combinations: Iterable[Mapping[str, Any]], *, may_repeat: bool = False) -> None:
         """Take down which runs are to come, and whether more may follow, until the experiment is precise."""
@@ -185,35 +191,38 @@ class Durations:
         self._to_come = self._left.total()
         self._computed = self._cost = 0.0
 
-    def begin(self, combination: Mapping[str, Any], at: float) -> None:
+    def begin(self, combination: Mapping[str, Any], at: float, run: str = "", place: str = "") -> None:
         """Take down that an attempt at a run begins.
 
         Args:
             combination: of the run; treatments may be given by their texts.
             at: the moment, s on a clock that is the same for all calls until `break_off`.
+            run: its id, where several are in flight.
+            place: where it is executed, where there are several.
         """
-        if self._current is not None:  # it is tried again
+        if run in self._current:  # it is tried again
             return
-        if self._ended is not None and 0 <= at - self._ended <= _LEFT_ALONE:
-            self._pauses.append(at - self._ended)
+        ended = self._ended.pop(place, None)
+        if ended is not None and 0 <= at - ended <= _LEFT_ALONE:
+            self._pauses.append(at - ended)
         key = self._key(combination)
-        self._current, self._ended = (key, at), None
+        self._current[run] = (key, at, place)
         if self._left[key] > 0:
             self._left[key] -= 1
             self._to_come -= 1
             if self._expected is not None:
                 self._expected = max(0.0, self._expected - (self._of(key) or 0.0))
 
-    def end(self, at: float, status: str, *, is_last: bool) -> None:
+    def end(self, at: float, status: str, *, is_last: bool, run: str = "") -> None:
         """Take down that an attempt has ended with this status, unless the run is tried again."""
         if status == AttemptStatus.INTERRUPTED.value:
-            self.break_off()
-        if not is_last or self._current is None:
+            self._current.pop(run, None)
+        if not is_last or run not in self._current:
             return
-        key, began = self._current
+        key, began, place = self._current.pop(run)
         seen = self._done if status == AttemptStatus.DONE.value else self._failed
         seen.take(key, max(0.0, at - began) - self._said.get(key, 0.0))
-        self._current, self._ended, self._has_begun = None, at, True
+        self._ended[place], self._has_begun = at, True
 
     def said_of(self, combination: Mapping[str, Any]) -> float | None:
         """Return what is said of a run of this combination, s; None where nothing is."""
@@ -227,7 +236,8 @@ class Durations:
 
     def break_off(self) -> None:
         """Forget what has begun and not ended: it was interrupted, or the clock is another one from here."""
-        self._current = self._ended = None
+        self._current.clear()
+        self._ended.clear()
 
     @property
     def count(self) -> int:
@@ -263,10 +273,20 @@ class Durations:
             self._expected = self._of_all()
             self._computed = time.monotonic()
             self._cost = self._computed - now
-        current = 0.0 if self._current is None else self._of(self._current[0])
+        current = self._of_current(now)
         if self._expected is None or current is None:
             return None
-        return TimeLeft(current, self._expected + self._to_come * self.pause, is_least=bool(self._unknown()))
+        others = (self._expected + self._to_come * self.pause) / self.places
+        return TimeLeft(current, others, is_least=bool(self._unknown()))
+
+    def _of_current(self, now: float) -> float | None:
+        """Return how long the runs in flight take from here; None where that is not known."""
+        expected = [(self._of(key), began) for key, began, _ in self._current.values()]
+        if any(seconds is None for seconds, _ in expected):
+            return None
+        if len(expected) == 1:  # it has just begun
+            return expected[0][0]
+        return max((max(0.0, (seconds or 0.0) - (now - began)) for seconds, began in expected), default=0.0)
 
     def estimate(self, *, probe_s: float = 0.0) -> Estimate:
         """Return how long everything that was planned takes, with its parts in words.

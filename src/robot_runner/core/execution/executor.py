@@ -1,10 +1,9 @@
-"""Carries out one run: in a process of its own, supervised, or in the orchestrator itself."""
+"""Carries out a run on this machine: in a process of its own, supervised, or in the orchestrator itself."""
 
 from __future__ import annotations
 
-import select
 import time
-from contextlib import ExitStack, closing, redirect_stderr, redirect_stdout, suppress
+from contextlib import ExitStack, closing, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
@@ -16,49 +15,29 @@ from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.standby import standby_of
 from robot_runner.core.execution.task import FINISHED, RecordReader
 from robot_runner.core.execution.worker import be_run, become_interpreter
+from robot_runner.core.links.connect import preload_simulation
 from robot_runner.core.storage.layout import LazyLog
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection, Iterator
 
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.interruption import Interruption
+    from robot_runner.core.execution.places import RunInFlight, Watch
     from robot_runner.core.execution.standby import Standby
     from robot_runner.core.execution.systems_state import SystemsState
-    from robot_runner.core.execution.task import OutcomeBuilder, RecordWriter, Report, RunOutcome, RunTask
+    from robot_runner.core.execution.task import OutcomeBuilder, RecordWriter, RunOutcome, RunTask
 
-__all__ = ["Executor", "Watch", "executor_for"]
+__all__ = ["EndedRun", "Executor", "executor_for"]
 
-_READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
 #: How long after the grace a keeper that should have ended its run is waited for, s.
 _KEEPER_MARGIN = 10.0
 
 
-@dataclass(frozen=True, slots=True)
-class Watch:
-    """What the orchestrator wants to know and do while a run is executed.
-
-    Attributes:
-        report: takes each record as it arrives.
-        refresh: called every `refresh_interval` seconds; never where that is None.
-        tend: called after each record, and when the time is over that it returned last, in seconds; None where nothing
-            is due.
-        noticed_interruption: called once the run has been asked to stop because the user interrupted.
-    """
-
-    interruption: Interruption
-    report: Report = lambda _kind, _fields: None
-    refresh: Callable[[], None] = lambda: None
-    refresh_interval: float | None = None
-    noticed_interruption: Callable[[], None] = lambda: None
-    tend: Callable[[], float | None] = lambda: None
-
-
 class Executor(Protocol):
-    """Executes runs, one at a time."""
+    """Executes runs; as many at a time as there are slots, each with files of its own."""
 
-    def execute(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunOutcome:
-        """Execute one attempt and return how it went, whatever becomes of the run.
+    def begin(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunInFlight:
+        """Begin one attempt.
 
         Args:
             task: what is executed.
@@ -72,6 +51,7 @@ def executor_for(experiment: Experiment) -> Executor:
     """Return the executor that the config's `run_process` asks for."""
     match experiment.parameters.run_process:
         case RunProcess.FORK:
+            preload_simulation(experiment.parameters.robot)
             return _ProcessExecutor(experiment, be_run)
         case RunProcess.SPAWN:
             return _ProcessExecutor(experiment, become_interpreter)
@@ -86,7 +66,7 @@ class _ProcessExecutor:
         self._experiment = experiment
         self._start = start
 
-    def execute(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunOutcome:
+    def begin(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunInFlight:
         parameters = self._experiment.parameters
         limits = _Limits(parameters.run_deadline_in_s, parameters.event_deadline_in_s, parameters.grace_in_s)
         with ExitStack() as opened:
@@ -94,14 +74,14 @@ class _ProcessExecutor:
             state = None if standby is None else opened.enter_context(closing(standby.state))
             start = partial(self._start, self._experiment, task, state)
             keeper = opened.enter_context(Keeper(start, limits.grace, self._experiment.folder, standby))
-            return _Supervision(keeper, builder, limits, watch, standby).follow()
+            return _Supervision(keeper, builder, limits, watch, standby, opened.pop_all())
 
 
 class _InProcessExecutor:
     def __init__(self, experiment: Experiment) -> None:
         self._experiment = experiment
 
-    def execute(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunOutcome:
+    def begin(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunInFlight:
         def report(kind: str, fields: dict[str, object]) -> None:
             builder.take(kind, fields)
             watch.report(kind, fields)
@@ -114,7 +94,38 @@ class _InProcessExecutor:
             with watch.interruption.passed_on(gate):
                 execute_run(self._experiment, task, report, gate)
         report(FINISHED, {})
-        return builder.outcome(interrupted=watch.interruption.is_requested)
+        return EndedRun(builder.outcome(interrupted=watch.interruption.is_requested))
+
+
+class EndedRun:
+    """A run that is over when it is returned.
+
+    Args:
+        outcome: how it went.
+    """
+
+    descriptors: Collection[int] = ()
+    due: float | None = 0.0
+
+    def __init__(self, outcome: RunOutcome) -> None:
+        self._outcome = outcome
+
+    def advance(self) -> bool:
+        """Say that it is over."""
+        return True
+
+    def stop(self, because: str, *, is_interruption: bool = False) -> None:
+        """Do nothing: it has ended."""
+
+    def kill(self) -> None:
+        """Do nothing: it has ended."""
+
+    def outcome(self) -> RunOutcome:
+        """Return how it went."""
+        return self._outcome
+
+    def close(self) -> None:
+        """Do nothing: there is nothing left of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,56 +138,109 @@ class _Limits:
 
 
 class _Supervision:
-    """Watches over the process of a run: its records, its deadlines, its end, and the user's stop requests.
+    """Watches over the process of a run: its records, its deadlines, its end.
 
     A deadline that passes and an interruption have the same consequence: the keeper asks the run to stop, and kills
     it with everything that it started when it has not ended after the grace period.
     """
 
     def __init__(
-        self, keeper: Keeper, builder: OutcomeBuilder, limits: _Limits, watch: Watch, standby: Standby | None
+        self,
+        keeper: Keeper,
+        builder: OutcomeBuilder,
+        limits: _Limits,
+        watch: Watch,
+        standby: Standby | None,
+        opened: ExitStack,
     ) -> None:
         self._keeper = keeper
         self._standby = standby
         self._builder = builder
         self._limits = limits
         self._watch = watch
-        self._interruption = watch.interruption
+        self._opened = opened
         self._reader = RecordReader(keeper.records)
         self._started = self._event_started = time.monotonic()
         self._give_up_at: float | None = None
         self._leave_by: tuple[float, str] | None = None
-        self._tend_in: float | None = watch.tend()
         self._is_interrupted = False
         self._is_killed = False
         self._because = ""
-        self._poll = select.poll()
-        for descriptor in (keeper.records, keeper.told, watch.interruption.descriptor):
-            self._poll.register(descriptor, _READABLE)
+        self._awaits_records = True
+        self._end: Iterator[float] | None = None
+        self._look_at = 0.0
+        self._outcome: RunOutcome | None = None
 
-    def follow(self) -> RunOutcome:
-        """Return how the run went, once its process is dead."""
-        while not self._keeper.look():
-            for descriptor, _ in self._poll.poll(self._milliseconds()):
-                if descriptor == self._keeper.records:
-                    self._take_records()
-                elif descriptor == self._interruption.descriptor:
-                    self._interruption.forget_wakeups()
+    @property
+    def descriptors(self) -> Collection[int]:
+        """Its records, and what its keeper tells; a keeper that was killed tells nothing more."""
+        records = (self._keeper.records,) if self._awaits_records else ()
+        return (*records, self._keeper.told) if self._end is None else records
+
+    @property
+    def due(self) -> float | None:
+        """The next deadline, or the next look at what a dead keeper has left behind."""
+        if self._end is not None:
+            return self._look_at
+        leave_by = None if self._leave_by is None or self._because else self._leave_by[0]
+        deadlines = (self._give_up_at, leave_by, *self._deadlines())
+        return min((deadline for deadline in deadlines if deadline is not None), default=None)
+
+    def advance(self) -> bool:
+        """Take its records, enforce its deadlines, and see to its end."""
+        if self._awaits_records:
+            self._take_records()
+        if self._end is None:
             self._enforce()
-            if self._watch.refresh_interval is not None:
-                self._watch.refresh()
-            self._tend_in = self._watch.tend()
+            if not self._keeper.look():
+                return False
+            self._end = self._ending()
+        wait = next(self._end, None)
+        if wait is None:
+            return True
+        self._look_at = time.monotonic() + wait
+        return False
+
+    def outcome(self) -> RunOutcome:
+        """Return how the run went, once its process is dead."""
+        if self._outcome is None:
+            raise AssertionError("the run is not over")
+        return self._outcome
+
+    def close(self) -> None:
+        """Let go of the keeper, which ends a run that is still alive."""
+        self._opened.close()
+
+    def stop(self, because: str, *, is_interruption: bool = False) -> None:
+        """Have the keeper ask the run to stop."""
+        if self._because or self._end is not None:
+            return
+        if is_interruption:
+            self._is_interrupted = True
+            self._watch.noticed_interruption()
+        self._because = because
+        self._give_up_at = time.monotonic() + self._limits.grace + _KEEPER_MARGIN
+        self._keeper.stop()
+
+    def kill(self) -> None:
+        """Have the keeper kill the run."""
+        if not self._is_killed:
+            self._is_killed = self._is_interrupted = True
+            self._keeper.kill()
+
+    def _ending(self) -> Iterator[float]:
+        """See to what is left to do once the keeper has told, or was killed; yield how long to wait each time, s."""
         if self._keeper.was_killed:
-            self._keeper.end_abandoned_run(self._limits.grace, meanwhile=self._take_records)
+            yield from self._keeper.abandoned_run_ended(self._limits.grace)
         self._take_records()  # the last ones before it ended
         if self._standby is not None and self._keeper.run is not None:
-            self._standby.look_after(self._keeper.run)
+            yield from self._standby.looked_after(self._keeper.run)
             if (finding := self._standby.finding()) is not None:
                 self._take("finding", finding)
-        return self._builder.outcome(ended_because=self._reason(), interrupted=self._is_interrupted)
+        self._outcome = self._builder.outcome(ended_because=self._reason(), interrupted=self._is_interrupted)
 
     def _take_records(self) -> None:
-        records, is_open = self._reader.read()
+        records, self._awaits_records = self._reader.read()
         for kind, fields in records:
             if kind == "event":
                 self._event_started = time.monotonic()
@@ -185,24 +249,10 @@ class _Supervision:
                 reason = fields.get("reason") or fields["problem"]
                 self._leave_by = self._leave_by or (time.monotonic() + self._limits.grace, reason)
             self._take(kind, fields)
-        if not is_open:
-            with suppress(KeyError):
-                self._poll.unregister(self._keeper.records)
 
     def _take(self, kind: str, fields: dict[str, Any]) -> None:
         self._builder.take(kind, fields)
         self._watch.report(kind, fields)
-
-    def _milliseconds(self) -> float | None:
-        now = time.monotonic()
-        leave_by = None if self._leave_by is None or self._because else self._leave_by[0]
-        deadlines = (self._give_up_at, leave_by, *self._deadlines())
-        waits = [deadline - now for deadline in deadlines if deadline is not None]
-        if self._watch.refresh_interval is not None:
-            waits.append(self._watch.refresh_interval)
-        if self._tend_in is not None:
-            waits.append(self._tend_in)
-        return max(0.0, min(waits)) * 1000 + 1 if waits else None
 
     def _deadlines(self) -> tuple[float | None, float | None]:
         """Return the moments at which the run, and its present event, have taken too long."""
@@ -217,29 +267,17 @@ class _Supervision:
     def _enforce(self) -> None:
         now = time.monotonic()
         run_deadline, event_deadline = self._deadlines()
-        if self._interruption.is_requested and not self._because:
-            self._is_interrupted = True
-            self._watch.noticed_interruption()
-            self._stop("the user interrupted the experiment")
-        elif run_deadline is not None and now >= run_deadline:
-            self._stop(f"the run took longer than run_deadline_in_s = {self._limits.run:g} s")
+        if run_deadline is not None and now >= run_deadline:
+            self.stop(f"the run took longer than run_deadline_in_s = {self._limits.run:g} s")
         elif event_deadline is not None and now >= event_deadline:
-            self._stop(f"the event took longer than event_deadline_in_s = {self._limits.event:g} s")
+            self.stop(f"the event took longer than event_deadline_in_s = {self._limits.event:g} s")
         elif self._leave_by is not None and now >= self._leave_by[0] and not self._because:
-            self._stop(
+            self.stop(
                 f"{self._leave_by[1]}; {self._builder.event} had not ended grace_in_s = {self._limits.grace:g} s later"
             )
-        if self._interruption.is_urgent and not self._is_killed:
-            self._is_killed = self._is_interrupted = True
-            self._keeper.kill()
         if self._give_up_at is not None and now >= self._give_up_at:
             self._give_up_at = None
             self._keeper.give_up()
-
-    def _stop(self, because: str) -> None:
-        self._because = because
-        self._give_up_at = time.monotonic() + self._limits.grace + _KEEPER_MARGIN
-        self._keeper.stop()
 
     def _reason(self) -> str:
         """Return why the run ended where it did not end by itself."""

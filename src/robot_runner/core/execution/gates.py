@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.config.gate_parameters import GatePolicy
 from robot_runner.core.errors import ConditionTimeout, Finding, RobotRunnerError
 from robot_runner.core.events.measure import CONFIG_OWNER
-from robot_runner.core.execution.aside import execute_aside
-from robot_runner.core.execution.executor import Watch
+from robot_runner.core.execution.aside import executed_aside
 from robot_runner.core.execution.notices import FindingsNoticed, GatePassed, GateWaiting
+from robot_runner.core.execution.patience import Pause
+from robot_runner.core.execution.places import Watch
 from robot_runner.core.words import shown_duration
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from robot_runner.core.config.gate_parameters import Gate
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.execution.notices import Notice
-    from robot_runner.core.execution.patience import Patience
+    from robot_runner.core.execution.patience import Patience, Steps
     from robot_runner.core.execution.progress_manager import ProgressManager
     from robot_runner.core.execution.task import PendingRun, Report, RunOutcome, RunTask
 
@@ -80,24 +81,28 @@ class Gates:
         notify: Callable[[Notice], None],
         patience: Patience,
     ) -> None:
-        self._experiment = experiment
         self._gates: tuple[Gate, ...] = tuple(experiment.parameters.gates)
         self._progress = progress
         self._notify = notify
         self._patience = patience
 
-    def pass_before(self, run: PendingRun) -> Passage:
-        """Await all gates, one after another, before the next attempt at a run; an interruption ends the wait."""
+    def pass_before(self, run: PendingRun, experiment: Experiment) -> Steps[Passage]:
+        """Await all gates, one after another, before the next attempt at a run; an interruption ends the wait.
+
+        Args:
+            run: the run that waits.
+            experiment: as its place has it.
+        """
         if not self._gates:
             return Passage()
         begun = self._progress.task_of(run)
         task = replace(begun, attempt=begun.attempt + 1)
         wait = _Wait(self._gates, task, self._progress, self._notify)
-        outcome = self._awaited(task, wait.take)
+        outcome = yield from self._awaited(task, experiment, wait.take)
         interruption = self._patience.interruption
         while not interruption.is_requested and _robot_is_away(outcome) and wait.goes_on_without(outcome):
-            self._patience.wait(_AGAIN)
-            outcome = self._awaited(task, wait.take)
+            yield Pause(_AGAIN)
+            outcome = yield from self._awaited(task, experiment, wait.take)
         if interruption.is_requested:
             wait.end("the experiment was interrupted", state="interrupted")
             return Passage()
@@ -105,16 +110,16 @@ class Gates:
             wait.end(outcome.failure.problem, state="timed out" if _robot_is_away(outcome) else "failed")
         return wait.passage()
 
-    def _awaited(self, task: RunTask, take: Report) -> RunOutcome:
+    def _awaited(self, task: RunTask, experiment: Experiment, take: Report) -> Steps[RunOutcome]:
         gates, patience = self._gates, self._patience
         seconds = sum(gate.patience_s for gate in gates) + _MARGIN
-        return execute_aside(
-            self._experiment,
+        return executed_aside(
+            experiment,
             task,
             lambda context: _await_gates(gates, context),
-            Watch(patience.interruption, take, patience.refresh, patience.refresh_interval),
+            Watch(patience.interruption, take),
             deadline_s=seconds if math.isfinite(seconds) else None,
-            robot=self._experiment.parameters.robot if any(map(_asks_robot, gates)) else None,
+            robot=experiment.parameters.robot if any(map(_asks_robot, gates)) else None,
         )
 
 

@@ -48,6 +48,11 @@ class HostFiles(System):
         self._hosts = hosts
         self._grace = grace
 
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: nothing but the hosts, which the experiment names."""
+        del robot
+        return ()
+
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return which hosts cannot be reached, or have the name of a plugin, whose folder they would share."""
         names = {plugin.name for plugin in circumstances.plugins}

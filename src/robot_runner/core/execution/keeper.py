@@ -27,12 +27,12 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Self
 
 from robot_runner.core.execution.interruption import STOP_SIGNALS
-from robot_runner.core.execution.left_over import RunMark, end_left_over
+from robot_runner.core.execution.left_over import RunMark, left_over_ended
 from robot_runner.core.execution.processes import (
     adopt_orphans,
     children,
-    end_group,
     forked,
+    group_ended,
     has_children,
     is_killed,
     kill_group,
@@ -44,7 +44,7 @@ from robot_runner.core.execution.task import RecordWriter
 from robot_runner.core.storage.outliving import is_spared, outliving
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from robot_runner.core.execution.standby import Standby
     from robot_runner.core.storage.layout import ExperimentFolder
@@ -57,6 +57,23 @@ _NUMBER_BYTES = 8
 _REAPING = 5.0
 #: How long it waits until it looks again, s.
 _LOOK = 0.01
+
+
+#: The keepers whose runs are in flight, in the process that has forked them.
+_in_flight: set[Keeper] = set()
+
+
+def _let_go_in_child() -> None:
+    """Let go of the keepers of other runs in a forked process, whatever it was forked for.
+
+    A keeper takes the end of its requests for the death of the orchestrator: no other process may hold that pipe open.
+    """
+    for keeper in _in_flight:
+        keeper.let_go()
+    _in_flight.clear()
+
+
+os.register_at_fork(after_in_child=_let_go_in_child)
 
 
 class Keeper:
@@ -107,14 +124,21 @@ class Keeper:
         for descriptor in (requests, tell, records):
             os.close(descriptor)
         os.set_blocking(self.told, False)
+        _in_flight.add(self)
         return self
 
     def __exit__(self, *raised: object) -> None:
+        _in_flight.discard(self)
         # A run that is still alive (the disk is full, say, and we cannot go on) must not wait for a reader.
         os.close(self.records)
         os.close(self._requests)  # and is ended by this
         self._wait()
         os.close(self.told)
+
+    def let_go(self) -> None:
+        """Close what connects this process to the keeper: it was forked, and is not the orchestrator."""
+        for descriptor in (self.records, self._requests, self.told):
+            os.close(descriptor)
 
     def look(self) -> bool:
         """Look, without waiting, whether the run has ended; all that it started has ended then, too."""
@@ -137,17 +161,18 @@ class Keeper:
         with suppress(ProcessLookupError):
             os.kill(self._pid, signal.SIGKILL)
 
-    def end_abandoned_run(self, grace: float, meanwhile: Callable[[], object]) -> None:
+    def abandoned_run_ended(self, grace: float) -> Iterator[float]:
         """Do the work of a keeper that was killed: end the run, its process group, and what else it left alive.
+
+        Yields how long to wait each time, s; meanwhile the run's records are to be read, or it would wait for that.
 
         Args:
             grace: how long the run may take to close what it opened, s.
-            meanwhile: called again and again while we wait: reads the run's records, or the run would wait for that.
         """
         if self.run is not None:  # else the run had not begun, and does not begin without a keeper
-            end_group(self.run, grace, meanwhile, _spared(self._folder))
+            yield from group_ended(self.run, grace, _spared(self._folder))
         if self._folder is not None:
-            end_left_over(self._folder)
+            yield from left_over_ended(self._folder, [])
 
     @property
     def run(self) -> int | None:
@@ -169,7 +194,10 @@ class Keeper:
 
     def _wait(self) -> int:
         if self._status is None:
-            self._status = os.waitpid(self._pid, 0)[1]
+            try:
+                self._status = os.waitpid(self._pid, 0)[1]
+            except ChildProcessError:  # a callback waited for all children while the run was in flight
+                self._status = 0
         return self._status
 
     def _request(self, request: bytes) -> None:

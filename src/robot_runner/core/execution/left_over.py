@@ -24,11 +24,11 @@ from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.storage.outliving import ancestors, is_spared, outliving, process_stat, processes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from robot_runner.core.storage.layout import ExperimentFolder
 
-__all__ = ["RunMark", "await_left_over", "end_left_over", "left_over"]
+__all__ = ["RunMark", "await_left_over", "end_left_over", "left_over", "left_over_ended"]
 
 _VARIABLE = "ROBOT_RUNNER_RUN_OF"
 #: How often we look whether a process has ended, and how long those that were killed may take, s.
@@ -53,15 +53,21 @@ class RunMark:
 
     def sign(self) -> None:
         """Mark this process as the run, and the programs that it starts from now on."""
-        os.environ[_VARIABLE] = str(self._folder.root.resolve())
+        os.environ[_VARIABLE] = _mark(self._folder)
         if sys.platform != "linux":  # there, a run whose parent dies is not told
             os.ftruncate(self.descriptor, 0)
             os.pwrite(self.descriptor, str(os.getpid()).encode(), 0)
 
 
+def _mark(folder: ExperimentFolder) -> str:
+    """Return what the variable has: runs in flight at other slots are none of those that one has left."""
+    root = str(folder.root.resolve())
+    return root if folder.slot == 1 else f"{root}#{folder.slot}"
+
+
 def left_over(folder: ExperimentFolder) -> list[int]:
-    """Return the processes that runs of this experiment left alive, but for those that may outlive them (Linux)."""
-    name = f"{_VARIABLE}={folder.root.resolve()}".encode()
+    """Return the processes that runs at a slot left alive, but for those that may outlive them (Linux)."""
+    name = f"{_VARIABLE}={_mark(folder)}".encode()
     alive = folder.alive.resolve()
     spared = outliving(folder.outliving)
     own = set(ancestors(os.getpid()))
@@ -70,16 +76,22 @@ def left_over(folder: ExperimentFolder) -> list[int]:
 
 
 def end_left_over(folder: ExperimentFolder) -> list[int]:
-    """Kill what runs of this experiment left alive; return the processes that were killed."""
+    """Kill what runs of this experiment left alive at a slot of this machine; return the processes that were killed."""
     killed: list[int] = []
+    for seconds in left_over_ended(folder, killed):
+        time.sleep(seconds)
+    return sorted(set(killed))
+
+
+def left_over_ended(folder: ExperimentFolder, killed: list[int]) -> Iterator[float]:
+    """Do the same step by step: yield how long to wait each time, s; `killed` takes the processes."""
     deadline = time.monotonic() + _DYING
     while (pids := left_over(folder)) and time.monotonic() < deadline:
         for pid in pids:
             with suppress(ProcessLookupError, PermissionError):
                 os.kill(pid, signal.SIGKILL)
         killed += pids
-        time.sleep(_LOOK)
-    return sorted(set(killed))
+        yield _LOOK
 
 
 def await_left_over(folder: ExperimentFolder, grace: float) -> Finding | None:
@@ -94,13 +106,15 @@ def await_left_over(folder: ExperimentFolder, grace: float) -> Finding | None:
         ExecutionError: it is still alive afterwards; that takes a system without /proc, or another user's process.
     """
     began = time.monotonic()
-    was_alive = _is_alive(folder)
-    if was_alive:
-        _ask_to_stop(folder)
-        _wait(lambda: not _is_alive(folder), grace)
+    slots = [folder.at_slot(number) for number in folder.used_slots()]
+    alive = [slot for slot in slots if _is_alive(slot)]
+    was_alive = bool(alive)
+    for slot in alive:
+        _ask_to_stop(slot)
+    _wait(lambda: not any(map(_is_alive, alive)), grace)
     seconds = time.monotonic() - began
-    killed = end_left_over(folder)
-    if was_alive and not _wait(lambda: not _is_alive(folder), _DYING):
+    killed = sorted(pid for slot in slots for pid in end_left_over(slot))
+    if was_alive and not _wait(lambda: not any(map(_is_alive, alive)), _DYING):
         raise ExecutionError(
             "a run of an earlier execution is still alive, and cannot be ended from here",
             where=str(folder.root),
@@ -108,7 +122,10 @@ def await_left_over(folder: ExperimentFolder, grace: float) -> Finding | None:
         )
     if not (was_alive or killed):
         return None
-    waited = f"its run was still alive and was waited for ({seconds:.1f} s)" if was_alive else "its run had ended"
+    runs = (
+        "its run was still alive and was" if len(alive) == 1 else f"{len(alive)} of its runs were still alive and were"
+    )
+    waited = f"{runs} waited for ({seconds:.1f} s)" if was_alive else "its run had ended"
     left = f"; what was left of it was killed: {', '.join(map(str, killed))}" if killed else ""
     return Finding.warning(str(folder.root), f"an earlier execution was killed; {waited}{left}")
 

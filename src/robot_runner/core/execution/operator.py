@@ -15,6 +15,7 @@ from robot_runner.core.design.watched_combination import WatchedCombination
 from robot_runner.core.errors import ExecutionError, Finding, MeasureError
 from robot_runner.core.events.measure import OPERATOR_OWNER, Origin
 from robot_runner.core.execution.notices import AnswersRefused, QuestionAsked, UserHasContinued, WaitingForUser
+from robot_runner.core.execution.patience import Pause
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.lock import Command, forget_command, take_request
 
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from robot_runner.core.config.operator_steps import Question
     from robot_runner.core.events.measure import MeasureValue
     from robot_runner.core.execution.notices import Notice
-    from robot_runner.core.execution.patience import Patience
+    from robot_runner.core.execution.patience import Patience, Steps
     from robot_runner.core.execution.progress_manager import ProgressManager
     from robot_runner.core.execution.task import PendingRun, Report, RunTask
 
@@ -109,13 +110,14 @@ class Operator:
         self._experiment = experiment
         self._steps = experiment.parameters.operator_steps
         self._progress = progress
-        self._keyboard = _Keyboard(user_input, patience)
+        self._keyboard = _Keyboard(user_input)
+        self._is_asking = False
         self._notify = notify
         self._interruption = patience.interruption
         self._history: _History | None = None
         self._reads: dict[str, dict[tuple[str, str], None]] = {}
 
-    def prepare(self, run: PendingRun, *, is_retry: bool = False) -> bool:
+    def prepare(self, run: PendingRun, *, is_retry: bool = False) -> Steps[bool]:
         """Have the steps done that are due before a run, or before another attempt at it; returns whether any was.
 
         Raises:
@@ -126,13 +128,13 @@ class Operator:
             if is_retry and not step.is_for_each_attempt:
                 continue
             if not self._interruption.is_requested and self._is_due(step, run):
-                self._have_done(step, run)
+                yield from self._have_done(step, run)
                 has_asked = True
         return has_asked
 
-    def ask_to_start(self, run: PendingRun) -> None:
+    def ask_to_start(self, run: PendingRun) -> Steps[None]:
         """Wait until somebody says that a run may start (SEMI), or until an interruption."""
-        self._ask(run)
+        yield from self._ask(run)
 
     def note_read(self, run_id: str, factor: str, owner: str) -> None:
         """Take down that somebody read the treatment of a factor ahead of its run."""
@@ -170,8 +172,8 @@ class Operator:
             raise ExecutionError(problem, where=f"operator step {step.name!r}, {run.run_id}", fix=fix) from error
         return self._known().is_due(step, _treatments(step, combination)) and suits
 
-    def _have_done(self, step: OperatorStep, run: PendingRun) -> None:
-        answers = self._ask(run, step)
+    def _have_done(self, step: OperatorStep, run: PendingRun) -> Steps[None]:
+        answers = yield from self._ask(run, step)
         if answers is None:
             return
         columns = self._experiment.columns
@@ -187,13 +189,27 @@ class Operator:
         facts = {"run": run.run_id, "step": step.name, "treatments": treatments, "answers": measures, "notes": notes}
         self._progress.note("operator_step", flush=True, **facts)
 
-    def _ask(self, run: PendingRun, step: OperatorStep | None = None) -> dict[str, MeasureValue] | None:
-        """Wait until a person says that a step is done, or that a run may start; None after an interruption."""
+    def _ask(self, run: PendingRun, step: OperatorStep | None = None) -> Steps[dict[str, MeasureValue] | None]:
+        """Wait until a person says that a step is done, or that a run may start; None after an interruption.
+
+        The person is asked about one run at a time; another one that is about to begin elsewhere waits meanwhile.
+        """
+        while self._is_asking:
+            yield Pause(_LISTEN)
+        self._is_asking = True
+        try:
+            return (yield from self._asked(run, step))
+        finally:
+            self._is_asking = False
+
+    def _asked(self, run: PendingRun, step: OperatorStep | None) -> Steps[dict[str, MeasureValue] | None]:
+        if self._interruption.is_requested:
+            return None
         name, questions = (step.name, tuple(step.ask)) if step else ("", ())
         asked = [question.as_mapping() for question in questions]
         self._progress.note("waiting", next_run=run.run_id, step=name, questions=asked)
         self._notify(self._waiting(run, name, questions))
-        answers = self._answered(questions)
+        answers = yield from self._answered(questions)
         self._progress.note("continued")
         self._notify(UserHasContinued())
         return answers
@@ -213,14 +229,14 @@ class Operator:
             left=self._progress.time_left,
         )
 
-    def _answered(self, questions: Sequence[Question]) -> dict[str, MeasureValue] | None:
+    def _answered(self, questions: Sequence[Question]) -> Steps[dict[str, MeasureValue] | None]:
         control = self._experiment.folder.control
         forget_command(control)
         given: dict[str, MeasureValue] = {}
         left = deque(questions)
         self._put_question(left)
         while not self._interruption.is_requested:
-            line = self._keyboard.line()
+            line = yield from self._keyboard.line()
             if line is not None:
                 if left:
                     self._take_line(line, left, given)
@@ -258,9 +274,8 @@ def _treatments(step: OperatorStep, combination: Mapping[str, Any]) -> dict[str,
 class _Keyboard:
     """Lines that somebody types, as they come."""
 
-    def __init__(self, descriptor: int | None, patience: Patience) -> None:
+    def __init__(self, descriptor: int | None) -> None:
         self._descriptor = descriptor
-        self._patience = patience
         self._pending = b""
 
     @property
@@ -268,13 +283,14 @@ class _Keyboard:
         """Whether somebody may type."""
         return self._descriptor is not None
 
-    def line(self) -> str | None:
+    def line(self) -> Steps[str | None]:
         """Return the next line; None where none was completed for a moment."""
         if b"\n" not in self._pending:
-            typed = self._patience.wait(_LISTEN, self._descriptor)
-            if typed == b"":  # the end of the input
+            pause = Pause(_LISTEN, self._descriptor)
+            yield pause
+            if pause.typed == b"":  # the end of the input
                 self._descriptor = None
-            self._pending = (self._pending + (typed or b""))[-_MOST_BYTES:]
+            self._pending = (self._pending + (pause.typed or b""))[-_MOST_BYTES:]
         if b"\n" not in self._pending:
             return None
         line, _, self._pending = self._pending.partition(b"\n")

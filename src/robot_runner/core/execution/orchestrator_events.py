@@ -32,6 +32,10 @@ if TYPE_CHECKING:
 __all__ = ["OrchestratorEvents"]
 
 
+#: How often the run table is looked after while a callback of this process sleeps, s.
+_LOOK = 1.0
+
+
 class _AttentiveClock(SystemClock):
     """The clock of callbacks of this process: the screen is kept up to date while they sleep on it."""
 
@@ -41,7 +45,7 @@ class _AttentiveClock(SystemClock):
     def sleep(self, seconds: float) -> None:
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
-            time.sleep(min(left, self._patience.refresh_interval or left))
+            time.sleep(min(left, self._patience.refresh_interval or _LOOK))
             self._patience.refresh_screen()
 
 
@@ -65,6 +69,7 @@ class OrchestratorEvents:
         event: RobotRunnerEvents,
         task: RunTask,
         report: Report,
+        experiment: Experiment | None = None,
         adapt: Callable[[RobotRunnerContext], RobotRunnerContext] = lambda context: context,
     ) -> list[object]:
         """Emit an event of a run in this process; a callback that raises is reported as a failure of the run.
@@ -73,6 +78,7 @@ class OrchestratorEvents:
             event: the event.
             task: the run.
             report: takes what happens.
+            experiment: as the run's place has it, where that differs.
             adapt: makes what a callback is given of the run's context.
 
         Returns:
@@ -88,7 +94,8 @@ class OrchestratorEvents:
             return []
         resources = Resources()
         clock = _AttentiveClock(self._patience)
-        context_for = run_contexts(self._experiment, task, clock=clock, resources=resources, report=told)
+        of_place = experiment or self._experiment
+        context_for = run_contexts(of_place, task, clock=clock, resources=resources, report=told)
         try:
             emission = self._emit(event, lambda owner: adapt(context_for(owner)))
             for failure in emission.failures:
@@ -124,7 +131,14 @@ class OrchestratorEvents:
             ) from failure.error
         return [returned for _, returned in emission.returned]
 
-    def user_has_continued(self, finished: PendingRun, following: PendingRun, read: Callable[[str, str], None]) -> bool:
+    def user_has_continued(
+        self,
+        finished: PendingRun,
+        following: PendingRun,
+        read: Callable[[str, str], None],
+        place: str = "",
+        experiment: Experiment | None = None,
+    ) -> bool:
         """Emit `continue`; a callback that returns True has asked the user itself.
 
         What is published is a measure of the run that has finished.
@@ -133,13 +147,15 @@ class OrchestratorEvents:
             finished: the run that is over.
             following: the run that comes next.
             read: called with a factor and an owner when the owner reads its treatment in the run that comes next.
+            place: where both are executed; empty where there is one place only.
+            experiment: as that place has it, where that differs.
 
         Raises:
             ExecutionError: a callback raised, or took too long.
         """
-        task = self._progress.task_of(finished)
+        task = self._progress.task_of(finished, place)
         published = OutcomeBuilder(task.run_id, self._experiment.columns)
-        published.go_on_from(self._progress.last_outcome)
+        published.go_on_from(self._progress.last_outcome(place))
 
         def report(kind: str, fields: dict[str, Any]) -> None:
             published.take(kind, fields)
@@ -148,7 +164,7 @@ class OrchestratorEvents:
         def adapt(context: RobotRunnerContext) -> RobotRunnerContext:
             return replace(context, next_run=self._next_run(following, lambda factor: read(factor, context.owner)))
 
-        returned = self.emit_to_run(RobotRunnerEvents.CONTINUE, task, report, adapt)
+        returned = self.emit_to_run(RobotRunnerEvents.CONTINUE, task, report, experiment, adapt)
         outcome = published.outcome()
         self._progress.amend_outcome(task, outcome)
         if outcome.failure is not None and not self._interruption.is_requested:

@@ -1,49 +1,152 @@
-"""How the orchestrator waits: the user may interrupt, and screens go on."""
+"""How the orchestrator waits: one poll for all that is awaited, and the user's interruption; screens go on.
+
+What takes its time is written as *steps*: a generator that yields what it waits for, and is resumed once that is over.
+So the steps of several runs go on side by side in a process that has no threads.
+"""
 
 from __future__ import annotations
 
 import os
 import select
 import time
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Generator
+from typing import TYPE_CHECKING, TypeVar
+
+from robot_runner.core.execution.places import INTERRUPTED, Awaited
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection, Sequence
 
     from robot_runner.core.execution.interruption import Interruption
+    from robot_runner.core.execution.places import Places
 
-__all__ = ["Patience"]
+__all__ = ["Patience", "Pause", "Steps"]
+
+_READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
+_Result = TypeVar("_Result")
+#: What is done step by step: it yields what it waits for, and returns a result.
+Steps = Generator[Awaited, None, _Result]
 
 
-@dataclass(frozen=True, slots=True)
+class Pause:
+    """A span of time, which the user's interruption ends early, and a line that somebody types.
+
+    Args:
+        seconds: how long it lasts at most.
+        user_input: the descriptor on which somebody may type; None where nobody sits there.
+
+    Attributes:
+        due: when it is over, on the monotonic clock, s.
+        typed: what was typed; empty at the end of the input, and None where nothing was.
+    """
+
+    def __init__(self, seconds: float, user_input: int | None = None) -> None:
+        self.due: float | None = time.monotonic() + seconds
+        self._input = user_input
+        self._is_stopped = False
+        self.typed: bytes | None = None
+
+    @property
+    def descriptors(self) -> Collection[int]:
+        """Where somebody may type."""
+        return () if self._input is None else (self._input,)
+
+    def advance(self) -> bool:
+        """Take what was typed; return whether it is over."""
+        if self._input is not None and select.select([self._input], [], [], 0)[0]:
+            self.typed = os.read(self._input, 4096)
+            return True
+        return self._is_stopped or self.due is None or time.monotonic() >= self.due
+
+    def stop(self, because: str, *, is_interruption: bool = False) -> None:
+        """End it."""
+        del because, is_interruption
+        self._is_stopped, self.due = True, time.monotonic()
+
+    def kill(self) -> None:
+        """End it."""
+
+
 class Patience:
     """What goes on while the orchestrator waits.
 
+    Args:
+        interruption: the user's; it has all that is awaited end.
+        refresh: brings a live screen up to date; called every `refresh_interval` seconds, and never where that is None.
+        refresh_interval: in seconds.
+        tend: called before each wait; returns in how many seconds it is to be called again, None where nothing is due.
+
     Attributes:
-        refresh: called every `refresh_interval` seconds; never where that is None.
+        interruption: as above.
+        refresh_interval: as above.
     """
 
-    interruption: Interruption
-    refresh: Callable[[], None]
-    refresh_interval: float | None
+    def __init__(
+        self,
+        interruption: Interruption,
+        refresh: Callable[[], None] = lambda: None,
+        refresh_interval: float | None = None,
+        tend: Callable[[], float | None] = lambda: None,
+    ) -> None:
+        self.interruption = interruption
+        self.refresh_interval = refresh_interval
+        self._refresh = refresh
+        self._tend = tend
 
     def refresh_screen(self) -> None:
-        """Bring a live screen up to date."""
+        """Bring a live screen up to date, and what else is due."""
         if self.refresh_interval is not None:
-            self.refresh()
+            self._refresh()
+        self._tend()
 
-    def wait(self, seconds: float, user_input: int | None = None) -> bytes | None:
-        """Wait this long at most, for the user's interruption or input; return the latter, or None."""
-        descriptors = [self.interruption.descriptor, *([] if user_input is None else [user_input])]
-        readable, _, _ = select.select(descriptors, [], [], min(seconds, self.refresh_interval or seconds))
-        if self.interruption.descriptor in readable:
+    def follow(self, steps: Steps[_Result]) -> _Result:
+        """Go through steps that nothing else goes on beside, and return their result."""
+        try:
+            while True:
+                awaited = next(steps)
+                while not self.turn([awaited]):
+                    pass
+        except StopIteration as end:
+            result: _Result = end.value
+            return result
+        finally:
+            steps.close()
+
+    def turn(self, awaited: Sequence[Awaited], places: Places | None = None) -> list[Awaited]:
+        """Wait until there is something to do, do it, and return what is over.
+
+        The user's interruption has all of them end soon, and a second one at once.
+
+        Args:
+            awaited: what is in flight.
+            places: also waited for: one may come.
+        """
+        self._pass_interruption_on(awaited)
+        self._wait(awaited, places)
+        over = [each for each in awaited if each.advance()]
+        self._pass_interruption_on([each for each in awaited if each not in over])
+        if self.refresh_interval is not None:
+            self._refresh()
+        return over
+
+    def _pass_interruption_on(self, awaited: Sequence[Awaited]) -> None:
+        if self.interruption.is_requested:
+            for each in awaited:
+                each.stop(INTERRUPTED, is_interruption=True)
+                if self.interruption.is_urgent:
+                    each.kill()
+
+    def _wait(self, awaited: Sequence[Awaited], places: Places | None) -> None:
+        poll = select.poll()
+        poll.register(self.interruption.descriptor, _READABLE)
+        every: Sequence[Awaited | Places] = awaited if places is None else (*awaited, places)
+        for each in every:
+            for descriptor in each.descriptors:
+                poll.register(descriptor, _READABLE)
+        now = time.monotonic()
+        waits = [due - now for each in every if (due := each.due) is not None]
+        waits += [seconds for seconds in (self.refresh_interval, self._tend()) if seconds is not None]
+        # A millisecond more, as poll would return a little before the moment that is waited for.
+        ready = poll.poll(max(0.0, min(waits)) * 1000 + 1 if waits else None)
+        if any(descriptor == self.interruption.descriptor for descriptor, _ in ready):
             self.interruption.forget_wakeups()
-        self.refresh_screen()
-        return os.read(user_input, 4096) if user_input is not None and user_input in readable else None
-
-    def rest(self, seconds: float) -> None:
-        """Let this much real time go by, or less if the user interrupts."""
-        end = time.monotonic() + seconds
-        while not self.interruption.is_requested and (left := end - time.monotonic()) > 0:
-            self.wait(left)

@@ -6,13 +6,14 @@ import time
 from typing import TYPE_CHECKING
 
 from robot_runner.core.execution.notices import Paused
+from robot_runner.core.execution.patience import Pause
 from robot_runner.core.storage.lock import forget_pause, pause_is_requested
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from robot_runner.core.execution.notices import Notice
-    from robot_runner.core.execution.patience import Patience
+    from robot_runner.core.execution.patience import Patience, Steps
     from robot_runner.core.execution.progress_manager import ProgressManager
     from robot_runner.core.execution.task import PendingRun
     from robot_runner.core.storage.layout import ExperimentFolder
@@ -30,7 +31,7 @@ def pause_where_requested(
     notify: Callable[[Notice], None],
     patience: Patience,
     user_input: int | None,
-) -> None:
+) -> Steps[None]:
     """Wait, where `robot-runner pause` asked for it, until the request is taken back or the user interrupts.
 
     Args:
@@ -48,9 +49,10 @@ def pause_where_requested(
     progress.bring_table_up_to_date()
     notify(Paused(folder.root, run.number, progress.run_count))
     while pause_is_requested(folder.pause) and not patience.interruption.is_requested:
-        said = patience.wait(_LISTEN, user_input)
-        if said == b"":  # the end of the input
+        pause = Pause(_LISTEN, user_input)
+        yield pause
+        if pause.typed == b"":  # the end of the input
             user_input = None
-        elif said is not None:
+        elif pause.typed is not None:
             forget_pause(folder.pause)
     progress.note("continued", after="pause", seconds=round(time.monotonic() - started, 3))

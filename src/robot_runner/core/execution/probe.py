@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.events.manager import EventManager, RobotRunnerEvents
 from robot_runner.core.execution.aside import execute_aside
-from robot_runner.core.execution.executor import Watch
 from robot_runner.core.execution.interruption import Interruption
+from robot_runner.core.execution.places import Watch
 from robot_runner.core.execution.task import AttemptStatus, RunTask, seed_of_run
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.plugin import Profiler

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 __all__ = [
     "adopt_orphans",
     "children",
-    "end_group",
     "forked",
+    "group_ended",
     "has_children",
     "is_killed",
     "kill_group",
@@ -126,21 +126,21 @@ def children() -> Iterator[int]:
     return (pid for pid in processes() if process_stat(pid)[_PARENT:_GROUP] == [own])
 
 
-def end_group(leader: int, grace: float, meanwhile: Callable[[], object], spared: frozenset[int]) -> None:
+def group_ended(leader: int, grace: float, spared: frozenset[int]) -> Iterator[float]:
     """Ask a process that is not our child to stop; kill it, and its group, when it has not after `grace` seconds.
+
+    Yields how long to wait each time, s.
 
     Args:
         leader: the id of the process, and of its group.
         grace: how long it may take.
-        meanwhile: called again and again while we wait.
         spared: those of the group that may go on.
     """
     deadline = time.monotonic() + grace
     with suppress(ProcessLookupError):
         os.kill(leader, signal.SIGTERM)
         while time.monotonic() < deadline:
-            meanwhile()
-            time.sleep(_LOOK)
+            yield _LOOK
             os.kill(leader, 0)  # raises once the process is gone
     kill_group(leader, spared)
 

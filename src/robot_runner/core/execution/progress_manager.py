@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 from robot_runner.core.config.treatment_makers import PREPARED, known_treatments
 from robot_runner.core.design.batches import REPEATED
 from robot_runner.core.design.design_facts import described_design
-from robot_runner.core.execution.begun_experiment import begun_manifest, refuse_unfit_treatments
+from robot_runner.core.execution.begun_experiment import begun_manifest, made_folder, refuse_unfit_treatments
 from robot_runner.core.execution.circumstances import keep_config, note_clock
 from robot_runner.core.execution.durations import durations_of
 from robot_runner.core.execution.left_over import await_left_over
@@ -27,7 +27,6 @@ from robot_runner.core.storage.journal import Journal, utc_now
 from robot_runner.core.storage.layout import drop_empty_log, keep_log, keep_refused, put_earlier_attempt_away
 from robot_runner.core.storage.lock import ExperimentLock, forget_pause
 from robot_runner.core.storage.manifest import write_manifest
-from robot_runner.core.storage.safe_write import fsync_folder, storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -79,11 +78,11 @@ class ProgressManager:
         self._findings: list[Finding] = []
         self._unread = UnreadFactors(experiment)
         self._resources = ExitStack()
-        self._last_outcome = RunOutcome(AttemptStatus.INTERRUPTED)
+        self._last_outcomes: dict[str, RunOutcome] = {}
 
     def __enter__(self) -> Self:
         with ExitStack() as opened:
-            self._make_folder()
+            self._left_behind = made_folder(self._folder)
             opened.enter_context(ExperimentLock(self._folder.lock))
             opened.callback(forget_pause, self._folder.pause)  # of no use to the next session
             forget_pause(self._folder.pause)  # of one that was killed
@@ -107,11 +106,12 @@ class ProgressManager:
             self._manifest |= prepared
             self._durations = self._expected_durations()
             probed = self._probed()
-            if recovered.unfinished is not None:  # the orchestrator died: what the run printed is still its log
-                keep_log(self._folder, recovered.unfinished)
-                self._left_behind.add(recovered.unfinished)
+            for run_id, slot in recovered.unfinished.items():  # the orchestrator died: what it printed is still its log
+                if slot:
+                    keep_log(self._folder.at_slot(slot), run_id)
+                self._left_behind.add(run_id)
             self._journal = opened.enter_context(Journal(self._folder.journal))
-            self._keep_deviations(recovered)
+            recovered.keep_deviations(self._journal, self._manifest)
             if prepared:
                 self._journal.append(PREPARED, flush=True, treatments=prepared)
             keep_config(self._experiment, self._manifest)
@@ -141,7 +141,8 @@ class ProgressManager:
 
     def __exit__(self, *raised: object) -> None:
         with self._resources:
-            drop_empty_log(self._folder)
+            for slot in self._folder.used_slots():
+                drop_empty_log(self._folder.at_slot(slot))
             self._file.bring_up_to_date()
 
     @property
@@ -184,10 +185,9 @@ class ProgressManager:
         """Why each failed run failed, one line each."""
         return tuple(f"{run_id}: {reason}" for run_id, reason in self._failed.items())
 
-    @property
-    def last_outcome(self) -> RunOutcome:
-        """How the attempt went that was recorded last."""
-        return self._last_outcome
+    def last_outcome(self, place: str = "") -> RunOutcome:
+        """Return how the attempt went that was recorded last at a place."""
+        return self._last_outcomes[place]
 
     @property
     def time_left(self) -> TimeLeft | None:
@@ -198,6 +198,15 @@ class ProgressManager:
     def findings(self) -> tuple[Finding, ...]:
         """What looked odd in the table on disk and in the runs."""
         return (*self._findings, *self._unread.findings)
+
+    @property
+    def combinations_left(self) -> Iterator[Mapping[str, Any]]:
+        """The treatments of each run that is to be executed in this session."""
+        return map(self._rows.combination, self._selected)
+
+    def expect_places(self, count: int) -> None:
+        """Take into account that so many runs are executed at the same time, where they may."""
+        self._durations.places = count
 
     def pending(self, first: int = 0) -> Iterator[PendingRun]:
         """Yield the runs to execute from this one on: those to do, those that failed, those asked for again."""
@@ -229,8 +238,8 @@ class ProgressManager:
         """Return how many runs are to be executed in this session from this one on, itself included."""
         return len(self._selected) - self._selected.index(run.place)
 
-    def task_of(self, run: PendingRun) -> RunTask:
-        """Return the attempt at a run that was begun last."""
+    def task_of(self, run: PendingRun, place: str = "", slot: int = 1) -> RunTask:
+        """Return the attempt at a run that was begun last, at this place."""
         return RunTask(
             run_id=run.run_id,
             run_number=run.number,
@@ -240,10 +249,12 @@ class ProgressManager:
             repetition=self._rows.repetition(run.place),
             experiment_seed=self.seed,
             run_seed=seed_of_run(self.seed, run.run_id),
+            place=place,
+            slot=slot,
         )
 
-    def begin(self, run: PendingRun) -> RunTask:
-        """Begin another attempt at a run; what an earlier attempt left is kept elsewhere."""
+    def begin(self, run: PendingRun, place: str = "", slot: int = 1) -> RunTask:
+        """Begin another attempt at a run at a place; what an earlier attempt left is kept elsewhere."""
         earlier = self._attempts[run.run_id]
         self._attempts[run.run_id] += 1
         if run.run_id in self._left_behind:
@@ -256,14 +267,15 @@ class ProgressManager:
         self._left_behind.add(run.run_id)
         self._rows.record(run.run_id, status=RunStatus.RUNNING)
         self._failed.pop(run.run_id, None)
-        task = self.task_of(run)
-        self._durations.begin(task.combination, time.monotonic())
+        task = self.task_of(run, place, slot)
+        self._durations.begin(task.combination, time.monotonic(), run.run_id, place)
         self.note(
             "attempt_started",
             run=run.run_id,
             attempt=task.attempt,
             combination=texts_of(task.combination),
             repetition=task.repetition,
+            **_where(place, slot),
             **self._left(),
         )
         self._file.refresh()
@@ -287,8 +299,9 @@ class ProgressManager:
         Returns:
             what it shows about the runs that follow.
         """
-        keep_log(self._folder, task.run_id)
-        self._durations.end(time.monotonic(), outcome.status.value, is_last=is_last)
+        if task.slot:
+            keep_log(self._folder.at_slot(task.slot), task.run_id)
+        self._durations.end(time.monotonic(), outcome.status.value, is_last=is_last, run=task.run_id)
         self._findings += [*outcome.findings, *missing_measures(self._experiment, task, outcome)]
         if outcome.status is AttemptStatus.FAILED and is_last:
             self._failed[task.run_id] = str(outcome.failure)
@@ -302,7 +315,7 @@ class ProgressManager:
             task: that attempt.
             later: what it has yielded by now, with what it had yielded before.
         """
-        before = self._last_outcome
+        before = self._last_outcomes[task.place]
         found = later.findings[len(before.findings) :]
         if later.measures == before.measures and not found:
             return
@@ -314,7 +327,7 @@ class ProgressManager:
         self._keep_outcome(task, outcome, {"is_last": True, "is_amended": True})
 
     def _keep_outcome(self, task: RunTask, outcome: RunOutcome, facts: dict[str, Any]) -> None:
-        self._last_outcome = outcome
+        self._last_outcomes[task.place] = outcome
         self._journal.append(
             "attempt_finished",
             flush=True,
@@ -354,23 +367,6 @@ class ProgressManager:
         counts = {"done": self.done_count, "failed": len(self._failed), "runs": self.run_count}
         self.note("experiment_finished", flush=True, interrupted=interrupted, **counts)
 
-    def _make_folder(self) -> None:
-        try:
-            self._folder.runs.mkdir(parents=True, exist_ok=True)
-            self._left_behind = {path.name for path in self._folder.runs.iterdir()}
-            fsync_folder(self._folder.root)
-        except OSError as error:
-            raise storage_error(self._folder.root, "made", error) from error
-
-    def _keep_deviations(self, recovered: RecoveredTable) -> None:
-        """Record what was changed by hand: in the journal, and for readers of the manifest."""
-        for each in recovered.deviations:
-            fields = {"run": each.run, "column": each.column, "was": each.was, "is": each.is_now}
-            self._journal.append("deviation", flush=True, **fields)
-            self._manifest.setdefault("table_deviations", []).append({"at": utc_now(), **fields})
-            if not each.run:
-                self._manifest["design"]["is_reordered"] = True
-
     def _take(self, recovered: RecoveredTable) -> None:
         self._table = recovered
         self._rows = recovered.rows
@@ -395,3 +391,9 @@ class ProgressManager:
     def _left(self) -> dict[str, Any]:
         left = self.time_left
         return {} if left is None else {"left": left.facts()}
+
+
+def _where(place: str, slot: int) -> dict[str, Any]:
+    """Return what the journal has of where an attempt is executed: nothing where there is one place only."""
+    named = {"place": place} if place else {}
+    return named if slot == 1 else {**named, "slot": slot}

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.errors import CommandError, ExecutionError, Finding, LinkError
 from robot_runner.core.events.measure import CONFIG_OWNER
-from robot_runner.core.execution.aside import execute_aside
-from robot_runner.core.execution.executor import Watch
+from robot_runner.core.execution.aside import executed_aside
 from robot_runner.core.execution.notices import FindingsNoticed, HostRestarts
+from robot_runner.core.execution.places import Watch
 from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.links.declared_host import Reboot
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.execution.notices import Notice
-    from robot_runner.core.execution.patience import Patience
+    from robot_runner.core.execution.patience import Patience, Steps
     from robot_runner.core.execution.progress_manager import ProgressManager
     from robot_runner.core.execution.task import PendingRun, RunTask
     from robot_runner.core.links.declared_host import Host
@@ -64,7 +64,7 @@ class Reboots:
     notify: Callable[[Notice], None]
     patience: Patience
 
-    def before(self, run: PendingRun, finished: PendingRun | None) -> None:
+    def before(self, run: PendingRun, finished: PendingRun | None) -> Steps[None]:
         """Start those hosts anew that are to be before this run.
 
         Args:
@@ -76,7 +76,7 @@ class Reboots:
         """
         for name, host in self.experiment.parameters.hosts.items():
             if not self.patience.interruption.is_requested and self._is_due(host, run, finished):
-                self._restart(name, host, self.progress.task_of(run))
+                yield from self._restart(name, host, self.progress.task_of(run))
 
     def _is_due(self, host: Host, run: PendingRun, finished: PendingRun | None) -> bool:
         match host.reboot:
@@ -95,7 +95,7 @@ class Reboots:
             return None
         return str(task.repetition if blocks == REPETITION else task.combination.get(blocks))
 
-    def _restart(self, name: str, host: Host, task: RunTask) -> None:
+    def _restart(self, name: str, host: Host, task: RunTask) -> Steps[None]:
         self.notify(HostRestarts(name, task.run_id))
         facts: dict[str, Any] = {}
 
@@ -110,11 +110,11 @@ class Reboots:
 
         started, patience = time.monotonic(), self.patience
         robot = self.experiment.parameters.robot
-        outcome = execute_aside(
+        outcome = yield from executed_aside(
             self.experiment,
             replace(task, run_id=_RUN),
             launch_mission,
-            Watch(patience.interruption, report, patience.refresh, patience.refresh_interval),
+            Watch(patience.interruption, report),
             deadline_s=2 * host.back_within_s + _PATIENCE,
             robot=None if is_simulated(robot) else robot,  # hosts live by this machine's clock
         )

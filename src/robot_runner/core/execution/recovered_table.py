@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import Finding
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.table_columns import ColumnRole
 from robot_runner.core.storage.table_schema import ColumnDescription, describe_columns, write_schema
 from robot_runner.core.words import counted, enumerated
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.design.run_table_model import RunTable
+    from robot_runner.core.storage.journal import Journal
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
 __all__ = ["ENDS", "Deviation", "RecoveredTable", "lacks_runs", "with_later_batches"]
@@ -89,7 +91,7 @@ class RecoveredTable:
         rows: the table, kept up to date.
         attempts: how often each run was tried.
         failed: why each failed run failed.
-        unfinished: the run whose attempt did not come to a recorded end, or None.
+        unfinished: the runs whose attempts did not come to a recorded end, each with the slot that has its files.
         findings: what looked odd in the file.
         is_on_disk: whether the file holds all this, and has a schema, so that neither need be written.
         deviations: what was changed by hand since the last execution.
@@ -99,7 +101,7 @@ class RecoveredTable:
     rows: RunTableRows
     attempts: Counter[str] = field(default_factory=Counter)
     failed: dict[str, str] = field(default_factory=dict)
-    unfinished: str | None = None
+    unfinished: dict[str, int] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
     is_on_disk: bool = False
     deviations: tuple[Deviation, ...] = ()
@@ -143,6 +145,15 @@ class RecoveredTable:
         for name, reasons in doubts.items():
             if reasons:
                 self.reasons[name][run_id] = reasons
+
+    def keep_deviations(self, journal: Journal, manifest: dict[str, Any]) -> None:
+        """Record what was changed by hand: in the journal, and for readers of the manifest."""
+        for each in self.deviations:
+            fields = {"run": each.run, "column": each.column, "was": each.was, "is": each.is_now}
+            journal.append("deviation", flush=True, **fields)
+            manifest.setdefault("table_deviations", []).append({"at": utc_now(), **fields})
+            if not each.run:
+                manifest["design"]["is_reordered"] = True
 
     def write_schema(self, path: Path) -> None:
         """Write the run table's schema as far as it is known."""

@@ -259,8 +259,12 @@ def _last_settings(manifest: Mapping[str, Any]) -> Mapping[str, str]:
     return {str(name): str(text) for name, text in executions[-1].get("deviations", {}).items()}
 
 
+#: By the one we have found this folder; the other changes no value.
+_OF_NO_CONSEQUENCE = {"results_output_path", "workers"}
+
+
 def _changed_settings(before: Mapping[str, str], now: Mapping[str, str]) -> Iterator[Finding]:
-    for name in sorted({*before, *now} - {"results_output_path"}):  # by which we have found this folder
+    for name in sorted({*before, *now} - _OF_NO_CONSEQUENCE):
         was, is_now = before.get(name), now.get(name)
         if was != is_now:
             problem = f"the parameter was {_setting(name, was)} and is {_setting(name, is_now)}"

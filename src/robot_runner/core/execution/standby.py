@@ -28,7 +28,7 @@ from robot_runner.core.storage.layout import print_to_log
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from typing import Any
 
     from robot_runner.core.config.experiment import Experiment
@@ -79,22 +79,30 @@ class Standby:
                 os.close(descriptor)
             self._stand_by(run)
 
-    def wait(self) -> None:
+    def wait(self, seconds: float = _LONGEST) -> None:
         """Wait until the process of `begin` has ended, once the run is dead; kill it where it hangs."""
-        if not _ends(self._pid, _LONGEST):
+        if not _ends(self._pid, seconds):
             with suppress(ProcessLookupError):
                 os.kill(self._pid, signal.SIGKILL)
         with suppress(ChildProcessError):  # reaped by who reaps all
             os.waitpid(self._pid, 0)
 
     def look_after(self, run: int) -> None:
-        """Wait for the standby of a run that is dead, and do its work where it was killed: for the orchestrator."""
+        """Wait for the standby of a run that is dead, and do its work where it was killed."""
+        for seconds in self.looked_after(run):
+            time.sleep(seconds)
+
+    def looked_after(self, run: int) -> Iterator[float]:
+        """Do the same step by step, for the orchestrator: yield how long to wait each time, s."""
         deadline = time.monotonic() + _LONGEST
         while self.state.care is Care.STANDBY and time.monotonic() < deadline:
-            time.sleep(_LOOK)
+            yield _LOOK
         if self.state.care is Care.RUN:  # nobody stood by any more, or it has not woken up yet: twice does no harm
             self.begin(run)
-            self.wait()
+            deadline = time.monotonic() + _LONGEST
+            while not _ends(self._pid, 0.0) and time.monotonic() < deadline:
+                yield _LOOK
+            self.wait(0.0)
 
     def finding(self) -> dict[str, Any] | None:
         """Return the fields of a finding on what became of the systems; None where the run made them safe itself."""
@@ -143,11 +151,12 @@ def await_standby(folder: ExperimentFolder) -> Finding | None:
         that it was waited for, and how long; None where nobody stood by.
     """
     began = time.monotonic()
-    while (pid := _locked_by(folder)) is not None:
-        if time.monotonic() - began > _LONGEST:
-            with suppress(ProcessLookupError, PermissionError):
-                os.kill(pid, signal.SIGKILL)
-        time.sleep(_LOOK)
+    for slot in map(folder.at_slot, folder.used_slots()):
+        while (pid := _locked_by(slot)) is not None:
+            if time.monotonic() - began > _LONGEST:
+                with suppress(ProcessLookupError, PermissionError):
+                    os.kill(pid, signal.SIGKILL)
+            time.sleep(_LOOK)
     waited = time.monotonic() - began
     if waited < _LOOK:
         return None

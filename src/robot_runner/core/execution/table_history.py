@@ -16,12 +16,13 @@ __all__ = ["FINISHED", "TableHistory", "run_of"]
 
 # As `Journal.append` writes them: run and status are read from the line, as parsing takes twenty times as long.
 _RUN = re.compile(rb'\{"kind":"[^"]*","at":"[^"\\]*","run":"([^"\\]*)"')
+_SESSION = b'{"kind":"experiment_started"'
 _STARTED = b'{"kind":"attempt_started"'
 #: How the line begins that tells of an attempt's end.
 FINISHED = b'{"kind":"attempt_finished"'
 _TABLE_WRITTEN = b'{"kind":"table_written"'
 _EXCLUSION = tuple(f'{{"kind":"{kind}"'.encode() for kind in EXCLUSION_KINDS)
-_KINDS = EXCLUSION_KINDS | {"attempt_started", "attempt_finished", "table_written"}
+_KINDS = EXCLUSION_KINDS | {"experiment_started", "attempt_started", "attempt_finished", "table_written"}
 _IS_DONE = b'"status":"done"'  # quotes inside a text are escaped: these stand nowhere else
 
 
@@ -31,7 +32,7 @@ class TableHistory:
 
     Attributes:
         attempted: the run of each attempt.
-        is_open: whether the last attempt did not come to a recorded end.
+        open: the beginnings of the last session's attempts that did not come to a recorded end, by their runs.
         newer: the ends of attempts since the table was written last.
         failed: the ends of attempts that did not end well.
         written: the digest of the table as it was written last; empty where that is not known.
@@ -40,7 +41,7 @@ class TableHistory:
     """
 
     attempted: list[str] = field(default_factory=list)
-    is_open: bool = False
+    open: dict[str, bytes] = field(default_factory=dict)
     newer: list[bytes] = field(default_factory=list)
     failed: list[bytes] = field(default_factory=list)
     written: str = ""
@@ -62,8 +63,11 @@ class TableHistory:
     def take(self, journal: Path, line: bytes) -> None:
         """Take a line of the journal into account, the oldest first."""
         if line.startswith(_STARTED):
-            self.attempted.append(run_of(journal, line))
-            self.is_open = True
+            run_id = run_of(journal, line)
+            self.attempted.append(run_id)
+            self.open[run_id] = line
+        elif line.startswith(_SESSION):
+            self.open.clear()  # what they had printed was kept when that session began
         elif line.startswith(_TABLE_WRITTEN):
             # Parsed, as what comes before is left out from here on: a damaged line must not do that.
             self.written = str(parsed_record(journal, line).get("sha256", ""))
@@ -71,7 +75,8 @@ class TableHistory:
         elif line.startswith(_EXCLUSION):
             self.excluded.take(parsed_record(journal, line))
         else:
-            self.is_open, self.has_ends = False, True
+            self.open.pop(run_of(journal, line), None)
+            self.has_ends = True
             self.newer.append(line)
             if _IS_DONE not in line:
                 self.failed.append(line)

@@ -239,7 +239,9 @@ class _Recovery:
         """Runs whose end nobody saw are to do again; failed ones are listed with their reason."""
         history, rows = self._history, table.rows
         table.attempts = Counter(history.attempted)
-        table.unfinished = history.attempted[-1] if history.is_open else None
+        table.unfinished = {
+            run_id: int(parsed_record(self._journal, line).get("slot", 1)) for run_id, line in history.open.items()
+        }
         reasons = {
             run_of(self._journal, line): parsed_record(self._journal, line)["failure"] or "" for line in history.failed
         }

@@ -60,6 +60,8 @@ class RunTask:
         run_seed: a seed for this run alone, the same each time that it is executed.
         attempts_left: how often it is tried again where this attempt fails.
         entered: what a person answered about this run, by column.
+        place: where it is executed; empty where there is one place only.
+        slot: the number of the slot of this machine that has its files meanwhile; 0 where none has.
     """
 
     run_id: str
@@ -72,6 +74,8 @@ class RunTask:
     run_seed: int
     attempts_left: int = 0
     entered: Mapping[str, MeasureValue] = field(default_factory=dict)
+    place: str = ""
+    slot: int = 1
 
     @property
     def is_warm_up(self) -> bool:
@@ -130,6 +134,7 @@ class RunOutcome:
         later_failures: what went wrong after that, while what was open was closed.
         readers: who read the treatment of each factor, or has a parameter bound to it, by the factor's name.
         seconds: real time that the attempt took.
+        is_lost: whether it failed as the machine that executed it was lost, which is not the run's fault.
     """
 
     status: AttemptStatus
@@ -140,6 +145,7 @@ class RunOutcome:
     later_failures: tuple[RunFailure, ...] = ()
     readers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     seconds: float = 0.0
+    is_lost: bool = False
 
     def fields(self) -> dict[str, Any]:
         """Return the same as plain data, for the journal."""
@@ -158,6 +164,7 @@ class RunOutcome:
             "stamps": dict(self.stamps),
             "measures": measures,
             "failure": str(self.failure) if self.failure else None,
+            **({"is_lost": True} if self.is_lost else {}),
             "readers": dict(self.readers),
         }
 

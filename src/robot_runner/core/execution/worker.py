@@ -9,7 +9,7 @@ import json
 import os
 import signal
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.experiment import Experiment
 
-__all__ = ["be_run", "become_interpreter"]
+__all__ = ["be_run", "become_interpreter", "described_task", "task_of"]
 
 _MODULE = "robot_runner.core.execution.worker"
 
@@ -57,7 +57,7 @@ def become_interpreter(
         "config": str(experiment.config_path),
         # Of a replication, the config that is executed lies in the package, and its results go elsewhere.
         "set": {**experiment.overrides, "results_output_path": str(experiment.folder.root.parent)},
-        "task": _described(experiment, task),
+        "task": described_task(experiment, task),
         "revisions": describe_revisions(experiment.model.factors),
         "records": report.descriptor,
         "systems": None if systems is None else systems.descriptor,
@@ -78,15 +78,17 @@ def _execute(experiment: Experiment, task: RunTask, systems: SystemsState | None
 def _execute_described(description: Mapping[str, Any], report: RecordWriter) -> None:
     experiment = prepare_or_refuse(Path(description["config"]), description["set"])
     restore_revisions(experiment.model.factors, description["revisions"])
+    task = task_of(experiment, description["task"])
+    experiment = replace(experiment, folder=experiment.folder.at_slot(task.slot))
     RunMark(experiment.folder).sign()  # the lock was lost when the process was replaced
-    task = _task_of(experiment, description["task"])
     for plugin in experiment.plugins:  # a forked run finds this done
         bind(plugin, task.combination)
     shared = description["systems"]
     _execute(experiment, task, None if shared is None else SystemsState(shared), report)
 
 
-def _described(experiment: Experiment, task: RunTask) -> dict[str, Any]:
+def described_task(experiment: Experiment, task: RunTask) -> dict[str, Any]:
+    """Return a task as plain data, for a process that has loaded the config itself."""
     # A treatment goes by its place in its factor, as it may be any object; a value of a hand-written table is plain.
     factors = {factor.name: factor for factor in experiment.model.factors}
     combination: dict[str, Any] = {}
@@ -96,7 +98,8 @@ def _described(experiment: Experiment, task: RunTask) -> dict[str, Any]:
     return {each.name: getattr(task, each.name) for each in fields(task)} | {"combination": combination}
 
 
-def _task_of(experiment: Experiment, described: Mapping[str, Any]) -> RunTask:
+def task_of(experiment: Experiment, described: Mapping[str, Any]) -> RunTask:
+    """Return the task that `described_task` described."""
     factors = {factor.name: factor for factor in experiment.model.factors}
     combination = {
         name: value if place is None else factors[name].treatments[place]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -44,6 +45,7 @@ __all__ = [
     "open_clock",
     "open_serial_line",
     "preload_robot",
+    "preload_simulation",
 ]
 
 #: The name of the embedded robot, which messages offer as a way out; nothing here depends on it.
@@ -131,6 +133,17 @@ def preload_robot(robot: str | None) -> None:
         kind, name = _resolved(robot)
         if isinstance(kind, Preloads):
             kind.preload(name)
+
+
+def preload_simulation(robot: str | None) -> None:
+    """Import what simulates this robot into the orchestrator, so that no forked run has to; a real one is left alone.
+
+    A simulator begins no thread by being imported; the client library of a real robot may, and threads do not survive
+    a fork. What cannot be imported is told by the run.
+    """
+    if is_simulated(robot):
+        with suppress(LinkError, ImportError):
+            preload_robot(robot)
 
 
 def connect_robot(context: RobotRunnerContext, *, namespace: str = "") -> RobotLink:

@@ -99,12 +99,11 @@ def _lower_hull(points: Iterable[_Point]) -> list[_Point]:
             if point[1] >= hull[-1][1]:
                 continue
             hull.pop()
-        while len(hull) > 1 and _turns_right(hull[-2], hull[-1], point):
+        # A run has tens of thousands of points, so what decides whether the last edge turns right stands here.
+        while len(hull) > 1:
+            (first, least), (second, less) = hull[-2:]
+            if (second - first) * (point[1] - least) > (less - least) * (point[0] - first):
+                break
             hull.pop()
         hull.append(point)
     return hull
-
-
-def _turns_right(first: _Point, second: _Point, third: _Point) -> bool:
-    across = (second[0] - first[0]) * (third[1] - first[1])
-    return across <= (second[1] - first[1]) * (third[0] - first[0])

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import os
 import time
+from contextlib import suppress
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, open_to_read, read_lines
+from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -45,10 +47,11 @@ class Journal:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self._descriptor = open_descriptor(path, flags=os.O_RDWR | os.O_CREAT | os.O_APPEND)
         try:
-            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
             self._cut_torn_line()
         except OSError as error:
+            os.close(self._descriptor)
             raise storage_error(path, "written", error) from error
 
     def __enter__(self) -> Self:
@@ -123,18 +126,13 @@ def journal_lines(path: Path, *, kinds: Collection[str] | None = None) -> Iterat
     """
     beginnings = tuple(f'{_BEGINNING}{kind}"'.encode() for kind in kinds) if kinds is not None else b""
     beginning = _BEGINNING.encode()
-    try:
-        with path.open("rb") as file:
-            for line in file:
-                if not (line.startswith(beginning) and line.endswith(b"}\n")):
-                    if line.endswith(b"\n"):  # else it is the last one, torn when power failed
-                        raise _corrupt(path, line)
-                elif line.startswith(beginnings):
-                    yield line
-    except FileNotFoundError:
-        return
-    except OSError as error:
-        raise storage_error(path, "read", error) from error
+    with suppress(MissingFileError):
+        for line in read_lines(path):
+            if not (line.startswith(beginning) and line.endswith(b"}\n")):
+                if line.endswith(b"\n"):  # else it is the last one, torn when power failed
+                    raise _corrupt(path, line)
+            elif line.startswith(beginnings):
+                yield line
 
 
 def last_records(path: Path, *, kinds: Collection[str], within: int = _LAST_BYTES) -> Iterator[dict[str, Any]]:
@@ -145,13 +143,13 @@ def last_records(path: Path, *, kinds: Collection[str], within: int = _LAST_BYTE
     """
     beginnings = tuple(f'{_BEGINNING}{kind}"'.encode() for kind in kinds)
     try:
-        with path.open("rb") as file:
+        with open_to_read(path) as file:
             beginning = max(0, file.seek(0, os.SEEK_END) - within)
             file.seek(beginning)
             if beginning:
                 file.readline()  # the rest of a line
             lines = [line for line in file if line.startswith(beginnings) and line.endswith(b"}\n")]
-    except FileNotFoundError:
+    except MissingFileError:
         return
     except OSError as error:
         raise storage_error(path, "read", error) from error
@@ -175,8 +173,8 @@ def parsed_record(path: Path, line: bytes) -> dict[str, Any]:
 
 
 def _corrupt(path: Path, line: bytes) -> StorageError:
-    with path.open("rb") as file:  # lines are counted only where one is wrong
-        number = next((number for number, each in enumerate(file, start=1) if each == line), 0)
+    # Lines are counted only where one is wrong.
+    number = next((number for number, each in enumerate(read_lines(path), start=1) if each == line), 0)
     return StorageError(
         "this line is no record of a journal",
         where=f"{path}:{number}",

@@ -9,10 +9,11 @@ from __future__ import annotations
 import io
 import json
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.guarded_files import make_folder, open_descriptor, open_to_append
+from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -43,6 +44,7 @@ class ExperimentFolder:
         root: the experiment's folder.
         runs_name: the folder in it that holds a folder for each run; empty where they stand in the root itself, as the
             earlier tools had them.
+        slot: the number of the slot of this machine that a run is executed at, from 1: each has files of its own.
 
     Example:
         >>> from pathlib import Path
@@ -52,6 +54,7 @@ class ExperimentFolder:
 
     root: Path
     runs_name: str = _RUNS
+    slot: int = 1
     #: One folder a run.
     runs: Path = field(init=False, repr=False, compare=False)
     #: What the run that is being executed has printed so far.
@@ -60,7 +63,24 @@ class ExperimentFolder:
     def __post_init__(self) -> None:
         # Made once: they are asked for in every run, and making a path takes longer than all else there.
         object.__setattr__(self, "runs", self.root / self.runs_name)
-        object.__setattr__(self, "current_log", self.root / "current_log.txt")
+        object.__setattr__(self, "current_log", self.root / f"current_log{self._of_slot}.txt")
+
+    @property
+    def _of_slot(self) -> str:
+        """What the names of a slot's files end in; those of the first one have nothing."""
+        return "" if self.slot == 1 else f"_{self.slot}"
+
+    def at_slot(self, slot: int) -> ExperimentFolder:
+        """Return the same folder with the files of this slot."""
+        return self if slot == self.slot else replace(self, slot=slot)
+
+    def used_slots(self) -> list[int]:
+        """Return the numbers of the slots that have files, the first one always among them."""
+        used = {1}
+        for pattern in ("current_log_*.txt", ".alive_*", ".standing_by_*"):
+            ends = (path.stem.rpartition("_")[2] for path in self.root.glob(pattern))
+            used.update(int(end) for end in ends if end.isdecimal())
+        return sorted(used)
 
     @classmethod
     def found_at(cls, root: Path) -> ExperimentFolder:
@@ -140,12 +160,12 @@ class ExperimentFolder:
     @property
     def alive(self) -> Path:
         """Locked by each process of a run, as long as it lives."""
-        return self.root / ".alive"
+        return self.root / f".alive{self._of_slot}"
 
     @property
     def standing_by(self) -> Path:
         """Locked by the process that stands by to make the systems of a run safe; it has that process's id."""
-        return self.root / ".standing_by"
+        return self.root / f".standing_by{self._of_slot}"
 
     @property
     def outliving(self) -> Path:
@@ -183,16 +203,16 @@ def _open_log(folder: ExperimentFolder) -> int:
     """Return a descriptor that appends to the log of the run that is being executed.
 
     Raises:
-        OSError: it cannot be opened.
+        StorageError: it cannot be opened.
     """
-    return os.open(folder.current_log, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+    return open_descriptor(folder.current_log, folder.root, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
 
 
 def print_to_log(folder: ExperimentFolder) -> None:
     """Have this process print to the log of the run that is being executed, what it starts and what is in C included.
 
     Raises:
-        OSError: the log cannot be opened.
+        StorageError: the log cannot be opened.
     """
     log = _open_log(folder)
     os.dup2(log, 1)
@@ -252,7 +272,7 @@ def keep_log(folder: ExperimentFolder, run_id: str) -> None:
     """
     try:
         if _size(folder.current_log) > 0:
-            folder.run(run_id).mkdir(exist_ok=True)
+            make_folder(folder.run(run_id), folder.root)
             folder.current_log.replace(folder.log(run_id))
     except OSError as error:
         raise storage_error(folder.log(run_id), "written", error) from error
@@ -271,17 +291,14 @@ def keep_refused(folder: ExperimentFolder, run_id: str, refused: Mapping[str, An
         StorageError: it cannot be written.
     """
     path = folder.refused(run_id)
-    try:
-        path.parent.mkdir(exist_ok=True)
-        with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(refused, ensure_ascii=False, default=str) + "\n")
-    except OSError as error:
-        raise storage_error(path, "written", error) from error
+    make_folder(path.parent, folder.root)
+    with open_to_append(path, folder.root) as file:
+        file.write(f"{json.dumps(refused, default=str)}\n".encode())
 
 
 def _size(path: Path) -> int:
     try:
-        return path.stat().st_size
+        return path.lstat().st_size
     except FileNotFoundError:
         return 0
 
@@ -296,7 +313,7 @@ def put_earlier_attempt_away(folder: ExperimentFolder, run_id: str, attempt: int
     try:
         if left.exists():
             kept = _free(folder.earlier_attempt(run_id, attempt))
-            kept.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(kept.parent, folder.root)
             left.rename(kept)
     except OSError as error:
         raise storage_error(left, "moved", error) from error

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.storage.safe_write import write_beside_and_rename
+from robot_runner.core.storage.guarded_files import DamagedFileError, MissingFileError, read_json, replace
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -47,22 +47,22 @@ def describe_software() -> dict[str, Any]:
 
 
 def write_manifest(path: Path, manifest: Mapping[str, Any]) -> None:
-    """Write the manifest beside and rename it.
+    """Write the manifest, whole or not at all.
 
     Raises:
         StorageError: the folder cannot be written.
     """
     text = json.dumps({"format": FORMAT, **manifest}, indent=2, ensure_ascii=False, default=str) + "\n"
-    write_beside_and_rename(path, lambda file: file.write(text))
+    replace(path, text)
 
 
 def is_damaged(path: Path) -> bool:
     """Return whether a file that is there cannot be any version's manifest: empty, torn, or something else."""
     try:
-        manifest = json.loads(path.read_bytes())
-    except ValueError:
+        manifest = read_json(path)
+    except DamagedFileError:
         return True
-    except OSError:
+    except StorageError:
         return False
     return not isinstance(manifest, dict) or not isinstance(manifest.get("format"), int)
 
@@ -74,15 +74,13 @@ def read_manifest(path: Path) -> dict[str, Any]:
         StorageError: there is none, it does not parse, or its format is newer than this version knows.
     """
     try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
+        manifest = read_json(path)
+    except MissingFileError as error:
         raise StorageError(
             "there is no experiment here", where=str(path.parent), fix="Name the folder that holds manifest.json."
         ) from error
-    except (OSError, ValueError) as error:
-        raise StorageError(
-            f"the manifest cannot be read: {error}", where=str(path), fix="Restore it from a backup."
-        ) from error
+    except DamagedFileError as error:
+        raise StorageError(f"the manifest cannot be read: {error.problem}", where=error.where, fix=error.fix) from error
     if not isinstance(manifest, dict) or not isinstance(manifest.get("format"), int):
         raise StorageError("the file is no manifest of an experiment", where=str(path), fix="Restore it from a backup.")
     if manifest["format"] > FORMAT:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.precision import rule_in_words, rules_of_mapping
 from robot_runner.core.errors import DesignError, StorageError
-from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
+from robot_runner.core.storage.guarded_files import DamagedFileError, MissingFileError, read_json, replace
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def write_registration(path: Path, content: Mapping[str, Any]) -> Registration:
     plain = json.loads(json.dumps({"format": FORMAT, **content}))
     sealed = {**plain, _SUM: checksum_of(plain)}
     text = json.dumps(sealed, indent=2, ensure_ascii=False) + "\n"
-    write_beside_and_rename(path, lambda file: file.write(text))
+    replace(path, text)
     return Registration(path, sealed, is_intact=True)
 
 
@@ -115,16 +115,12 @@ def read_registration(path: Path) -> Registration:
     """
     where = str(path)
     try:
-        if not path.exists():
-            fix = "Register the study: robot-runner preregister CONFIG"
-            raise StorageError("there is no registration", where=where, fix=fix)
-        if not path.is_file() or path.stat().st_size > _LARGEST:
-            raise StorageError("this is no registration", where=where, fix=_FIX)
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise storage_error(path, "read", error) from error
-    except (ValueError, RecursionError) as error:
-        raise StorageError(f"the registration cannot be read: {error}", where=where, fix=_FIX) from error
+        content = read_json(path, limit=_LARGEST)
+    except MissingFileError as error:
+        fix = "Register the study: robot-runner preregister CONFIG"
+        raise StorageError("there is no registration", where=where, fix=fix) from error
+    except DamagedFileError as error:
+        raise StorageError(f"the registration cannot be read: {error.problem}", where=where, fix=_FIX) from error
     if isinstance(content, dict) and isinstance(content.get("format"), int) and content["format"] > FORMAT:
         problem = f"the registration has format {content['format']}, newer than {FORMAT}, which this version knows"
         raise StorageError(problem, where=where, fix="Update robot-runner.")

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.cells import RunStatus, are_stamps
-from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
+from robot_runner.core.storage.guarded_files import DamagedFileError, read_json
+from robot_runner.core.storage.guarded_files import replace as replace_file
 from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def write_schema(path: Path, fields: Sequence[ColumnDescription]) -> None:
         "primaryKey": [next((field.heading or RUN_ID for field in fields if field.name == RUN_ID), RUN_ID)],
     }
     text = json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
-    write_beside_and_rename(path, lambda file: file.write(text))
+    replace_file(path, text)
 
 
 def read_schema(path: Path) -> tuple[ColumnDescription, ...]:
@@ -72,11 +73,9 @@ def read_schema(path: Path) -> tuple[ColumnDescription, ...]:
         StorageError: there is none, or it is no schema of a run table.
     """
     try:
-        schema = json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise storage_error(path, "read", error) from error
-    except ValueError as error:  # not JSON, or not UTF-8
-        raise _no_schema(path, str(error)) from error
+        schema = read_json(path)
+    except DamagedFileError as error:
+        raise _no_schema(path, error.problem) from error
     fields = schema.get("fields") if isinstance(schema, dict) else None
     if not isinstance(fields, list):
         raise _no_schema(path, "the file has no list of fields")

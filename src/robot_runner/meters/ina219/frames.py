@@ -23,6 +23,8 @@ _HELLO_KIND, _HELLO = b"\x12\x0c", struct.Struct("<HIHIH")  # sequence, µs, Hz,
 _MARK_KIND, _MARK = b"\x13\x05", struct.Struct("<HIB")  # sequence, µs, whether it is on
 _SENSING_KIND, _SENSING = b"\x14\x10", struct.Struct("<HIBIHIB")  # sequence, µs, address, µΩ, configuration, µs, looks
 _FURTHER_KIND, _FURTHER = b"\x15\x09", struct.Struct("<HIBhH")  # sequence, µs, address, shunt register, bus register
+#: What the frame of a sample begins with, and the whole of it: what it says, and its checksum.
+_SAMPLE_START, _SAMPLE_FRAME = _SYNC + _SAMPLE_KIND, struct.Struct("<4xHIhHH")
 
 #: Stands for the address of the first sensor, whose samples carry none.
 FIRST_SENSOR = 0
@@ -106,9 +108,8 @@ class Sensing:
 Frame = SampleFrame | Hello | Mark | Sensing
 
 
-@dataclass(frozen=True, slots=True)
-class DecoderCounts:
-    """What a decoder met besides good frames, from the first good frame on.
+class DecoderCounts(NamedTuple):
+    """What a decoder met besides good frames, from the first good frame on (a tuple, as it is told for each piece).
 
     Before it a line that was opened in the middle of a frame, or a boot loader, sends bytes that mean nothing.
 
@@ -151,6 +152,12 @@ class FrameDecoder:
 
     def feed(self, data: bytes) -> list[Frame]:
         """Return the frames that are complete now; what may still become one is kept for the next call."""
+        if not self._buffer and len(data) == _SAMPLE_FRAME.size and data.startswith(_SAMPLE_START):
+            # The usual piece, at rates that leave the line silent between two samples: one whole sample.
+            *said, checksum = _SAMPLE_FRAME.unpack(data)
+            if crc_hqx(data[len(_SYNC) : -_CHECKSUM_SIZE], _CRC_START) == checksum:
+                self._count_frame()
+                return [SampleFrame(*said)]
         self._buffer += data
         return self._decode(is_last=False)
 
@@ -191,9 +198,7 @@ class FrameDecoder:
 
     def _opened(self, buffer: bytes, at: int) -> list[Frame]:
         """Return what an intact frame says; nothing for frames of other types and versions."""
-        self._dropped += self._unexplained if self._has_seen_frame else 0
-        self._has_seen_frame, self._unexplained = True, 0
-        self._frames += 1
+        self._count_frame()
         kind = buffer[at + 2 : at + 4]
         if kind == _SAMPLE_KIND:
             return [SampleFrame(*_SAMPLE.unpack_from(buffer, at + 4))]
@@ -211,6 +216,11 @@ class FrameDecoder:
             return [Sensing(sequence, stamp, address, micro_ohm / 1e6, configuration, lag / 1e6, looks)]
         self._foreign += buffer[at + 2] >> 4 != _VERSION
         return []
+
+    def _count_frame(self) -> None:
+        self._dropped += self._unexplained if self._has_seen_frame else 0
+        self._has_seen_frame, self._unexplained = True, 0
+        self._frames += 1
 
 
 def _end_of_frame(buffer: bytes, at: int) -> int:

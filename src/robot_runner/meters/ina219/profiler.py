@@ -61,6 +61,15 @@ class Way:
     namespace: str = ""
 
     @property
+    def claims(self) -> tuple[str, ...]:
+        """What a run needs for itself that reads the sensor this way."""
+        if self.port is not None:
+            return (f"serial:{self.port}",)
+        if self.card is not None:
+            return (f"device:{self.card}",)
+        return (f"host:{self.host}",) if self.sysfs is not None else ()
+
+    @property
     def given(self) -> dict[str, str]:
         """The parameters that name a real sensor."""
         named = {"port": self.port, "card": self.card, "sysfs": self.sysfs}
@@ -251,6 +260,11 @@ class Ina219(Profiler):
         self.bytes_per_run = round(rate * _USUAL_SECONDS * _BYTES_PER_ROW)
         self._meter: Meter | None = None
         self._evaluation: Evaluation | None = None
+
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: the meter; a simulated one belongs to the run."""
+        del robot
+        return self.way.claims
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no meter, a port that cannot be opened, or two profilers on one line."""

@@ -222,7 +222,7 @@ def _details(stream: SampleStream, shunt: float, rate: float) -> dict[str, Any]:
         "restarts": stream.restarts,
         "clock_drift": stream.drift,
         "bytes": stream.bytes,
-        "line": asdict(stream.counts),
+        "line": stream.counts._asdict(),
         "hello": None if stream.hello is None else asdict(stream.hello),
         "sensing": None if stream.sensing is None else asdict(stream.sensing),
     }

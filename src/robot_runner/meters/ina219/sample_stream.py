@@ -99,11 +99,14 @@ class SampleStream:
         self._is_behind_hello = False
         self._troubles: list[tuple[int, Trouble, int]] = []  # before which sample, what, and how often
         self._decoder = FrameDecoder()
+        self._counted = self._decoder.counts  # up to here they are among the troubles
         self._received = array("d")
         self._lives = [0]  # where in the columns each life of the device begins
         self._last: SampleFrame | None = None
         self._has_arrivals = has_arrivals
         self._implausible_lead = _IMPLAUSIBLE_LEAD if has_arrivals else math.inf
+        self._times = array("d")
+        self._timed = (0, 0.0)  # of how many samples, and with which lag, the times are known
 
     def __len__(self) -> int:
         return len(self.shunt_raw)
@@ -148,23 +151,27 @@ class SampleStream:
         """Decode what arrived."""
         for chunk in chunks:
             self.bytes += len(chunk.data)
-            before = self.counts
             self._add(self._decoder.feed(chunk.data), chunk.received_at)
-            self._note_counts(before, chunk.data)
+            self._note_counts(chunk.data)
 
     def finish(self) -> None:
         """Decode what is held back; call it once nothing more will arrive."""
-        before = self.counts
         frames = self._decoder.finish()
         if len(self):
             self._add(frames, self._received[-1])
-        self._note_counts(before, b"")
+        self._note_counts(b"")
 
     def times(self) -> array[float]:
         """Return the middle of what each sample averages, s on the run's clock, never falling.
 
         The stamps are the device's; they are brought to the run's clock by comparing them with the arrivals.
         """
+        if self._timed != (len(self), self.lag):
+            self._times = self._times_of_all()
+            self._timed = (len(self), self.lag)
+        return self._times
+
+    def _times_of_all(self) -> array[float]:
         times = array("d")
         self.drift = 0.0
         for begin, end in zip(self._lives, [*self._lives[1:], len(self)], strict=True):
@@ -174,7 +181,8 @@ class SampleStream:
             clock = fit_clock(stamps, self._received[begin:end], largest_skew=_LARGEST_SKEW)
             self.drift = max(self.drift, clock.drift, key=abs)
             earliest = times[-1] if times else float("-inf")
-            times.extend(max(round(clock.to_run(stamp) - self.lag, _DIGITS), earliest) for stamp in stamps)
+            lag = self.lag
+            times.extend([max(round(clock.to_run(stamp) - lag, _DIGITS), earliest) for stamp in stamps])
         return times
 
     def _add(self, frames: Iterable[Frame], received_at: float) -> None:
@@ -207,14 +215,18 @@ class SampleStream:
         if count:
             self._troubles.append((len(self), trouble, count))
 
-    def _note_counts(self, before: DecoderCounts, data: bytes) -> None:
-        now = self.counts
-        self._note(Trouble.CORRUPT, now.corrupt - before.corrupt)
-        if self._has_arrivals:  # a recording has zeros behind each mark's end, and behind its last frame
-            self._note(Trouble.DROPPED, now.dropped_bytes - before.dropped_bytes)
-        self._note(Trouble.FOREIGN, now.foreign_versions - before.foreign_versions)
-        size = len(data) if self._has_arrivals else len(data.strip(b"\0"))
-        self.bytes_since_frame = 0 if now.frames > before.frames else self.bytes_since_frame + size
+    def _note_counts(self, data: bytes) -> None:
+        before, now = self._counted, self._decoder.counts
+        if now[:-1] != before[:-1]:  # there were not only good frames
+            self._note(Trouble.CORRUPT, now.corrupt - before.corrupt)
+            if self._has_arrivals:  # a recording has zeros behind each mark's end, and behind its last frame
+                self._note(Trouble.DROPPED, now.dropped_bytes - before.dropped_bytes)
+            self._note(Trouble.FOREIGN, now.foreign_versions - before.foreign_versions)
+        if now.frames > before.frames:
+            self.bytes_since_frame = 0
+        else:
+            self.bytes_since_frame += len(data) if self._has_arrivals else len(data.strip(b"\0"))
+        self._counted = now
 
     def _add_sample(self, sample: SampleFrame, received_at: float) -> None:
         seconds = self._seconds_of(sample, received_at)
@@ -249,7 +261,8 @@ class SampleStream:
             return 0.0 if self._has_arrivals else self.device_seconds[-1]
         if sample.sequence == last.sequence:
             self._note(Trouble.STANDING_NUMBER)
-        else:
-            self._note(Trouble.LOST, (sample.sequence - last.sequence - 1) % _SEQUENCES)
-            self._note(Trouble.STANDING_STAMP, step == 0)
+        elif missing := (sample.sequence - last.sequence - 1) % _SEQUENCES:
+            self._note(Trouble.LOST, missing)
+        if step == 0:
+            self._note(Trouble.STANDING_STAMP)
         return self.device_seconds[-1] + elapsed

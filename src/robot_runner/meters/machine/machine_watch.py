@@ -88,6 +88,11 @@ class MachineWatch(Profiler):
     def _concerned(self) -> list[tuple[str, Computer]]:
         return _concerned(self._measuring)
 
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: nothing, as it only looks at what goes on beside a run."""
+        del robot
+        return ()
+
     def start_run(self, context: RobotRunnerContext) -> None:
         """Find the files of each computer, so that looking at them takes little time."""
         self._watched = []

@@ -175,6 +175,11 @@ class PowerModel(Profiler):
         fitted = fit_model(runs, chosen, experiment=experiment.name, sources=sources, left_out=left_out)
         return fitted.as_json()
 
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: nothing, as other plugins measure what it computes with."""
+        del robot
+        return ()
+
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no model that can be read, or no plugin that samples what it depends on."""
         where = f"plugin {self.name}"

@@ -102,6 +102,11 @@ class BasicTurtlebot3(System):
         self._robot: Robot | None = None
         self._performance: Performance | None = None
 
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
+        del robot
+        return ()
+
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no robot, or treatments that are no tasks."""
         if circumstances.robot is None:

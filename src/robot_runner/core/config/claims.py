@@ -1,0 +1,149 @@
+"""What a run claims for itself, so that runs which would disturb each other never overlap.
+
+A claim is a text: `host:localhost` is this machine, its processor, memory and energy; `robot:ros2`, `host:pi@robot`,
+`serial:/dev/ttyUSB0` and `device:camera 0` name what their plugins use. Who does not say claims the whole machine.
+"""
+
+from __future__ import annotations
+
+import os
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.config.parameters import RunProcess
+from robot_runner.core.config.plugin_checks import failed_check
+from robot_runner.core.errors import Finding
+from robot_runner.core.events.manager import RUN_EVENTS
+from robot_runner.core.events.measure import CONFIG_OWNER
+from robot_runner.core.links.connect import is_simulated
+from robot_runner.core.plugin import THIS_MACHINE
+from robot_runner.core.treatments import built_with, factors_of, values_of
+from robot_runner.core.words import counted, enumerated
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from robot_runner.core.config.parameters import Parameters
+    from robot_runner.core.design.run_table_model import RunTableModel
+    from robot_runner.core.events.manager import EventManager
+    from robot_runner.core.plugin import Plugin
+
+__all__ = ["Claims", "check_workers", "usable_cores", "worker_count"]
+
+#: Of a design with more runs than this, the first ones tell what all of them claim.
+_LOOKED_AT = 200
+
+
+def usable_cores() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1  # macOS
+
+
+def worker_count(parameters: Parameters) -> int:
+    """Return how many runs may be in flight on this machine at the same time, before anybody claims anything."""
+    if parameters.run_process is RunProcess.IN_PROCESS:
+        return 1
+    return usable_cores() if parameters.workers == "auto" else int(parameters.workers)
+
+
+class Claims:
+    """What the runs of an experiment claim, and who makes each claim.
+
+    Args:
+        parameters: of the experiment.
+        plugins: all of it; those with bound parameters may claim something else in each run.
+        events: who hears them: a config without callbacks in a run does nothing there.
+    """
+
+    def __init__(self, parameters: Parameters, plugins: Sequence[Plugin], events: EventManager) -> None:
+        self._robot = parameters.robot
+        self._plugins = plugins
+        self._of_config = tuple(_of_config(parameters, events))
+        self._known: dict[tuple[object, ...], tuple[str, ...]] = {}
+
+    def of(self, combination: Mapping[str, Any]) -> dict[str, list[str]]:
+        """Return what a run with these treatments claims, each claim with those who make it."""
+        claims: dict[str, list[str]] = {claim: [CONFIG_OWNER] for claim in self._of_config}
+        for plugin in self._plugins:
+            for claim in self._of_plugin(plugin, combination):
+                claims.setdefault(claim, []).append(plugin.name)
+        return claims
+
+    def common(self, combinations: Iterable[Mapping[str, Any]]) -> dict[str, list[str]]:
+        """Return what all of these runs claim: where there is anything, only one of them goes on at a time."""
+        common: dict[str, list[str]] | None = None
+        for combination in combinations if self._vary else islice(combinations, 1):
+            claims = self.of(combination)
+            common = claims if common is None else {name: who for name, who in common.items() if name in claims}
+        return common or {}
+
+    @property
+    def _vary(self) -> bool:
+        return any(map(_is_bound, self._plugins))
+
+    def _of_plugin(self, plugin: Plugin, combination: Mapping[str, Any]) -> tuple[str, ...]:
+        treatments = values_of(plugin, combination) if _is_bound(plugin) else {}
+        key = (plugin.name, *(f"{name}={value}" for name, value in treatments.items()))
+        if key not in self._known:
+            self._known[key] = tuple(map(str, built_with(plugin, combination).claims(self._robot)))
+        return self._known[key]
+
+
+def _is_bound(plugin: Plugin) -> bool:
+    return bool(factors_of(plugin))
+
+
+def _of_config(parameters: Parameters, events: EventManager) -> Iterator[str]:
+    """Yield what the config claims: its robot, its hosts, and what it says, or this machine where it does not say.
+
+    The values that a config returns of a run with the simulated robot are labelled as simulated, and need no machine.
+    """
+    robot = parameters.robot
+    if robot is not None and not is_simulated(robot):
+        yield f"robot:{robot}"
+    for host in parameters.hosts.values():
+        yield THIS_MACHINE if host.is_local else f"host:{host.address}"
+    if parameters.claims is not None:
+        yield from parameters.claims
+    elif not is_simulated(robot) and _has_callbacks(events):
+        yield THIS_MACHINE
+
+
+def _has_callbacks(events: EventManager) -> bool:
+    return any(each.owner == CONFIG_OWNER for event in RUN_EVENTS for each in events.subscribers(event))
+
+
+def check_workers(
+    where: str, parameters: Parameters, plugins: Sequence[Plugin], events: EventManager, model: RunTableModel | None
+) -> list[Finding]:
+    """Return why workers would be idle, where several are asked for."""
+    if parameters.workers == 1 or model is None:
+        return []
+    place = f"{where}.workers"
+    if parameters.run_process is RunProcess.IN_PROCESS:
+        problem = "run_process is IN_PROCESS: the orchestrator executes one run at a time, and other workers are idle"
+        return [Finding.warning(place, problem, "Leave run_process out, or leave workers at 1.")]
+    count = worker_count(parameters)
+    claims = Claims(parameters, plugins, events)
+    try:
+        common = claims.common(run.combination for run in islice(model.plan(), _LOOKED_AT)) if count > 1 else {}
+    except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
+        return [failed_check(place, error, "asking plugins for their claims")]
+    if not common:
+        return []
+    told = "; ".join(f"{claim} is claimed by {enumerated(who)}" for claim, who in common.items())
+    problem = (
+        f"{counted(count - 1, 'worker')} of {count} will be idle, as two runs with one claim never overlap: {told}"
+    )
+    return [Finding.warning(place, problem, _fix(common))]
+
+
+def _fix(common: Mapping[str, Sequence[str]]) -> str:
+    fix = "Leave workers at 1."
+    if any(CONFIG_OWNER in who for claim, who in common.items() if claim == THIS_MACHINE):
+        fix += " Where the config's callbacks neither measure this machine nor keep it busy, say claims = []."
+    if any(who != [CONFIG_OWNER] for who in common.values()):
+        fix += " A plugin that needs nothing for itself says so in its method claims."
+    return fix

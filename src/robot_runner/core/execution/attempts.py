@@ -1,0 +1,199 @@
+"""One run at its place: what comes before it, its attempts, and the record of each, step by step."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.config.gate_parameters import GuardAction
+from robot_runner.core.config.parameters import FailurePolicy
+from robot_runner.core.errors import Finding
+from robot_runner.core.events.manager import RobotRunnerEvents
+from robot_runner.core.execution.between_runs import BetweenRuns
+from robot_runner.core.execution.gates import Gates, Passage
+from robot_runner.core.execution.notices import (
+    AttemptFinished,
+    AttemptStarted,
+    FindingsNoticed,
+    InterruptionNoticed,
+    RunRecord,
+)
+from robot_runner.core.execution.operator import Operator
+from robot_runner.core.execution.places import Watch
+from robot_runner.core.execution.run_ending import failure_fields
+from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder
+from robot_runner.core.treatments import bind, factors_of, values_of
+from robot_runner.core.words import plain
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.execution.notices import Notice, Observer
+    from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
+    from robot_runner.core.execution.patience import Patience, Steps
+    from robot_runner.core.execution.places import Place
+    from robot_runner.core.execution.progress_manager import ProgressManager
+    from robot_runner.core.execution.task import PendingRun, Report, RunOutcome, RunTask
+
+__all__ = ["Attempts", "Stop"]
+
+
+@dataclass(slots=True)
+class Stop:
+    """Whether the experiment begins no more runs; those in flight come to their end.
+
+    Attributes:
+        reason: `on_failure`, `a gate` or `a guard`; empty while it goes on.
+    """
+
+    reason: str = ""
+
+
+class Attempts:
+    """Executes runs, each at a place, as often as the config allows.
+
+    Args:
+        experiment: what is executed.
+        progress: takes down what happens.
+        events: emits the events of the orchestrator.
+        observer: the screen, and where somebody may type.
+        notify: tells the screens.
+        patience: what goes on meanwhile.
+        stop: is told when no more runs are to begin.
+        has_one_place: whether no run ever goes on beside another one.
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        progress: ProgressManager,
+        events: OrchestratorEvents,
+        observer: Observer,
+        notify: Callable[[Notice], None],
+        patience: Patience,
+        stop: Stop,
+        *,
+        has_one_place: bool,
+    ) -> None:
+        self._experiment = experiment
+        self._parameters = experiment.parameters
+        self._progress = progress
+        self._events = events
+        self._observer = observer
+        self._notice = notify
+        self._interruption = patience.interruption
+        self._stop = stop
+        self._has_one_place = has_one_place
+        self._operator = Operator(experiment, progress, observer.user_input, notify, patience)
+        self._between_runs = BetweenRuns(experiment, progress, events, self._operator, observer, notify, patience)
+        self._gates = Gates(experiment, progress, notify, patience)
+        self._refresh = patience.refresh_screen
+
+    @property
+    def _is_ending(self) -> bool:
+        """Whether no attempt is to begin any more."""
+        return self._interruption.is_requested or bool(self._stop.reason)
+
+    def execute(
+        self, run: PendingRun, place: Place, finished: PendingRun | None, *, is_cleared: bool
+    ) -> Steps[RunOutcome | None]:
+        """Try to execute a run as often as the config allows.
+
+        Args:
+            run: what is executed.
+            place: where.
+            finished: the run that was executed there before; None where none was in this session.
+            is_cleared: whether a callback has asked the user already whether the run may start.
+
+        Returns:
+            how its last attempt went; None where it was not begun, as the experiment ends.
+        """
+        name = "" if self._has_one_place else place.name
+        yield from self._between_runs.prepare(run, finished, place, name, is_cleared=is_cleared)
+        outcome = None
+        for attempts_left in reversed(range(self._parameters.attempts)):
+            if attempts_left < self._parameters.attempts - 1:
+                yield from self._between_runs.prepare_again(run)
+            passage = Passage() if self._is_ending else (yield from self._gates.pass_before(run, place.experiment))
+            if self._is_ending or self._is_stopped_by(passage.stop, run):
+                return outcome
+            entered = self._operator.answers(run.run_id)
+            task = replace(self._progress.begin(run, name, place.slot), attempts_left=attempts_left, entered=entered)
+            self._notice(AttemptStarted(task, self._progress.time_left))
+            outcome = yield from self._attempt(task, place, passage)
+            if self._keep(task, outcome):
+                break
+        has_failed = outcome is not None and outcome.status is AttemptStatus.FAILED
+        if has_failed and self._parameters.on_failure is FailurePolicy.STOP:
+            self._stop.reason = self._stop.reason or "on_failure"
+        return outcome
+
+    def _keep(self, task: RunTask, outcome: RunOutcome) -> bool:
+        """Keep how an attempt went; return whether it was the last one."""
+        is_last = task.attempts_left == 0 or outcome.status is not AttemptStatus.FAILED or bool(self._stop.reason)
+        noticed = self._progress.record_outcome(task, outcome, is_last=is_last)
+        self._notice(AttemptFinished(task, outcome, is_last, self._progress.time_left))
+        if noticed:
+            self._notice(FindingsNoticed(noticed))
+        return is_last
+
+    def _is_stopped_by(self, reason: str, run: PendingRun) -> bool:
+        """Stop the experiment where there is a reason to; the run that it was about to execute is still to do."""
+        if reason:
+            self._stop.reason = "a gate"
+            fix = "See to it, and start the experiment again: it resumes."
+            self._progress.find(Finding.warning(f"before {run.run_id}", f"stopped, as {reason}", fix))
+        return bool(reason)
+
+    def _attempt(self, task: RunTask, place: Place, passage: Passage) -> Steps[RunOutcome]:
+        builder = OutcomeBuilder(
+            task.run_id,
+            self._experiment.columns,
+            on_bad_value=self._parameters.on_bad_value,
+            has_attempts_left=task.attempts_left > 0,
+        )
+
+        def report(kind: str, fields: dict[str, Any]) -> None:
+            self._progress.record(task, kind, fields)
+            self._notice(RunRecord(task.run_id, kind, fields))
+            if kind == "guard" and fields["action"] == GuardAction.STOP.value:
+                self._stop.reason = "a guard"
+
+        def report_own(kind: str, fields: dict[str, Any]) -> None:
+            builder.take(kind, fields)
+            report(kind, fields)
+
+        self._operator.hand_over(task, report_own)
+        passage.report_to(report_own, [column.name for column in self._experiment.columns.declared])
+        self._bind_plugins(task, report_own)
+        if not builder.has_failed:
+            self._events.emit_to_run(RobotRunnerEvents.BEFORE_RUN, task, report_own, place.experiment)
+        if builder.has_failed or self._interruption.is_requested:
+            return builder.outcome(interrupted=self._interruption.is_requested)
+        watch = Watch(
+            interruption=self._interruption,
+            report=report,
+            refresh=self._refresh,
+            refresh_interval=self._observer.refresh_interval,
+            noticed_interruption=lambda: self._notice(InterruptionNoticed(task.run_id)),
+            tend=self._progress.tend_table,
+        )
+        with closing(place.begin(task, builder, watch)) as run:
+            yield run
+            return run.outcome()
+
+    def _bind_plugins(self, task: RunTask, report: Report) -> None:
+        """Build plugins with bound parameters with the treatments of a run; what they raise fails the run."""
+        for plugin in self._experiment.plugins:
+            values = values_of(plugin, task.combination)
+            if not values:
+                continue
+            factors = factors_of(plugin)
+            parameters = {name: {"factor": factors[name], "value": plain(values[name])} for name in values}
+            report("bound", {"owner": plugin.name, "parameters": parameters})
+            try:
+                bind(plugin, task.combination)
+            except Exception as error:  # noqa: BLE001 - a stranger's code
+                report("failure", {"event": "", "owner": plugin.name, **failure_fields(error)})

@@ -1,0 +1,173 @@
+"""Places: where runs are executed. A slot of this machine is one, a robot, a worker on another machine.
+
+The orchestrator keeps as many runs in flight as there are free places whose claims suit. It has no threads: all that it
+waits for is *awaited* in one poll loop (`patience.py`), a run in flight like the end of a rest. So a place
+
+1. begins a run and returns at once with a `RunInFlight`;
+2. names descriptors that become readable when there is something to do, and the moment at which that is due at the
+   latest;
+3. does in `advance` what there is to do, and never waits there.
+
+What comes to light of a run is reported in the order in which it happened, before its end is told. The orchestrator
+alone writes the journal and the run table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Mapping, Sequence
+
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.execution.interruption import Interruption
+    from robot_runner.core.execution.task import OutcomeBuilder, Report, RunOutcome, RunTask
+
+__all__ = ["INTERRUPTED", "Awaited", "Place", "Places", "RunInFlight", "Watch"]
+
+#: Why a run is ended that the user's interruption ends.
+INTERRUPTED = "the user interrupted the experiment"
+
+
+class Awaited(Protocol):
+    """Something that goes on beside the orchestrator, and that it waits for in its poll loop."""
+
+    @property
+    def descriptors(self) -> Collection[int]:
+        """What becomes readable, or is hung up, when there is something to do; it may change with each `advance`."""
+        ...
+
+    @property
+    def due(self) -> float | None:
+        """When `advance` is to be called at the latest, on the monotonic clock (s); None for no such moment."""
+        ...
+
+    def advance(self) -> bool:
+        """Do what there is to do, without waiting; return whether it is over. Not called again once it is."""
+        ...
+
+    def stop(self, because: str, *, is_interruption: bool = False) -> None:
+        """Have it end soon; what it has opened is closed first. Asked again, it does nothing more.
+
+        Args:
+            because: why, in words: it becomes the reason why the run failed.
+            is_interruption: whether the user has asked for it, so that the run is to do again.
+        """
+        ...
+
+    def kill(self) -> None:
+        """Have it end at once: the user has asked twice."""
+        ...
+
+
+class RunInFlight(Awaited, Protocol):
+    """One attempt at a run that is being executed at a place."""
+
+    def outcome(self) -> RunOutcome:
+        """Return how the attempt went, once it is over, whatever became of the run."""
+        ...
+
+    def close(self) -> None:
+        """Let go of it. A run that is still being executed is ended first, and waited for."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """What the orchestrator wants to know and do while a run is executed.
+
+    Attributes:
+        interruption: the user's, for a run that the orchestrating process executes itself.
+        report: takes each record as it arrives.
+        refresh: called every `refresh_interval` seconds; never where that is None.
+        tend: called after each record, and when the time is over that it returned last, in seconds; None where nothing
+            is due.
+        noticed_interruption: called once the run has been asked to stop because the user interrupted.
+    """
+
+    interruption: Interruption
+    report: Report = lambda _kind, _fields: None
+    refresh: Callable[[], None] = lambda: None
+    refresh_interval: float | None = None
+    noticed_interruption: Callable[[], None] = lambda: None
+    tend: Callable[[], float | None] = lambda: None
+
+
+class Place(Protocol):
+    """Where one run at a time can be executed.
+
+    Attributes:
+        name: tells it from the other places: for screens, the journal and findings.
+        experiment: as a run here has it: with the robot of this place. Gates and callbacks of the orchestrator see it.
+        slot: the number under which the files are kept that a run on this machine has while it is executed, from 1; 0
+            where it has none here.
+        is_aside: whether it takes no runs any more, or not now: its worker is gone, or its robot was set aside.
+    """
+
+    @property
+    def name(self) -> str: ...  # noqa: D102 - as above
+
+    @property
+    def experiment(self) -> Experiment: ...  # noqa: D102 - as above
+
+    @property
+    def slot(self) -> int: ...  # noqa: D102 - as above
+
+    @property
+    def is_aside(self) -> bool: ...  # noqa: D102 - as above
+
+    def claimed(self, claims: Collection[str], combination: Mapping[str, object]) -> frozenset[str] | None:
+        """Return what a run would hold here for itself; None where it cannot be executed here.
+
+        Two runs that hold the same claim are never in flight together.
+
+        Args:
+            claims: of the experiment's plugins and config, such as `host:localhost` or `serial:/dev/ttyUSB0`. A place
+                on another machine gives those of a machine the name of its own; a robot adds itself.
+            combination: the treatments of the run.
+        """
+        ...
+
+    def begin(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunInFlight:
+        """Begin one attempt at a run, and return at once.
+
+        A place that cannot begin it says so by the outcome of what it returns, and is aside from then on.
+
+        Args:
+            task: what is executed.
+            builder: holds what was known of the attempt before; it takes each record before `watch.report` does.
+            watch: what the orchestrator wants to know meanwhile.
+        """
+        ...
+
+
+class Places(Protocol):
+    """All places of an experiment; they may come and go while it is executed."""
+
+    @property
+    def all(self) -> Sequence[Place]:
+        """Those that are there now, in a lasting order, with those that are aside."""
+        ...
+
+    @property
+    def descriptors(self) -> Collection[int]:
+        """What becomes readable when places may have come or gone."""
+        ...
+
+    @property
+    def due(self) -> float | None:
+        """When `advance` is to be called at the latest, on the monotonic clock (s); None for no such moment."""
+        ...
+
+    def advance(self) -> Sequence[str]:
+        """Take note, without waiting, of places that have come or gone; return in words what a person should know.
+
+        Raises:
+            ExecutionError: none is left, and none is to come.
+        """
+        ...
+
+    def close(self) -> None:
+        """Let go of all of them; no run is in flight any more."""
+        ...

@@ -1,0 +1,179 @@
+"""Which run begins next, at which place, and the poll loop in which all that are in flight go on side by side."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import ExecutionError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from robot_runner.core.execution.attempts import Attempts, Stop
+    from robot_runner.core.execution.patience import Patience, Steps
+    from robot_runner.core.execution.places import Awaited, Place, Places
+    from robot_runner.core.execution.progress_manager import ProgressManager
+    from robot_runner.core.execution.task import PendingRun, RunOutcome, RunTask
+
+__all__ = ["SideBySide"]
+
+#: As many runs that cannot begin yet are passed over to find one that can.
+_AHEAD = 64
+
+
+@dataclass(slots=True)
+class _Busy:
+    """A place whose run is in flight.
+
+    Attributes:
+        holds: the claims of the run.
+        steps: what is left to do of it.
+        awaited: what it waits for now.
+    """
+
+    place: Place
+    run: PendingRun
+    holds: frozenset[str]
+    is_warm_up: bool
+    steps: Steps[RunOutcome | None]
+    awaited: Awaited
+
+
+class SideBySide:
+    """Keeps as many runs in flight as there are free places whose claims suit.
+
+    Args:
+        progress: which runs are to be executed.
+        places: where.
+        claims: returns what a run claims.
+        attempts: executes a run at a place.
+        patience: the poll loop.
+        stop: no more runs begin where it has a reason.
+    """
+
+    def __init__(
+        self,
+        progress: ProgressManager,
+        places: Places,
+        claims: Callable[[RunTask], frozenset[str]],
+        attempts: Attempts,
+        patience: Patience,
+        stop: Stop,
+    ) -> None:
+        self._progress = progress
+        self._places = places
+        self._claims = claims
+        self._attempts = attempts
+        self._patience = patience
+        self._stop = stop
+        self._busy: list[_Busy] = []
+        self._finished: dict[str, PendingRun] = {}
+        self._passed_over: deque[PendingRun] = deque()
+        self._begun = 0
+        self._may_begin = True
+        self._left: Iterator[PendingRun] = iter(())
+
+    def execute(self, *, is_cleared: bool) -> bool:
+        """Execute the runs that are left; return whether all of them were, and the experiment may go on.
+
+        Args:
+            is_cleared: whether a callback has asked the user already whether the first run may start.
+        """
+        self._left = self._progress.pending(self._begun)
+        self._may_begin = True
+        try:
+            while True:
+                while self._may_begin and not self._is_ending and (chosen := self._choose()) is not None:
+                    self._begin(*chosen, is_cleared=is_cleared)
+                self._may_begin = False
+                if self._busy:
+                    self._await()
+                elif self._is_ending or not self._passed_over:
+                    return not self._is_ending
+                else:
+                    self._await_place()
+        finally:
+            self._let_go()
+
+    @property
+    def _is_ending(self) -> bool:
+        return self._patience.interruption.is_requested or bool(self._stop.reason)
+
+    def _choose(self) -> tuple[PendingRun, Place, frozenset[str]] | None:
+        """Return the first run that can begin now, where, and what it claims; None where none can."""
+        busy = {each.place.name for each in self._busy}
+        free = [each for each in self._places.all if not each.is_aside and each.name not in busy]
+        if not free:
+            return None
+        for place_in_queue in range(_AHEAD):
+            if place_in_queue == len(self._passed_over):
+                following = next(self._left, None)
+                if following is None:
+                    return None
+                self._begun += 1
+                self._passed_over.append(following)
+            run = self._passed_over[place_in_queue]
+            task = self._progress.task_of(run)
+            if any(each.is_warm_up is not task.is_warm_up for each in self._busy):
+                return None  # what warms up is over before anything is measured
+            for place in free:
+                holds = place.claimed(self._claims(task), task.combination)
+                if holds is not None and all(holds.isdisjoint(each.holds) for each in self._busy):
+                    del self._passed_over[place_in_queue]
+                    return run, place, holds
+            if task.is_warm_up:
+                return None
+        return None
+
+    def _begin(self, run: PendingRun, place: Place, holds: frozenset[str], *, is_cleared: bool) -> None:
+        finished = self._finished.get(place.name)
+        steps = self._attempts.execute(run, place, finished, is_cleared=is_cleared and finished is None)
+        try:
+            awaited = next(steps)
+        except StopIteration:
+            self._finished[place.name] = run
+            return
+        is_warm_up = self._progress.task_of(run).is_warm_up
+        self._busy.append(_Busy(place, run, holds, is_warm_up, steps, awaited))
+
+    def _await(self) -> None:
+        """Wait until something that a run waits for is over, and go on with that run."""
+        over = self._patience.turn([each.awaited for each in self._busy], self._places)
+        self._take_note_of_places()
+        for each in [each for each in self._busy if each.awaited in over]:
+            try:
+                each.awaited = next(each.steps)
+            except StopIteration:
+                self._busy.remove(each)
+                self._may_begin = True
+                self._finished[each.place.name] = each.run
+
+    def _await_place(self) -> None:
+        """Wait for a place where nothing is in flight, and no place suits what is left.
+
+        Raises:
+            ExecutionError: none is to come.
+        """
+        if not (self._places.descriptors or self._places.due is not None):
+            raise ExecutionError(
+                "no place is left where a run can be executed",
+                where=self._passed_over[0].run_id,
+                fix="See to the robots or workers that were set aside, and start the experiment again: it resumes.",
+            )
+        self._patience.turn([], self._places)
+        self._take_note_of_places()
+
+    def _take_note_of_places(self) -> None:
+        for problem in self._places.advance() if self._places.descriptors or self._places.due is not None else ():
+            self._may_begin = True
+            self._progress.note("place", problem=problem)
+
+    def _let_go(self) -> None:
+        """End what is still in flight where the experiment cannot go on: all together, then one after another."""
+        for each in self._busy:
+            each.awaited.stop("the experiment could not go on")
+        for each in self._busy:
+            each.steps.close()
+        self._busy.clear()

@@ -1,0 +1,331 @@
+"""The one way to open a file of an experiment folder, which a stranger may have prepared.
+
+Folders come by git, tar and shared disks. So below the experiment's folder no symbolic link is followed, neither in
+place of a file nor of a folder on the way to it; only regular files are opened, so that a named pipe or a device is not
+waited for; what is read whole has a limit. The folder itself may be reached over links: people keep results on other
+disks.
+
+Whoever may read the experiment's folder may read what is made in it, as far as the user's umask allows: its permissions
+are those of the files (0700 gives 0600).
+
+Each function takes the file's path and the experiment's folder, `root`; without it, the file's own folder is meant.
+What cannot be done is a `StorageError` that names the file, why, and what to do; a missing file a `MissingFileError`.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import stat
+from contextlib import contextmanager, suppress
+from functools import partial
+from typing import TYPE_CHECKING, Any, cast
+
+from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.guarded_paths import (
+    ONLY_FILES,
+    MissingFileError,
+    folder_inside,
+    kind_of,
+    make_experiment_folder,
+    make_folder,
+    refusals,
+    rights_of,
+)
+from robot_runner.core.storage.system_refusals import fsync_folder, storage_error
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+    from typing import BinaryIO
+
+__all__ = [
+    "DamagedFileError",
+    "MissingFileError",
+    "make_experiment_folder",
+    "make_folder",
+    "open_descriptor",
+    "open_to_append",
+    "open_to_read",
+    "open_to_write",
+    "read_bytes",
+    "read_json",
+    "read_lines",
+    "read_text",
+    "remove",
+    "replace",
+]
+
+#: JSON takes up to 24 times its length in memory (a list of empty objects): 8 MB become 200 MB.
+JSON_LIMIT = 8_000_000
+#: Levels of brackets: ours have less than ten.
+JSON_DEPTH = 64
+#: Text that is read whole, and the longest line of what is read line by line.
+TEXT_LIMIT = 64_000_000
+LINE_LIMIT = 16_000_000
+
+#: O_NONBLOCK has a meaning for pipes and devices only, which may have taken the file's place since we looked.
+_FILE = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
+
+_UNITS = ("B", "kB", "MB", "GB", "TB")
+_WRITING = os.O_WRONLY | os.O_RDWR
+
+
+class DamagedFileError(StorageError):
+    """A file that was opened does not hold what it should: no text, no JSON, too much of it, or nested too deeply."""
+
+
+def open_to_read(path: Path, root: Path | None = None, *, limit: int | None = None) -> BinaryIO:
+    """Open a file to read its bytes.
+
+    Args:
+        path: the file.
+        root: the experiment's folder.
+        limit: the most bytes that it may have; None where it is read piece by piece.
+
+    Raises:
+        MissingFileError: there is none.
+        StorageError: it is no regular file inside the folder, larger than the limit, or cannot be read.
+    """
+    file = _opened(path, root, os.O_RDONLY, "rb", -1)
+    size = os.fstat(file.fileno()).st_size
+    if limit is not None and size > limit:
+        file.close()
+        raise _too_large(path, f"the file has {_in_words(size)}", limit)
+    return file
+
+
+def read_bytes(path: Path, root: Path | None = None, *, limit: int = TEXT_LIMIT) -> bytes:
+    """Return what a file holds.
+
+    Raises:
+        StorageError: as `open_to_read` says.
+    """
+    with open_to_read(path, root, limit=limit) as file:
+        try:
+            content = file.read(limit + 1)
+        except OSError as error:
+            raise storage_error(path, "read", error) from error
+    if len(content) > limit:  # it has grown since
+        raise _too_large(path, f"the file has more than {_in_words(limit)}", limit)
+    return content
+
+
+def read_text(path: Path, root: Path | None = None, *, limit: int = TEXT_LIMIT, errors: str = "strict") -> str:
+    """Return the text that a file holds (UTF-8, with or without a byte order mark).
+
+    Args:
+        path: the file.
+        root: the experiment's folder.
+        limit: the most bytes that it may have.
+        errors: what to do about bytes that are no UTF-8, as `bytes.decode` takes it.
+
+    Raises:
+        StorageError: as `open_to_read` says; or it is no UTF-8.
+    """
+    try:
+        return read_bytes(path, root, limit=limit).decode("utf-8-sig", errors)
+    except UnicodeDecodeError as error:
+        raise _damaged(path, f"the file is no text in UTF-8: {error.reason} at byte {error.start}") from error
+
+
+def read_json(path: Path, root: Path | None = None, *, limit: int = JSON_LIMIT, depth: int = JSON_DEPTH) -> Any:
+    """Return the value that a JSON file holds.
+
+    Args:
+        path: the file.
+        root: the experiment's folder.
+        limit: the most bytes that it may have.
+        depth: the most levels of brackets.
+
+    Raises:
+        StorageError: as `open_to_read` says; or it is no JSON, or nested too deeply.
+    """
+    content = read_bytes(path, root, limit=limit)
+    try:
+        value = json.loads(content.decode("utf-8-sig"))
+    except RecursionError as error:
+        raise _damaged(path, f"its JSON is nested deeper than {depth} levels") from error
+    except ValueError as error:
+        raise _damaged(path, f"the file is not valid JSON: {error}") from error
+    if _is_deeper(value, depth):
+        raise _damaged(path, f"its JSON is nested deeper than {depth} levels")
+    return value
+
+
+def read_lines(path: Path, root: Path | None = None, *, longest: int = LINE_LIMIT) -> Iterator[bytes]:
+    """Yield the lines of a file as they stand, with their ends.
+
+    Raises:
+        StorageError: as `open_to_read` says; or a line is longer than that many bytes.
+    """
+    with open_to_read(path, root) as file:
+        try:
+            for line in iter(partial(file.readline, longest + 1), b""):
+                if len(line) > longest:
+                    raise _too_large(path, f"the file has a line of more than {_in_words(longest)}", longest)
+                yield line
+        except OSError as error:
+            raise storage_error(path, "read", error) from error
+
+
+def open_to_append(path: Path, root: Path | None = None) -> BinaryIO:
+    """Open a file, or make it, to append bytes without a buffer.
+
+    Raises:
+        StorageError: it is no regular file inside the folder, another user's by a hard link, or cannot be written.
+    """
+    return _opened(path, root, os.O_WRONLY | os.O_CREAT | os.O_APPEND, "ab", 0)
+
+
+def open_descriptor(path: Path, root: Path | None = None, flags: int = os.O_RDWR | os.O_CREAT, *, mode: int = 0) -> int:
+    """Return a descriptor of a file: to lock it, to hand it to a program, or to write into it at a place.
+
+    Args:
+        path: the file.
+        root: the experiment's folder.
+        flags: as `os.open` takes them; with O_CREAT it is made where it is missing.
+        mode: the permissions of a file that is made; 0 for those of the experiment's folder.
+
+    Raises:
+        MissingFileError: there is none, and none was to be made.
+        StorageError: it is no regular file inside the folder, another user's by a hard link, or cannot be opened.
+    """
+    action = "written" if flags & _WRITING else "read"
+    with refusals(path, root, action) as (top, (*folders, name)), folder_inside(top, folders) as folder:
+        return _open_regular(path, folder, name, flags, mode or rights_of(top) & 0o666)
+
+
+@contextmanager
+def open_to_write(path: Path, root: Path | None = None, *, mode: int = 0) -> Iterator[BinaryIO]:
+    """Write a file beside `path`, flush it to the disk, and rename it over `path` when the block ends.
+
+    Where anything fails, what stood at `path` is intact and nothing is left beside it. A link that stands there is
+    refused: neither what it points to nor the link itself is replaced.
+
+    Args:
+        path: the file.
+        root: the experiment's folder.
+        mode: the file's permissions, of which the umask takes its part; 0 for those of the experiment's folder.
+
+    Raises:
+        StorageError: there stands no regular file, or it cannot be written.
+    """
+    with refusals(path, root, "written") as (top, (*folders, name)):
+        with folder_inside(top, folders) as folder, _beside(path, folder, name, mode or rights_of(top) & 0o666) as file:
+            yield file
+        fsync_folder(path.parent)
+
+
+@contextmanager
+def _beside(path: Path, folder: int, name: str, mode: int) -> Iterator[BinaryIO]:
+    _look_at(path, folder, name)
+    # In the same folder: renaming across file systems is neither possible nor atomic.
+    beside = f".{name}.{os.getpid()}.tmp"
+    _unlink(beside, folder)  # left by a process of this number that was killed, or planted: O_EXCL follows no link
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _FILE
+    try:
+        opener = partial(os.open, mode=mode, dir_fd=folder)
+        with open(path.with_name(beside), "wb", opener=lambda *_: opener(beside, flags)) as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(beside, name, src_dir_fd=folder, dst_dir_fd=folder)
+    except BaseException:
+        _unlink(beside, folder)
+        raise
+
+
+def replace(path: Path, content: str | bytes, root: Path | None = None) -> None:
+    """Give a file new content (text as UTF-8), whole or not at all.
+
+    Raises:
+        StorageError: as `open_to_write` says.
+    """
+    with open_to_write(path, root) as file:
+        file.write(content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content)
+
+
+def remove(path: Path, root: Path | None = None) -> None:
+    """Remove a file, or the link that stands in its place; one that is missing is no fault.
+
+    Raises:
+        StorageError: the way to it leads over a link or outside, or the system refuses.
+    """
+    with (
+        suppress(MissingFileError),
+        refusals(path, root, "removed") as (top, (*folders, name)),
+        folder_inside(top, folders) as folder,
+    ):
+        _unlink(name, folder)
+
+
+def _opened(path: Path, root: Path | None, flags: int, kind: str, buffering: int) -> BinaryIO:
+    # By an opener, so that the file knows its name, as messages of libraries show it.
+    opener = lambda *_: open_descriptor(path, root, flags)  # noqa: E731
+    return cast("BinaryIO", open(path, kind, buffering, opener=opener))
+
+
+def _open_regular(path: Path, folder: int, name: str, flags: int, mode: int) -> int:
+    _look_at(path, folder, name)  # before it is opened, since opening a device or a pipe has effects
+    descriptor = os.open(name, flags | _FILE, mode, dir_fd=folder)
+    try:
+        found = os.fstat(descriptor)
+        _require_regular(path, found.st_mode)
+        if flags & _WRITING:
+            _require_own(path, found)
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def _look_at(path: Path, folder: int, name: str) -> None:
+    with suppress(FileNotFoundError):
+        _require_regular(path, os.stat(name, dir_fd=folder, follow_symlinks=False).st_mode)
+
+
+def _require_regular(path: Path, mode: int) -> None:
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not stat.S_ISREG(mode):
+        raise StorageError(f"this is {kind_of(mode)}, not a regular file", where=str(path), fix=ONLY_FILES)
+
+
+def _require_own(path: Path, found: os.stat_result) -> None:
+    if found.st_nlink > 1 and found.st_uid != os.geteuid():
+        problem = "the file is a hard link to another user's file, which would be changed"
+        raise StorageError(problem, where=str(path), fix="Copy it, and put the copy in its place.")
+
+
+def _unlink(name: str, folder: int) -> None:
+    with suppress(FileNotFoundError):
+        os.unlink(name, dir_fd=folder)
+
+
+def _too_large(path: Path, problem: str, limit: int) -> DamagedFileError:
+    limits = f"at most {_in_words(limit)} are read"
+    return DamagedFileError(
+        f"{problem}; {limits}", where=str(path), fix="Restore the file from a backup, or remove it."
+    )
+
+
+def _damaged(path: Path, problem: str) -> DamagedFileError:
+    return DamagedFileError(problem, where=str(path), fix="Restore it from a backup.")
+
+
+def _in_words(size: float) -> str:
+    power = min(max(len(str(int(size))) - 1, 0) // 3, len(_UNITS) - 1)
+    return f"{size / 1000**power:.{1 if power else 0}f} {_UNITS[power]}"
+
+
+def _is_deeper(value: object, depth: int) -> bool:
+    """Return whether a value has more levels of lists and mappings, looked at level by level."""
+    level = [value]
+    for _ in range(depth + 1):
+        held = [each for each in level if isinstance(each, (list, dict))]
+        if not held:
+            return False
+        level = [each for one in held for each in (one.values() if isinstance(one, dict) else one)]
+    return any(isinstance(each, (list, dict)) for each in level) or bool(held)

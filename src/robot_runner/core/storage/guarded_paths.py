@@ -1,0 +1,136 @@
+"""The way to a file or folder of an experiment: without links below the experiment's folder, and never out of it.
+
+`guarded_files` opens files by it; here are the folders. Each is reached from the one above it, by descriptors, so that
+nothing on the way can be exchanged for a link after it was looked at.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from contextlib import ExitStack, contextmanager, suppress
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.system_refusals import storage_error
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+__all__ = [
+    "ONLY_FILES",
+    "MissingFileError",
+    "folder_inside",
+    "kind_of",
+    "make_experiment_folder",
+    "make_folder",
+    "refusals",
+    "rights_of",
+]
+
+#: A folder that is only passed through need not be readable.
+_FOLDER = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEXEC
+
+_KINDS = {
+    stat.S_IFLNK: "a symbolic link",
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFDIR: "a folder",
+    stat.S_IFREG: "a regular file",
+}
+ONLY_FILES = "Put the file or folder itself in its place, or remove it: links, pipes and devices are not opened here."
+
+
+class MissingFileError(StorageError):
+    """There is no such file."""
+
+
+def make_folder(path: Path, root: Path) -> None:
+    """Make a folder inside the experiment's, and those on the way to it; one that is there is no fault.
+
+    Raises:
+        StorageError: a part of the way is a link or no folder, or the system refuses.
+    """
+    with refusals(path, root, "made") as (top, parts), folder_inside(top, parts, make=True):
+        pass
+
+
+def make_experiment_folder(root: Path) -> None:
+    """Make the folder of an experiment: its owner's alone, since raw data may be private.
+
+    Where the folder above hands its group on (`chmod g+s`), a group shares it on purpose, and gets what the user's
+    umask leaves to it. A folder that is there keeps its permissions.
+
+    Raises:
+        StorageError: it cannot be made.
+    """
+    try:
+        root.parent.mkdir(parents=True, exist_ok=True)
+        is_shared = bool(root.parent.stat().st_mode & stat.S_ISGID)
+        root.mkdir(0o770 if is_shared else 0o700, exist_ok=True)
+    except OSError as error:
+        raise storage_error(root, "made", error) from error
+
+
+@contextmanager
+def folder_inside(root: Path, folders: Sequence[str], *, make: bool = False) -> Iterator[int]:
+    """Hold a descriptor of a folder in an experiment's, reached without links, and close it at the end."""
+    with ExitStack() as opened:
+        folder = os.open(root, _FOLDER)
+        opened.callback(os.close, folder)
+        for name in folders:
+            if make:
+                with suppress(FileExistsError):
+                    os.mkdir(name, rights_of(root), dir_fd=folder)
+            folder = os.open(name, _FOLDER | os.O_NOFOLLOW, dir_fd=folder)
+            opened.callback(os.close, folder)
+        yield folder
+
+
+@contextmanager
+def refusals(path: Path, root: Path | None, action: str) -> Iterator[tuple[Path, tuple[str, ...]]]:
+    """Take a path apart into the experiment's folder and the parts below it; say what the system refuses."""
+    top = root or path.parent
+    try:
+        yield top, _parts(path, top)
+    except OSError as error:
+        raise _as_refusal(path, top, action, error) from error
+
+
+def _parts(path: Path, root: Path) -> tuple[str, ...]:
+    try:
+        parts = path.relative_to(root).parts
+    except ValueError:
+        parts = ()
+    if not parts or ".." in parts or any("\0" in part for part in parts):
+        problem = "the path leads out of the experiment's folder"
+        raise StorageError(problem, where=str(path), fix=f"Name a file inside {root}.")
+    return parts
+
+
+def rights_of(root: Path) -> int:
+    """Return the permissions of the experiment's folder, which those of its files and folders follow."""
+    return root.stat().st_mode & 0o777
+
+
+def _as_refusal(path: Path, root: Path, action: str, error: OSError) -> StorageError:
+    if error.errno in {errno.ELOOP, errno.ENOTDIR}:
+        below = path.relative_to(root)
+        for part in (*reversed(below.parents[:-1]), below):
+            with suppress(OSError):
+                if not stat.S_ISDIR(mode := os.lstat(root / part).st_mode):
+                    problem = f"the folder {str(part)!r} is {kind_of(mode)}, not a folder"
+                    return StorageError(problem, where=str(path), fix=ONLY_FILES)
+    refusal = storage_error(path, action, error)
+    if error.errno == errno.ENOENT:
+        return MissingFileError(refusal.problem, where=refusal.where, fix=refusal.fix)
+    return refusal
+
+
+def kind_of(mode: int) -> str:
+    """Return in words what stands there, by the mode that `os.stat` gives."""
+    return _KINDS.get(stat.S_IFMT(mode), "something else")

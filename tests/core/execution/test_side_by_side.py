@@ -1,0 +1,240 @@
+"""Several runs are in flight at once where nothing that they claim keeps them apart, and nothing else changes."""
+
+from __future__ import annotations
+
+import itertools
+from datetime import datetime
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from robot_runner.core.config.preparation import prepare
+from robot_runner.core.execution.experiment_status import read_status
+from robot_runner.core.execution.notices import AttemptStarted
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+EIGHT = """
+    def create_run_table(self):
+        return RunTableModel([Factor("Speed", [1, 2, 3, 4])], repetitions=2, seed=7, data_columns=["Energy"])
+"""
+WAITING = """
+claims = []
+def launch_mission(self, context):
+    import time
+    print(f"{context.run_id} waits")
+    time.sleep(0.3)
+def populate_run_data(self, context): return {"Energy": context.run_seed + context.combination["Speed"]}
+"""
+
+
+def spans(executed: Any) -> dict[tuple[str, int], tuple[float, float]]:
+    """Return when each attempt began and ended, s."""
+    begun, ended = {}, {}
+    for record in executed.journal("attempt_started", "attempt_finished"):
+        moments = begun if record["kind"] == "attempt_started" else ended
+        moments[record["run"], record["attempt"]] = datetime.fromisoformat(record["at"]).timestamp()
+    return {key: (begun[key], ended[key]) for key in ended}
+
+
+def most_in_flight(executed: Any) -> int:
+    moments = spans(executed).values()
+    return max(sum(begun <= at < ended for begun, ended in moments) for at, _ in moments)
+
+
+def overlap(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    return one[0] < other[1] and other[0] < one[1]
+
+
+def test_as_many_runs_are_in_flight_as_there_are_workers_and_each_says_where(execute: Callable[..., Any]) -> None:
+    executed = execute(WAITING, table=EIGHT, workers=4)
+    assert [row["status"] for row in executed.table] == ["Done"] * 8
+    assert most_in_flight(executed) == 4
+    places = [(record["place"], record.get("slot", 1)) for record in executed.journal("attempt_started")]
+    assert set(places) == {(f"slot {number}", number) for number in (1, 2, 3, 4)}
+    assert {row["run_id"]: executed.log(row["run_id"]) for row in executed.table} == {
+        f"r_{number}": f"r_{number} waits\n" for number in range(1, 9)
+    }
+    assert not list(executed.folder.glob("current_log*"))
+
+
+def test_one_worker_is_what_it_was(execute: Callable[..., Any]) -> None:
+    executed = execute(WAITING, table=EIGHT)
+    assert most_in_flight(executed) == 1
+    assert not any({"place", "slot"} & set(record) for record in executed.journal("attempt_started"))
+
+
+def test_a_config_that_declares_no_claims_has_the_machine_to_itself(
+    execute: Callable[..., Any], tmp_path: Path
+) -> None:
+    executed = execute(WAITING.replace("claims = []", ""), table=EIGHT, workers=4)
+    assert most_in_flight(executed) == 1
+    preparation = prepare(tmp_path / "config.py", {"workers": "4"})
+    told = next(str(finding) for finding in preparation.findings if "idle" in finding.problem)
+    assert "3 workers of 4 will be idle" in told
+    assert "host:localhost is claimed by config" in told
+    assert "say claims = []" in told
+
+
+def test_a_run_that_the_orchestrator_executes_itself_is_alone(execute: Callable[..., Any], tmp_path: Path) -> None:
+    body = f"run_process = RunProcess.IN_PROCESS\n{WAITING}"
+    executed = execute(body, table=EIGHT, workers=4)
+    assert most_in_flight(executed) == 1
+    findings = prepare(tmp_path / "config.py", {"workers": "4"}).findings
+    assert any("IN_PROCESS" in finding.problem and "idle" in finding.problem for finding in findings)
+
+
+PORTS = """\
+from pathlib import Path
+from robot_runner import *
+from robot_runner.plugins import System
+
+class Lamp(System):
+    def __init__(self, port, *, name=None):
+        super().__init__(name=name)
+        self.port = port
+    def claims(self, robot):
+        return [f"serial:{self.port}"]
+    def launch_mission(self, context):
+        import time
+        context.share(port=self.port)
+        time.sleep(0.2)
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = "results"
+    claims = []
+    plugins = [Lamp(treatment("Port"))]
+"""
+
+
+def test_runs_with_one_claim_never_overlap_and_others_do(execute: Callable[..., Any]) -> None:
+    table = """
+    def create_run_table(self):
+        return RunTableModel([Factor("Port", ["a", "b"])], repetitions=3, randomise=False)
+    """.replace(", randomise=False", "")
+    executed = execute("", head=PORTS, table=table, workers=3)
+    port = {row["run_id"]: row["Port"] for row in executed.table}
+    moments = {run: span for (run, _), span in spans(executed).items()}
+    pairs = list(itertools.combinations(moments, 2))
+    assert not any(overlap(moments[one], moments[other]) for one, other in pairs if port[one] == port[other])
+    assert any(overlap(moments[one], moments[other]) for one, other in pairs if port[one] != port[other])
+
+
+def test_what_a_failed_run_leads_to_is_the_same_with_several_in_flight(execute: Callable[..., Any]) -> None:
+    body = """
+    claims = []
+    attempts = 2
+    def launch_mission(self, context):
+        import time
+        if context.combination["Speed"] == 2 and context.attempt == 1:
+            raise RuntimeError("the wheel slipped")
+        if context.combination["Speed"] == 3:
+            raise RuntimeError("the wheel is gone")
+        time.sleep(0.1)
+    def populate_run_data(self, context): return {"Energy": context.run_seed}
+    """
+    executed = execute(body, table=EIGHT, workers=4)
+    statuses = {row["Speed"]: row["status"] for row in executed.table}
+    assert statuses == {"1": "Done", "2": "Done", "3": "Failed", "4": "Done"}
+    attempts = [record["run"] for record in executed.journal("attempt_started")]
+    assert sorted(map(attempts.count, set(attempts))) == [1, 1, 1, 1, 2, 2, 2, 2]
+    assert executed.finished.failed_count == 2
+
+
+def test_stop_begins_no_more_runs_and_lets_those_in_flight_end(execute: Callable[..., Any]) -> None:
+    body = """
+    claims = []
+    on_failure = FailurePolicy.STOP
+    def launch_mission(self, context):
+        import time
+        if context.run_id == "r_1":
+            time.sleep(0.3)
+            raise RuntimeError("enough")
+        time.sleep(0.8)
+    """
+    executed = execute(body, table=EIGHT, workers=3)
+    assert [row["status"] for row in executed.table] == ["Failed", "Done", "Done", *["Todo"] * 5]
+    assert executed.finished.stopped_by == "on_failure"
+
+
+def test_what_warms_up_is_over_before_anything_is_measured(execute: Callable[..., Any]) -> None:
+    table = EIGHT.replace("repetitions=2,", "repetitions=2, warm_up=WarmUp(2),")
+    executed = execute(WAITING, table=table, workers=4)
+    warm = [record["run"] for record in executed.journal("attempt_started") if record["repetition"] == 0]
+    moments = {run: span for (run, _), span in spans(executed).items()}
+    assert len(warm) == 2
+    last = max(moments[run][1] for run in warm)
+    assert all(moments[run][0] >= last for run in set(moments) - set(warm))
+    assert most_in_flight(executed) == 4
+
+
+def test_each_place_rests_and_gates_are_awaited_side_by_side(execute: Callable[..., Any]) -> None:
+    head = PORTS.replace(
+        "class Lamp",
+        "class Slow(Condition):\n"
+        + """\
+    is_outside = True
+    def __str__(self):
+        return "half a second has gone by"
+    def watch(self, context, opened):
+        import time
+        until = time.monotonic() + 0.5
+        return lambda: Look(time.monotonic() > until, "waiting")
+
+class Lamp""",
+    ).replace("""    plugins = [Lamp(treatment("Port"))]\n""", "    gates = [Gate(Slow())]\n")
+    executed = execute(WAITING, head=head, table=EIGHT, workers=4, time_between_runs_in_ms=300)
+    assert [row["status"] for row in executed.table] == ["Done"] * 8
+    waits = [record for record in executed.journal("gate") if record["state"] == "open"]
+    assert len(waits) == 8
+    begun = sorted(begun for begun, _ in spans(executed).values())
+    assert begun[3] - begun[0] < 0.5, "four gates were awaited one after another"
+
+
+@pytest.mark.parametrize("seed", [3])
+def test_values_of_simulated_runs_do_not_depend_on_the_number_of_workers(
+    execute: Callable[..., Any], tmp_path: Path, seed: int
+) -> None:
+    head = (
+        PORTS.replace(
+            "from robot_runner.plugins import System",
+            """
+from robot_runner.plugins.profilers import Ina219
+from robot_runner.plugins.systems import BasicTurtlebot3
+""",
+        ).partition("class Lamp")[0]
+        + """
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = "results"
+    robot = "simulated"
+    plugins = [BasicTurtlebot3(speed=treatment("Speed"), task_s=1.0, task="Video"), Ina219()]
+"""
+    )
+    table = f"""
+    def create_run_table(self):
+        return RunTableModel([Factor("Speed", [0.1, 0.2])], repetitions=3, seed={seed})
+    """
+    tables = []
+    for workers in (1, 2, 4):
+        executed = execute("", head=head, table=table, workers=workers, results_output_path=f"results{workers}")
+        rows = [{name: cell for name, cell in row.items() if not name.endswith("_at")} for row in executed.table]
+        tables.append(rows)
+        assert most_in_flight(executed) == workers
+        samples = sorted(path.relative_to(executed.folder) for path in executed.folder.glob("runs/*/Ina219/*"))
+        tables.append([(str(path), (executed.folder / path).read_bytes()) for path in samples])
+    assert tables[0] == tables[2] == tables[4]
+    assert tables[1] == tables[3] == tables[5]
+    assert all(row["Energy"] for row in tables[0])
+
+
+def test_status_and_notices_tell_of_places(execute: Callable[..., Any]) -> None:
+    executed = execute(WAITING, table=EIGHT, workers=2)
+    started = [notice.task for notice in executed.notices if isinstance(notice, AttemptStarted)]
+    assert {task.place for task in started} == {"slot 1", "slot 2"}
+    status = read_status(executed.folder)
+    assert status.done == 8
+    assert status.in_flight == {}
