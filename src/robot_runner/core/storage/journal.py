@@ -10,7 +10,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.storage.declared_shapes import checked_json, faults_of
+from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
 from robot_runner.core.storage.file_shapes import RECORDS, Record
 from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, open_to_read, read_lines
 from robot_runner.core.storage.system_refusals import storage_error
@@ -27,7 +27,6 @@ _BEGINNING = '{"kind":"'
 #: How much of the end of a journal tells of the last runs: some thousand of them.
 _LAST_BYTES = 4_000_000
 
-_decode = json.JSONDecoder(object_pairs_hook=checked_json).decode
 _encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), default=str).encode
 
 
@@ -167,7 +166,7 @@ def parsed_record(path: Path, line: bytes) -> dict[str, Any]:
         StorageError: it is no record, or not as records of its kind are.
     """
     try:
-        record: dict[str, Any] = _decode(line.decode())
+        record: dict[str, Any] = parsed_json(line.decode())
     except (ValueError, RecursionError) as error:
         raise _corrupt(path, line, str(error)) from error
     kind = record.get("kind") if isinstance(record, dict) else None
