@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.errors import StorageError
 from robot_runner.core.secret_names import without_environment_secrets
-from robot_runner.core.storage.declared_shapes import checked_json, faults_of
+from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
 from robot_runner.core.storage.file_shapes import RECORDS, Record
-from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, open_to_read, read_blocks
+from robot_runner.core.storage.guarded_files import LINE_LIMIT, MissingFileError, open_descriptor, open_to_read, read_blocks
 from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
@@ -33,7 +33,6 @@ _SENTENCES = frozenset({"problem", "traceback", "fix", "reason", "text", "note",
 #: How much of the end of a journal tells of the last runs: some thousand of them.
 _LAST_BYTES = 4_000_000
 
-_decode = json.JSONDecoder(object_pairs_hook=checked_json).decode
 _encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), default=str).encode
 
 
@@ -105,6 +104,8 @@ class Journal:
         size = os.fstat(self._descriptor).st_size
         end = size
         while end > 0:
+            if size - end > LINE_LIMIT:
+                raise _corrupt(self._path, b"", f"its last {size - end:,} bytes have no end of a line")
             start = max(0, end - 65536)
             newline = os.pread(self._descriptor, end - start, start).rfind(b"\n")
             if newline >= 0:
@@ -211,7 +212,7 @@ def parsed_record(path: Path, line: bytes) -> dict[str, Any]:
         StorageError: it is no record, or not as records of its kind are.
     """
     try:
-        record: dict[str, Any] = _decode(line.decode())
+        record: dict[str, Any] = parsed_json(line.decode())
     except (ValueError, RecursionError) as error:
         raise _corrupt(path, line, str(error)) from error
     kind = record.get("kind") if isinstance(record, dict) else None
