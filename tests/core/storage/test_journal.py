@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.storage import guarded_files
 from robot_runner.core.storage.journal import Journal, read_journal, utc_now
 
 if TYPE_CHECKING:
@@ -82,3 +83,35 @@ def test_a_journal_that_cannot_be_opened_is_an_error_with_a_fix(tmp_path: Path) 
 def test_moments_are_utc_with_milliseconds() -> None:
     assert len(utc_now()) == len("2026-01-31T12:00:00.250Z")
     assert utc_now().endswith("Z")
+
+
+@pytest.mark.parametrize("block", [7, 64, 1_000_000])
+def test_a_journal_is_read_alike_in_blocks_of_any_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: int
+) -> None:
+    """Lines that a block cuts, kinds that are the beginning of another, and text that looks like a record."""
+    monkeypatch.setattr(guarded_files, "_BLOCK", block)
+    path = tmp_path / "journal.jsonl"
+    kinds = ["event", "event_late", "measure", "event", "failure"]
+    with Journal(path) as journal:
+        for number, kind in enumerate(kinds * 20):
+            journal.append(kind, number=number, text='\n{"kind":"event"}\n' * (number % 3))
+    assert [record["number"] for record in read_journal(path)] == list(range(100))
+    chosen = [record["number"] for record in read_journal(path, kinds={"failure", "event"})]
+    assert chosen == [number for number in range(100) if number % 5 in {0, 3, 4}]
+
+
+@pytest.mark.parametrize("kinds", [None, {"measure"}])
+@pytest.mark.parametrize(
+    "damage", [b'{"kind":"even\n', b"lost\n", b'{"kind":"event","a":1}\r\n', b'{"kind":"event"}{"kind":"event"\n']
+)
+def test_a_damaged_line_is_refused_after_those_before_it_whatever_kind_is_asked_for(
+    tmp_path: Path, damage: bytes, kinds: set[str] | None
+) -> None:
+    path = tmp_path / "journal.jsonl"
+    path.write_bytes(b'{"kind":"measure"}\n' * 3 + damage + b'{"kind":"measure"}\n')
+    read = read_journal(path, kinds=kinds)
+    assert [next(read)["kind"] for _ in range(3)] == ["measure"] * 3
+    with pytest.raises(StorageError) as refused:
+        next(read)
+    assert refused.value.findings[0].where == f"{path}:4"

@@ -7,11 +7,13 @@ import os
 import time
 from contextlib import suppress
 from functools import lru_cache
+from io import BytesIO
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.errors import StorageError
 from robot_runner.core.secret_names import without_environment_secrets
-from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, open_to_read, read_lines
+from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, open_to_read, read_blocks
 from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
@@ -25,6 +27,7 @@ __all__ = ["Journal", "journal_lines", "last_records", "parsed_record", "read_jo
 _BEGINNING = '{"kind":"'
 #: Fields in which what a program said may stand.
 _SENTENCES = frozenset({"problem", "traceback", "fix", "reason", "text", "note", "seen", "said"})
+_RECORD, _END = _BEGINNING.encode(), b"}\n"
 #: How much of the end of a journal tells of the last runs: some thousand of them.
 _LAST_BYTES = 4_000_000
 
@@ -133,15 +136,47 @@ def journal_lines(path: Path, *, kinds: Collection[str] | None = None) -> Iterat
 
     Every line is looked at: one that was cut or overwritten, of whatever kind, is refused and not passed over.
     """
-    beginnings = tuple(f'{_BEGINNING}{kind}"'.encode() for kind in kinds) if kinds is not None else b""
-    beginning = _BEGINNING.encode()
+    beginnings = None if kinds is None else tuple(f'{_BEGINNING}{kind}"'.encode() for kind in kinds)
     with suppress(MissingFileError):
-        for line in read_lines(path):
-            if not (line.startswith(beginning) and line.endswith(b"}\n")):
-                if line.endswith(b"\n"):  # else it is the last one, torn when power failed
-                    raise _corrupt(path, line)
-            elif line.startswith(beginnings):
-                yield line
+        for block in read_blocks(path):
+            if not _is_whole(block):
+                yield from _lines_with_damage(path, block, beginnings)
+            elif beginnings is None:
+                yield from BytesIO(block)
+            else:
+                yield from _lines_of_kinds(block, beginnings)
+
+
+def _is_whole(block: bytes) -> bool:
+    """Return whether each line of a block begins and ends as a record; counted in C, as a journal has millions."""
+    lines = block.count(b"\n")
+    begun = block.startswith(_RECORD) + block.count(b"\n" + _RECORD)
+    return lines == begun == block.count(_END) and block.endswith(_END)
+
+
+def _lines_of_kinds(block: bytes, beginnings: Collection[bytes]) -> Iterator[bytes]:
+    starts = [0] if block.startswith(tuple(beginnings)) else []
+    for beginning in beginnings:
+        at = block.find(b"\n" + beginning)
+        while at >= 0:
+            starts.append(at + 1)
+            at = block.find(b"\n" + beginning, at + 1)
+    for start in sorted(starts):
+        yield block[start : block.index(b"\n", start) + 1]
+
+
+def _lines_with_damage(path: Path, block: bytes, beginnings: tuple[bytes, ...] | None) -> Iterator[bytes]:
+    """Yield the lines of a block up to one that is damaged; the last one of a journal may be torn, as power failed.
+
+    Raises:
+        StorageError: one is damaged.
+    """
+    for line in BytesIO(block):
+        if not (line.startswith(_RECORD) and line.endswith(_END)):
+            if line.endswith(b"\n"):
+                raise _corrupt(path, line)
+        elif beginnings is None or line.startswith(beginnings):
+            yield line
 
 
 def last_records(path: Path, *, kinds: Collection[str], within: int = _LAST_BYTES) -> Iterator[dict[str, Any]]:
@@ -183,7 +218,8 @@ def parsed_record(path: Path, line: bytes) -> dict[str, Any]:
 
 def _corrupt(path: Path, line: bytes) -> StorageError:
     # Lines are counted only where one is wrong.
-    number = next((number for number, each in enumerate(read_lines(path), start=1) if each == line), 0)
+    lines = chain.from_iterable(map(BytesIO, read_blocks(path)))
+    number = next((number for number, each in enumerate(lines, start=1) if each == line), 0)
     return StorageError(
         "this line is no record of a journal",
         where=f"{path}:{number}",
