@@ -76,6 +76,14 @@ class About:
             for each in self.authors
         )
 
+    def described(self, manifest: Mapping[str, Any]) -> str:
+        """Return what the package is, in one sentence."""
+        version = manifest.get("software", {}).get("robot_runner", "")
+        return (
+            f"Replication package of the experiment {self.name}, executed with Robot Runner {version}: "
+            "config, run table, raw data, circumstances."
+        )
+
     def findings(self) -> Iterator[Finding]:
         """Yield what others will miss, each with what to write into the config or to pass to the command."""
         if not self.authors:
@@ -87,7 +95,9 @@ class About:
                 problem = f"{each['name']} has no {', '.join(missing)}, which RO-Crate recommends"
                 yield Finding.warning("authors", problem, "Give it in Author(...), or to --author.")
         if not self.licence:
-            problem = "without a licence nobody may use the results"
+            problem = (
+                "no licence is given: the package says that all rights are reserved, and nobody may use the results"
+            )
             yield Finding.warning("licence", problem, 'Give licence="CC-BY-4.0" in the config, or --licence.')
         if not self.citation:
             fix = "Give citation in the config, or --citation."

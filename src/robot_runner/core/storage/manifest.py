@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.secret_names import without_environment_secrets
 from robot_runner.core.storage.declared_shapes import shape_findings
 from robot_runner.core.storage.file_shapes import Manifest
 from robot_runner.core.storage.guarded_files import DamagedFileError, MissingFileError, read_json, replace
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
 
 __all__ = ["FORMAT", "describe_host", "describe_software", "is_damaged", "read_manifest", "write_manifest"]
 
+#: What is compared with the config, or reproduces it: a treatment may be called as a password is.
+_COMPARED = frozenset(
+    {"experiment_name", "config", "design", "seed", "analysis", "registration", "repeat_until", "plugins"}
+)
 #: Version of the experiment folder's format; a newer one is refused by readers.
 FORMAT = 1
 _RESTORE = "Restore it from a backup."
@@ -53,13 +58,25 @@ def describe_software() -> dict[str, Any]:
 
 
 def write_manifest(path: Path, manifest: Mapping[str, Any]) -> None:
-    """Write the manifest, whole or not at all.
+    """Write the manifest, whole or not at all; secrets of the environment are hidden, but for what resuming compares.
 
     Raises:
         StorageError: the folder cannot be written.
     """
-    text = json.dumps({"format": FORMAT, **manifest}, indent=2, ensure_ascii=False, default=str) + "\n"
+    hidden = {name: value if name in _COMPARED else _without_secrets(value) for name, value in manifest.items()}
+    text = json.dumps({"format": FORMAT, **hidden}, indent=2, ensure_ascii=False, default=str) + "\n"
     replace(path, text)
+
+
+def _without_secrets(value: Any) -> Any:
+    match value:
+        case str():
+            return without_environment_secrets(value)
+        case dict():
+            return {name: _without_secrets(each) for name, each in value.items()}
+        case list() | tuple():
+            return [_without_secrets(each) for each in value]
+    return value
 
 
 def is_damaged(path: Path) -> bool:

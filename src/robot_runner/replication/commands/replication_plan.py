@@ -21,6 +21,7 @@ from robot_runner.cli.findings import show_findings
 from robot_runner.cli.parser import UsageError
 from robot_runner.cli.screens.plain import terminal_input
 from robot_runner.core.errors import Finding
+from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.words import counted, listed, one_line
 from robot_runner.replication.container import container_commands, is_pinned
 from robot_runner.replication.differences import ranked, remaining_differences
@@ -103,8 +104,11 @@ def print_plan(
     console.print(head, soft_wrap=True)
     facts = [
         ("Executes", f"config/{(manifest.get('config') or {}).get('file')}, seed {manifest.get('seed')}"),
-        ("As then", ", ".join(f"{name}={text}" for name, text in settings.items() if name not in deviations)),
-        ("Deviates", ", ".join(f"{name}={text}" for name, text in deviations.items())),
+        (
+            "As then",
+            ", ".join(f"{name}={text}" for name, text in shown_settings(settings).items() if name not in deviations),
+        ),
+        ("Deviates", ", ".join(f"{name}={text}" for name, text in shown_settings(deviations).items())),
         ("Replaced", _replaced(source)),
         ("Left out", ", ".join(str(each.get("name")) for each in source.description.get("left_out", ()))),
         ("Results", f"{shown_path(target)}/"),
