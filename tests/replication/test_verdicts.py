@@ -210,6 +210,7 @@ def test_the_margin_is_what_is_given_then_what_is_planned_then_the_default():
 def test_simulated_values_without_any_spread_need_no_statistics(second, conclusion):
     manifest = {"robot": "simulated"}
     nothing = {"first_n": 3, "second_n": 3, "first_sd": 0.0, "second_sd": 0.0, "interval": None, "treatments": {}}
+    nothing["first_mean"] = 100.0
     difference = {**nothing, "difference": second - 100, "relative": second - 100, "bound": 5.0}
     difference |= {"verdict": "undecided", "not_computed": "All values are equal."}
     comparison = {"measures": [{"first_name": "Energy", "differences": [difference]}]}
