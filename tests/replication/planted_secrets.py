@@ -164,7 +164,9 @@ def _settings() -> Iterator[Planted]:
         ("ODBC", "dsn = Driver=PG;Uid=lab;Pwd=§;Port=5432", "word"),
         ("rosbridge secret", "rosauth_secret=§", "word"),
     )
-    yield from _of("config/lab.toml", ("TOML", 'api-key = "§"'), ("TOML login", 'login = {user = "a", pw = "§"}', "word"))
+    yield from _of(
+        "config/lab.toml", ("TOML", 'api-key = "§"'), ("TOML login", 'login = {user = "a", pw = "§"}', "word")
+    )
     yield from _of(
         "config/bringup.launch",
         ("launch param", '<launch><param name="password" value="§"/></launch>', "word"),

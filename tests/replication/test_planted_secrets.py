@@ -37,7 +37,9 @@ def _contents(path):
 
 
 def _leaked(planted, contents):
-    forms = {each.kind: [each.marker.encode(coding) for coding in ("utf-8", "utf-16-le", "utf-16-be")] for each in planted}
+    forms = {
+        each.kind: [each.marker.encode(coding) for coding in ("utf-8", "utf-16-le", "utf-16-be")] for each in planted
+    }
     return [kind for kind, texts in forms.items() if any(text in raw for text in texts for raw in contents.values())]
 
 
@@ -45,8 +47,11 @@ def test_hardly_a_secret_is_in_the_package(packed_secrets, record_property):
     packed, planted = packed_secrets
     assert len({each.kind for each in planted}) == len({each.marker for each in planted}) == len(planted) >= 63
     leaked = _leaked(planted, _contents(packed.path))
-    record_property("figure", f"secrets: {len(planted) - len(leaked)} of {len(planted)} planted kinds are not in the package")
-    print(leaked); assert len(leaked) <= len(planted) // 21, leaked  # 60 of 63
+    record_property(
+        "figure", f"secrets: {len(planted) - len(leaked)} of {len(planted)} planted kinds are not in the package"
+    )
+    print(leaked)
+    assert len(leaked) <= len(planted) // 21, leaked  # 60 of 63
 
 
 def test_what_is_packed_can_still_be_read(packed_secrets):

@@ -6,6 +6,7 @@ and home paths are replaced or left out, and listed. Packing twice gives the sam
 
 from __future__ import annotations
 
+from argparse import BooleanOptionalAction
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -66,9 +67,10 @@ def add_arguments(parser: Parser) -> None:
     )
     parser.add_argument(
         "--hashes",
-        action="store_true",
-        help="ask the package index that pip is set up for, for the hashes of the packages needed: others' pip then "
-        "demands them",
+        action=BooleanOptionalAction,
+        default=True,
+        help="ask the package index that pip is set up for, for the hashes of needed packages that the lock of Robot "
+        "Runner does not have: others' pip then demands them (it is asked if left out)",
     )
     add_json(parser)
 
@@ -89,10 +91,8 @@ def execute(arguments: Namespace) -> int:
         with_hashes=arguments.hashes,
     )
     target = Path(arguments.to).expanduser() if arguments.to else Path.cwd() / f"{folder.name}.zip"
-    if arguments.hashes:
-        complaints().print("Asking the package index for hashes: a minute or so, five at most.", style="dim")
     with byte_progress("packing") as progress:
-        packed = pack(folder, target, packing, progress)
+        packed = pack(folder, target, packing, progress, _say_asking)
     if arguments.json:
         print_json(_as_json(packed))
     else:
@@ -100,6 +100,12 @@ def execute(arguments: Namespace) -> int:
         if packed.findings:
             show_findings(packed.findings)
     return 0
+
+
+def _say_asking(count: int) -> None:
+    packages = counted(count, "package")
+    text = f"Asking the package index for the hashes of {packages}: minutes at most; --no-hashes skips it."
+    complaints().print(text, style="dim")
 
 
 def _authors(texts: list[str]) -> tuple[Author, ...]:
@@ -146,7 +152,7 @@ def _hashes(packed: Packed, *, has_asked: bool) -> str:
     if not packed.without_hash:
         return f"of all {packages} needed: pip demands them" if packed.package_count else ""
     known = packed.package_count - len(packed.without_hash)
-    advice = "" if has_asked else "; --hashes asks the package index for the others"
+    advice = "" if has_asked else "; without --no-hashes the package index is asked for the others"
     return f"of {known} of {packages} needed: pip demands none{advice}"
 
 
