@@ -24,7 +24,7 @@ _ALNUM = string.ascii_letters + string.digits
 
 def marker(kind: str, length: int = 12, alphabet: str = _ALNUM) -> str:
     """Return what stands for the secret of a kind: always the same, and nothing that is written anywhere else."""
-    source = random.Random(kind)
+    source = random.Random(kind)  # noqa: S311 - the same each time
     text = "".join(source.choice(alphabet) for _ in range(length))
     return text if alphabet is not _ALNUM else text[:-2] + "k7"  # a digit and a letter, as most passwords have
 
@@ -111,7 +111,7 @@ def _python() -> Iterator[Planted]:
         ("default argument", 'def connect(user="ada", pw="§"): ...', "word"),
         ("MQTT client", 'def mqtt(client): client.username_pw_set("lab", "§")', "word"),
         ("paramiko", 'def log_in(ssh): ssh.connect("robot", username="pi", password="§")', "word"),
-        ("basic authentication", 'def ask(get, HTTPBasicAuth): get("http://plug", auth=HTTPBasicAuth("ada", "§"))', "word"),
+        ("basic authentication", 'def ask(get, HTTPBasicAuth): get("http://plug", HTTPBasicAuth("ada", "§"))', "word"),
         ("pexpect", 'def type_it(child):\n    child.expect("assword:")\n    child.sendline("§")', "word"),
         ("sudo -S", 'RESTART = "echo § | sudo -S systemctl restart bringup"', "word"),
         ("launch argument's default", 'def launch(Declare): return Declare("password", default_value="§")', "word"),

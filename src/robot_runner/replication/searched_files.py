@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import IO, TYPE_CHECKING, BinaryIO
+from typing import IO, TYPE_CHECKING, BinaryIO, cast
 
 from robot_runner.replication.named_secrets import Grammar
 from robot_runner.replication.redaction import Hits
@@ -39,11 +39,25 @@ _MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16-le"),
     (codecs.BOM_UTF16_BE, "utf-16-be"),
 )
+
+
+def _gunzipped(file: BinaryIO) -> IO[bytes]:
+    return cast("IO[bytes]", gzip.GzipFile(fileobj=file))
+
+
+def _bunzipped(file: BinaryIO) -> IO[bytes]:
+    return bz2.BZ2File(file)
+
+
+def _unxzipped(file: BinaryIO) -> IO[bytes]:
+    return lzma.LZMAFile(file)
+
+
 _Opener = Callable[[BinaryIO], IO[bytes]]
 _PRESSED: tuple[tuple[bytes, _Opener], ...] = (
-    (b"\x1f\x8b", lambda file: gzip.GzipFile(fileobj=file)),
-    (b"BZh", lambda file: bz2.BZ2File(file)),
-    (b"\xfd7zXZ\0", lambda file: lzma.LZMAFile(file)),
+    (b"\x1f\x8b", _gunzipped),
+    (b"BZh", _bunzipped),
+    (b"\xfd7zXZ\0", _unxzipped),
 )
 _UNKNOWN = {b"7z\xbc\xaf": "7z", b"Rar!": "RAR", b"PAR1": "Parquet", b"\x28\xb5\x2f\xfd": "Zstandard"}
 _DAMAGED = (OSError, EOFError, ValueError, RuntimeError, NotImplementedError, zipfile.BadZipFile, tarfile.TarError,
@@ -218,7 +232,6 @@ class _Bounded(io.RawIOBase):
         self._search.take(len(block))
         target[: len(block)] = block
         return len(block)
-
 
 
 def _chunks(file: BinaryIO) -> Iterator[bytes]:
