@@ -2,8 +2,8 @@
 
 The lock lies beside the source that Robot Runner was installed from. It has the files of every platform, and no network
 is asked for what stands in it. For all else, pip knows which index is meant, how to get in, and which file fits; uv
-reads none of pip's settings. What pip answers is read for hashes and names of files; where they come from is neither kept nor shown. Nothing is built: of a package
-without a wheel, nothing is known.
+reads none of pip's settings. What pip answers is read for hashes and names of files; where they come from is neither
+kept nor shown. Nothing is built: of a package without a wheel, nothing is known.
 """
 
 from __future__ import annotations

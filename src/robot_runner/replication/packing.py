@@ -181,7 +181,7 @@ def _rows(files: ExperimentFolder) -> RunTableRows:
 
 
 def _known_secrets(files: ExperimentFolder, manifest: Mapping[str, Any]) -> set[str]:
-    """Return the secrets of the environment, of the configs and of what was set by hand, to find them elsewhere, too."""
+    """Return the secrets of the environment, the configs and what was set by hand, to find them elsewhere, too."""
     found = set(secrets_of_environment())
     for folder in (files.config, files.earlier_configs):
         for path in sorted(folder.rglob("*.py")):
