@@ -15,6 +15,7 @@ from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.precision import Precision
 from robot_runner.core.events.window import is_phase_name
 from robot_runner.core.links.declared_host import are_hosts, named_hosts
+from robot_runner.core.links.several_robots import Robots
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -151,7 +152,10 @@ PATH = Kind(
     Path,
     Path,
 )
-LINK = Kind('the name of a robot link, such as "simulated"', lambda value: isinstance(value, str) and value != "")
+LINK = Kind(
+    'the name of a robot link, such as "simulated", or Robots(...) of several',
+    lambda value: isinstance(value, Robots) or (isinstance(value, str) and value != ""),
+)
 ROS_GENERATION = Kind(
     "", lambda value: _is_integer(value) and value in {1, 2}, lambda text: int(text) if text.isdigit() else text
 ).or_any("1, 2, any or None")

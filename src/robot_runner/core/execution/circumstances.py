@@ -57,6 +57,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         # What was set from outside the config file: a replication has to know.
         "deviations": dict(experiment.overrides),
         "robot": experiment.parameters.robot,
+        **({"robots": dict(robots)} if (robots := experiment.parameters.robots) else {}),
         "design": {"source": "run_table.csv" if by_hand else "config", **described_design(model)},
         "seed": model.seed,
         "seed_is_given": model.seed_is_given,

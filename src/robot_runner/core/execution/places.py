@@ -138,6 +138,10 @@ class Place(Protocol):
         """
         ...
 
+    def set_aside(self) -> None:
+        """Take no runs any more."""
+        ...
+
     def begin(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunInFlight:
         """Begin one attempt at a run, and return at once.
 

@@ -259,10 +259,13 @@ _WHERE = "robot"
 class RobotName:
     """What `robot` in a config says: `link`, `link:option=value,option=value`, or an address: `link://host:port`.
 
+    Of a link that reaches a whole graph, what stands in the place of an address names one of its robots: `ros2://alice`.
+
     Attributes:
         link: the name of the robot link.
         options: what is set on it, as written, in that order.
         address: the whole of an address; None where it is none.
+        namespace: of the robot that is named on a graph; empty where none is.
 
     Example:
         >>> RobotName.parse("simulated:task_power_factor=1.1")
@@ -272,6 +275,12 @@ class RobotName:
     link: str
     options: Mapping[str, str] = field(default_factory=dict)
     address: str | None = None
+    namespace: str = field(default="", repr=False)
+
+    @property
+    def on_graph(self) -> RobotName:
+        """The robot of a graph that stands in the place of an address."""
+        return RobotName(self.link, namespace=(self.address or "").partition("://")[2])
 
     @classmethod
     def parse(cls, text: str) -> RobotName:
