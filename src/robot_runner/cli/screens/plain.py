@@ -37,6 +37,7 @@ from robot_runner.core.execution.notices import (
     WaitingForUser,
 )
 from robot_runner.core.execution.task import AttemptStatus
+from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.words import counted, enumerated, one_line, shown_duration, shown_treatment, shown_value
 
 if TYPE_CHECKING:
@@ -185,7 +186,7 @@ def opening(started: ExperimentStarted) -> list[str]:
     if started.left is not None and started.left.others >= _WORTH_TELLING:
         lines.append(started.left.in_words())
     if started.overrides:
-        parts = ", ".join(f"{name}={value}" for name, value in started.overrides.items())
+        parts = ", ".join(f"{name}={value}" for name, value in shown_settings(started.overrides).items())
         lines.append(f"set by hand, and recorded as a deviation from the config: {parts}")
     return lines
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = [
     "AUTHORS",
     "CLAIMS",
+    "CLUSTER",
     "FLAG",
     "HOSTS",
     "LICENCE",
@@ -155,6 +156,11 @@ PATH = Kind(
 LINK = Kind(
     'the name of a robot link, such as "simulated", or Robots(...) of several',
     lambda value: isinstance(value, Robots) or (isinstance(value, str) and value != ""),
+)
+_SCHEDULER = re.compile(r"(tcp|tls)://(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+):[0-9]{1,5}")
+CLUSTER = Kind(
+    "the address of a Dask scheduler, such as tcp://scheduler:8786 or tls://scheduler:8786",
+    lambda value: isinstance(value, str) and _SCHEDULER.fullmatch(value) is not None,
 )
 ROS_GENERATION = Kind(
     "", lambda value: _is_integer(value) and value in {1, 2}, lambda text: int(text) if text.isdigit() else text

@@ -16,6 +16,7 @@ from robot_runner.core.config.gate_parameters import Gate, Guard
 from robot_runner.core.config.parameter_kinds import (
     AUTHORS,
     CLAIMS,
+    CLUSTER,
     FLAG,
     HOSTS,
     LICENCE,
@@ -247,6 +248,18 @@ class StaticParameters:
         "is simulated.",
         CLAIMS.or_none(),
         None,
+    )
+    cluster: str | None = _declare(
+        "The scheduler of the Dask cluster whose workers execute the runs, such as tcp://scheduler:8786; None executes "
+        "them on this machine.",
+        CLUSTER.or_none(),
+        None,
+    )
+    attempts_if_lost: int = _declare(
+        "How often a run is tried again, beside `attempts`, as the machine that executed it was lost, which is not the "
+        "run's fault; beyond that, or with 0, such an attempt is one of `attempts`.",
+        whole(0, ""),
+        3,
     )
     gates: Sequence[Gate] = _declare(
         "What must hold before each attempt at a run: conditions that are awaited, one after another.",

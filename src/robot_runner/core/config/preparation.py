@@ -86,6 +86,9 @@ def _link_findings(parameters: Parameters) -> Iterator[Finding]:
         yield from link_findings(parameters.robot)
     for link in dict.fromkeys(parameters.robots.values()):
         yield from link_findings(link)
+    if parameters.robots and parameters.cluster is not None:
+        problem = "several robots take turns on this machine, and the runs are to be executed on a cluster"
+        yield Finding.error("robot", problem, "Name one robot, or leave cluster out.")
     looked_for = [name for name, link in parameters.robots.items() if looks_for_robot(link)]
     if looked_for or len(set(map(is_simulated, parameters.robots.values()))) > 1:
         problem = (

@@ -144,7 +144,7 @@ def read_status(folder: Path) -> ExperimentStatus:
     holder = holder_of(files.lock)
     left = _time_left(files, history, is_executed=holder is not None)
     return ExperimentStatus(
-        experiment_name=manifest["experiment_name"],
+        experiment_name=manifest.get("experiment_name", files.root.name),
         folder=folder,
         holder=holder,
         is_waiting_for_user=holder is not None and history.waiting_for is not None,

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.claims import worker_count
 from robot_runner.core.config.parameters import Parameters
+from robot_runner.core.entry_points import named_entry_point
+from robot_runner.core.errors import PluginError
 from robot_runner.core.execution.executor import executor_for
 from robot_runner.core.links.connect import is_simulated
 
@@ -46,10 +48,6 @@ class LocalPlace:
         del combination
         return self._own.union(claims)
 
-    def set_aside(self) -> None:
-        """Take no runs any more in this session."""
-        self.is_aside = True
-
     def begin(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunInFlight:
         """Begin an attempt in a process of its own, or execute it in this one (`IN_PROCESS`)."""
         return self._executor.begin(task, builder, watch)
@@ -79,11 +77,24 @@ class LocalPlaces:
 def places_of(experiment: Experiment, claims: Claims, combinations: Iterable[Mapping[str, Any]]) -> Places:
     """Return the places of an experiment: its robots, or slots; one slot where all runs claim the same.
 
+    Those of a cluster are brought by the room that speaks to it, in the group `robot_runner.places`.
+
     Args:
         experiment: what is executed.
         claims: what its runs claim.
         combinations: of the runs that are to be executed.
+
+    Raises:
+        PluginError: nothing brings places of a cluster.
+        ExecutionError: the experiment cannot be executed there.
     """
+    if (address := experiment.parameters.cluster) is not None:
+        point = named_entry_point("places", "cluster")
+        if point is None:
+            fix = "Install Robot Runner anew: pip install 'robot-runner[cluster]'."
+            raise PluginError("nothing that is installed speaks to a cluster", where=f"cluster {address}", fix=fix)
+        places: Places = point.load()(experiment, address)
+        return places
     if experiment.parameters.robots:
         robots = experiment.parameters.robots.items()
         return LocalPlaces(LocalPlace(experiment, slot, robot) for slot, robot in enumerate(robots, 1))

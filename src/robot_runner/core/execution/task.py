@@ -134,6 +134,7 @@ class RunOutcome:
         later_failures: what went wrong after that, while what was open was closed.
         readers: who read the treatment of each factor, or has a parameter bound to it, by the factor's name.
         seconds: real time that the attempt took.
+        is_lost: whether it failed as the machine that executed it was lost, which is not the run's fault.
     """
 
     status: AttemptStatus
@@ -144,6 +145,7 @@ class RunOutcome:
     later_failures: tuple[RunFailure, ...] = ()
     readers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     seconds: float = 0.0
+    is_lost: bool = False
 
     def fields(self) -> dict[str, Any]:
         """Return the same as plain data, for the journal."""
@@ -162,6 +164,7 @@ class RunOutcome:
             "stamps": dict(self.stamps),
             "measures": measures,
             "failure": str(self.failure) if self.failure else None,
+            **({"is_lost": True} if self.is_lost else {}),
             "readers": dict(self.readers),
         }
 

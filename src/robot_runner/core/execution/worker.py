@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from robot_runner.core.config.dialects import prepare_or_refuse
+from robot_runner.core.execution.called_programs import notice_programs
 from robot_runner.core.execution.interruption import STOP_SIGNALS, InterruptGate
 from robot_runner.core.execution.left_over import RunMark, end_left_over
 from robot_runner.core.execution.prepared_treatments import describe_revisions, restore_revisions
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.experiment import Experiment
 
-__all__ = ["be_run", "become_interpreter"]
+__all__ = ["be_run", "become_interpreter", "described_task", "task_of"]
 
 _MODULE = "robot_runner.core.execution.worker"
 
@@ -61,7 +62,7 @@ def become_interpreter(
             "results_output_path": str(experiment.folder.root.parent),
             **_own_robot(experiment),
         },
-        "task": _described(experiment, task),
+        "task": described_task(experiment, task),
         "revisions": describe_revisions(experiment.model.factors),
         "records": report.descriptor,
         "systems": None if systems is None else systems.descriptor,
@@ -79,6 +80,7 @@ def _execute(experiment: Experiment, task: RunTask, systems: SystemsState | None
     gate = InterruptGate()
     gate.listen()
     keeper = os.getppid()
+    notice_programs(experiment, report)
     execute_run(experiment, task, report, gate, systems)
     report(FINISHED, {})
     if os.getppid() != keeper:  # it was killed, and cannot end what the run leaves behind
@@ -88,7 +90,7 @@ def _execute(experiment: Experiment, task: RunTask, systems: SystemsState | None
 def _execute_described(description: Mapping[str, Any], report: RecordWriter) -> None:
     experiment = prepare_or_refuse(Path(description["config"]), description["set"])
     restore_revisions(experiment.model.factors, description["revisions"])
-    task = _task_of(experiment, description["task"])
+    task = task_of(experiment, description["task"])
     experiment = replace(experiment, folder=experiment.folder.at_slot(task.slot))
     RunMark(experiment.folder).sign()  # the lock was lost when the process was replaced
     for plugin in experiment.plugins:  # a forked run finds this done
@@ -97,7 +99,8 @@ def _execute_described(description: Mapping[str, Any], report: RecordWriter) -> 
     _execute(experiment, task, None if shared is None else SystemsState(shared), report)
 
 
-def _described(experiment: Experiment, task: RunTask) -> dict[str, Any]:
+def described_task(experiment: Experiment, task: RunTask) -> dict[str, Any]:
+    """Return a task as plain data, for a process that has loaded the config itself."""
     # A treatment goes by its place in its factor, as it may be any object; a value of a hand-written table is plain.
     factors = {factor.name: factor for factor in experiment.model.factors}
     combination: dict[str, Any] = {}
@@ -107,7 +110,8 @@ def _described(experiment: Experiment, task: RunTask) -> dict[str, Any]:
     return {each.name: getattr(task, each.name) for each in fields(task)} | {"combination": combination}
 
 
-def _task_of(experiment: Experiment, described: Mapping[str, Any]) -> RunTask:
+def task_of(experiment: Experiment, described: Mapping[str, Any]) -> RunTask:
+    """Return the task that `described_task` described."""
     factors = {factor.name: factor for factor in experiment.model.factors}
     combination = {
         name: value if place is None else factors[name].treatments[place]

@@ -1,0 +1,1 @@
+"""Places on other machines: the workers of a Dask cluster execute runs."""

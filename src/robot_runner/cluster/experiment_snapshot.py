@@ -1,0 +1,115 @@
+"""An experiment on its way to a worker: the config file and its modules, and what was set from outside.
+
+The worker loads the config as a fresh interpreter does (`RunProcess.SPAWN`): what `before_experiment` and `before_run` set up in
+the memory of the orchestrator is not there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.config.checks import announced_checks
+from robot_runner.core.config.dialects import prepare
+from robot_runner.core.config.parameters import RunProcess
+from robot_runner.core.config.plugin_checks import check_plugins
+from robot_runner.core.design.batches import EXTENDED
+from robot_runner.core.errors import ConfigError, ExecutionError
+from robot_runner.core.execution.prepared_treatments import describe_revisions, restore_revisions
+from robot_runner.core.execution.recovery import config_files
+from robot_runner.core.links.connect import link_findings
+from robot_runner.core.storage.journal import journal_lines
+from robot_runner.core.storage.layout import ExperimentFolder
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from robot_runner.core.config.experiment import Experiment
+
+__all__ = ["experiment_of", "snapshot_of"]
+
+#: How a worker spells that it has no cluster of its own: it executes its runs itself.
+_NO_CLUSTER = "none"
+
+
+def snapshot_of(experiment: Experiment) -> dict[str, Any]:
+    """Return an experiment as plain data.
+
+    Raises:
+        ExecutionError: it cannot travel: its config stands in no file.
+    """
+    if experiment.kept != "file":
+        raise ExecutionError(
+            "the config stands in no file, and cannot travel to the workers of a cluster",
+            where=experiment.class_name,
+            fix="Write the class to a file and give its path.",
+        )
+    root = experiment.config_path.parent
+    batches = journal_lines(experiment.folder.journal, kinds={EXTENDED}) if experiment.folder.journal.exists() else ()
+    robot = experiment.parameters.robot
+    return {
+        "config": experiment.config_path.name,
+        "files": {path.relative_to(root).as_posix(): path.read_text("utf-8") for path in config_files(experiment)},
+        # A robot that was found by `auto` was found here, and is meant there as well.
+        "set": {**experiment.overrides, **({"robot": robot} if isinstance(robot, str) else {})},
+        "batches": "".join(line.decode("utf-8").rstrip("\n") + "\n" for line in batches),
+        "revisions": describe_revisions(experiment.model.factors),
+    }
+
+
+def experiment_of(snapshot: Mapping[str, Any], folder: Path, runs: Path | None) -> Experiment:
+    """Return the experiment of a snapshot as it is executed on this worker.
+
+    Args:
+        snapshot: what `snapshot_of` returned.
+        folder: the worker's own, empty; the config and all that a run writes go into it.
+        runs: the folder of runs that this worker shares with the orchestrator; None where it shares none.
+
+    Raises:
+        ConfigError: the config cannot be loaded here, or this worker lacks what it needs; carries every finding.
+    """
+    for name, text in snapshot["files"].items():
+        path = folder / "source" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    settings = {**snapshot["set"], "cluster": _NO_CLUSTER, "results_output_path": str(folder / "experiments")}
+    path = folder / "source" / snapshot["config"]
+    if snapshot["batches"]:  # the design has grown; where to look for that is known once the config was read
+        name = _loaded(path, settings).parameters.experiment_name
+        journal = ExperimentFolder(folder / "experiments" / name).journal
+        journal.parent.mkdir(parents=True, exist_ok=True)
+        journal.write_text(snapshot["batches"], encoding="utf-8")
+    experiment = _loaded(path, settings)
+    _refuse_unfit(experiment)
+    restore_revisions(experiment.model.factors, snapshot["revisions"])
+    if runs is not None and experiment.parameters.run_process is not RunProcess.SPAWN:
+        # An absolute path takes the place of the folder's own runs; what belongs to a worker alone stays with it.
+        experiment = replace(experiment, folder=replace(experiment.folder, runs_name=str(runs)))
+    experiment.folder.root.mkdir(parents=True, exist_ok=True)
+    experiment.folder.runs.mkdir(exist_ok=True)
+    return experiment
+
+
+def _loaded(path: Path, settings: Mapping[str, str]) -> Experiment:
+    # The orchestrator has checked the disk for all runs, and the registration; neither is this machine's business.
+    preparation = prepare(path, settings, is_for_here=False)
+    if preparation.experiment is None:
+        raise ConfigError.of_findings(preparation.findings)
+    return preparation.experiment
+
+
+def _refuse_unfit(experiment: Experiment) -> None:
+    """Look whether this machine has what the experiment needs.
+
+    Raises:
+        ConfigError: it has not; all findings at once.
+    """
+    parameters = experiment.parameters
+    found = [
+        *check_plugins(experiment.plugins, experiment.model, parameters.robot),
+        *link_findings(parameters.robot),
+        *announced_checks(experiment.class_name, parameters, experiment.plugins),
+    ]
+    if any(finding.is_error for finding in found):
+        raise ConfigError.of_findings([finding for finding in found if finding.is_error])

@@ -1,0 +1,390 @@
+"""The process that speaks to the cluster for an orchestrator: `python -m robot_runner.cluster.gateway`.
+
+Dask's client has threads, and the orchestrator has none. So it starts this process, sends it orders through a pipe, and
+gets records and ends of runs back:
+
+    orchestrator ── begin, stop, kill ──> gateway ── tasks, leases, pieces ──> scheduler ──> workers
+                 <── joined, gone, records, over ──
+
+**Leases.** Nobody knows of a worker that does not answer whether its run goes on. So each worker has a lease, which the
+gateway renews as long as the worker answers; a run whose lease ends is stopped there (`run_host.py`). An attempt on a
+worker that is lost is told to be over only when its lease and the time to close the run have passed: until then nobody
+executes the run a second time. (Gray and Cheriton, Leases, SOSP 1989; each side counts on its own clock.)
+
+**At most once.** A task is bound to one worker, and tells which; Dask does not retry it. A worker refuses what was meant for
+another one, and what it has begun before.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import sys
+import time
+from concurrent.futures import CancelledError
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import dask.config
+from dask.utils import parse_timedelta
+from distributed import Client
+
+from robot_runner.cluster import on_worker
+from robot_runner.cluster.cluster_members import ANSWER, Member, UnansweredError, answer_of, joined
+from robot_runner.cluster.raw_data_transfer import TransferError, bring_home
+from robot_runner.core.errors import StorageError
+from robot_runner.core.execution.task import RecordReader
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from distributed import Future
+
+__all__ = ["Gateway", "main"]
+
+#: How many runs are brought home at a time: this many pieces are in memory.
+_TRANSFERS = 4
+#: How often it is looked which workers there are, s; with many of them less often, as the answer grows with them.
+_LOOK, _WORKERS_A_SECOND = 1.0, 100
+#: How long the end of a task may come before what the worker has told of the run, s.
+_LATE = 10.0
+#: How long workers are told that the experiment has ended, s; their leases end as well.
+_GOODBYE = 5.0
+
+
+@dataclass(slots=True)
+class _Attempt:
+    """One attempt at a run, on its way."""
+
+    order: dict[str, Any]
+    member: Member
+    future: Future | None = None
+    received: int = 0
+    is_over: bool = False
+    is_ending: bool = False
+    is_killed: bool = False
+    tasks: set[asyncio.Task[None]] = field(default_factory=set)
+
+    @property
+    def token(self) -> str:
+        return str(self.order["token"])
+
+
+class Gateway:
+    """Speaks to the cluster.
+
+    Args:
+        facts: `address`, `session`, `root` of the experiment's folder, `runs` in it, `closing` (how long the end of a run
+            may take once it is asked to stop, s), what workers are told (`worker_facts`), and the settings of `lease`
+            and `patience`, both in s, and `in_place`.
+        requests: a descriptor from which the orchestrator's requests are read.
+        replies: a descriptor that takes what is told to it.
+    """
+
+    def __init__(self, facts: Mapping[str, Any], requests: int, replies: int) -> None:
+        self._facts = facts
+        self._session: str = facts["session"]
+        self._requests = RecordReader(requests)
+        self._descriptor = requests
+        self._replies = _Replies(replies)
+        self._members: dict[str, Member] = {}
+        self._attempts: dict[str, _Attempt] = {}
+        self._transfers = asyncio.Semaphore(_TRANSFERS)
+        self._is_ending = asyncio.Event()
+        self._client: Client | None = None
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    async def serve(self) -> None:
+        """Speak to the cluster until the orchestrator ends this, or is gone; begin anew where the scheduler is lost."""
+        asyncio.get_running_loop().add_reader(self._descriptor, self._take_requests)
+        ending = asyncio.create_task(self._is_ending.wait())
+        while not self._is_ending.is_set():
+            following = asyncio.create_task(self._follow())
+            await asyncio.wait([following, ending], return_when=asyncio.FIRST_COMPLETED)
+            if not following.done():
+                await self._say_goodbye()
+                following.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await following
+            if not self._is_ending.is_set():
+                self._lose_all("the scheduler is out of reach")
+                await asyncio.wait([ending], timeout=_LOOK)
+        await self._replies.flushed()
+
+    async def _follow(self) -> None:
+        """Follow what the cluster does, until its scheduler is lost."""
+        try:
+            async with Client(
+                self._facts["address"], asynchronous=True, set_as_default=False, timeout=self._facts["lease"]
+            ) as self._client:
+                self._client.subscribe_topic(on_worker.TOPIC, self._take_event)
+                self._replies.tell("connected", {name: self._facts[name] for name in ("lease", "patience")})
+                while True:
+                    await self._look_for_workers(self._client)
+                    await asyncio.sleep(max(_LOOK, len(self._members) / _WORKERS_A_SECOND))
+        except (OSError, TimeoutError) as error:
+            self._replies.tell("unconnected", {"because": str(error) or type(error).__name__})
+        finally:
+            self._client = None
+
+    async def _look_for_workers(self, client: Client) -> None:
+        async with asyncio.timeout(self._facts["lease"]):
+            identity = await client.scheduler.identity(n_workers=-1)
+        workers = identity["workers"]
+        for address in set(self._members) - set(workers):
+            self._lose(self._members[address], f"worker {self._members[address].name} is gone")
+        for address, facts in workers.items():
+            if address not in self._members:
+                member = self._members[address] = Member(
+                    address, str(facts["name"]), facts["nthreads"], facts["resources"]
+                )
+                self._go_on(self._keep(client, member))
+
+    async def _keep(self, client: Client, member: Member) -> None:
+        """Have a worker join, and renew its lease as long as it answers."""
+        try:
+            findings = await joined(client, member, self._facts)
+            if findings:
+                self._replies.tell("refused", {"worker": member.name, "findings": findings})
+                return
+            self._replies.tell("joined", member.facts())
+            while not member.is_lost:
+                member.renewed = time.monotonic()
+                await answer_of(client, member, self._facts["lease"], on_worker.renew, self._session)
+                await asyncio.sleep(self._facts["lease"] / 4)
+        except TimeoutError:
+            self._lose(member, f"worker {member.name} has not answered for {self._facts['lease']:g} s")
+        except OSError:
+            self._lose(member, f"the connection to worker {member.name} was lost")
+        except UnansweredError as error:
+            self._lose(member, f"worker {member.name} does not take part any more: {error}")
+
+    def _take_requests(self) -> None:
+        requests, is_open = self._requests.read()
+        for kind, fields in requests:
+            if kind == "begin":
+                self._begin(fields)
+            elif kind == "end":
+                self._is_ending.set()
+            elif (attempt := self._attempts.get(fields["token"])) is not None:
+                self._go_on(self._stop(attempt, kind, fields))
+        if not is_open:  # the orchestrator is gone
+            asyncio.get_running_loop().remove_reader(self._descriptor)
+            self._is_ending.set()
+
+    def _begin(self, order: dict[str, Any]) -> None:
+        member = self._members.get(order["address"])
+        if self._client is None or member is None or member.is_lost or member.id != order["worker"]:
+            self._replies.tell("over", {"token": order["token"], "lost": f"worker {order['name']} is gone"})
+            return
+        attempt = self._attempts[order["token"]] = _Attempt(order, member)
+        attempt.future = self._client.submit(
+            on_worker.execute,
+            {"session": self._session, **{name: order[name] for name in ("token", "worker", "task")}},
+            key=f"robot-runner-{order['token']}",
+            workers=[member.address],
+            allow_other_workers=False,
+            resources={claim: 1 for claim in order["claims"] if claim in member.resources} or None,
+            pure=False,
+            retries=0,
+        )
+        self._go_on(self._await_task(attempt))
+
+    async def _await_task(self, attempt: _Attempt) -> None:
+        """Wait for the end of Dask's task; what the worker has told of the run comes before it."""
+        assert attempt.future is not None  # noqa: S101 - it was submitted
+        try:
+            error = await attempt.future.exception()
+        except (asyncio.CancelledError, CancelledError, OSError) as cancelled:
+            error = cancelled
+        if error is None:
+            await asyncio.sleep(_LATE)
+            error = RuntimeError("its worker did not tell how it ended")
+        if not attempt.is_ending:
+            self._go_on(self._tell_lost(attempt, str(error) or type(error).__name__))
+
+    async def _stop(self, attempt: _Attempt, kind: str, request: dict[str, Any]) -> None:
+        attempt.is_killed = attempt.is_killed or kind == "kill"
+        if self._client is not None and not attempt.member.is_lost:
+            with contextlib.suppress(*ANSWER):
+                asked = {"kind": kind, **request}
+                await answer_of(
+                    self._client,
+                    attempt.member,
+                    self._facts["lease"],
+                    on_worker.stop,
+                    self._session,
+                    attempt.token,
+                    asked,
+                )
+
+    def _take_event(self, event: tuple[float, Mapping[str, Any]]) -> None:
+        message = event[1]
+        attempt = self._attempts.get(message.get("token", ""))
+        if message.get("session") != self._session or attempt is None or attempt.is_ending:
+            return
+        records = json.loads(message["records"])
+        if message["first"] != attempt.received:
+            self._go_on(self._tell_lost(attempt, "what its worker told did not come whole"))
+            return
+        attempt.received += len(records)
+        if records:
+            self._replies.tell("records", {"token": attempt.token, "records": records})
+        if (ended := message.get("ended")) is not None:
+            attempt.is_ending = True
+            self._go_on(self._end(attempt, ended))
+
+    async def _end(self, attempt: _Attempt, ended: dict[str, Any]) -> None:
+        """Bring home what an attempt has left, and tell that it is over."""
+        if "lost" in ended:
+            self._replies.tell("aside", {"worker": attempt.member.id, "because": ended["lost"]})
+            await self._tell_lost(attempt, ended["lost"], is_certain=not ended.get("has_begun", True))
+            return
+        over = {name: ended[name] for name in ("because", "is_interrupted", "seconds")} | {
+            "skipped": ended.get("skipped", [])
+        }
+        if ended.get("files"):
+            try:
+                await self._brought_home(attempt, ended)
+            except StorageError as error:
+                over["because"] = f"what it has left could not be brought home: {error}"
+            except (TransferError, *ANSWER) as error:
+                await self._tell_lost(attempt, f"what it has left could not be brought home: {error}")
+                return
+        self._tell_over(attempt, over)
+
+    async def _brought_home(self, attempt: _Attempt, ended: Mapping[str, Any]) -> None:
+        client, lease, session = self._client, self._facts["lease"], self._session
+
+        async def read(name: str, offset: int, size: int) -> tuple[bytes, str]:
+            if client is None:
+                raise OSError("the scheduler is out of reach")
+            return await answer_of(
+                client, attempt.member, lease, on_worker.read_piece, session, attempt.token, name, offset, size
+            )
+
+        root = Path(self._facts["root"])
+        async with self._transfers:
+            await bring_home(read, ended, Path(self._facts["runs"]) / attempt.order["run"], root)
+        if client is not None:
+            await answer_of(client, attempt.member, lease, on_worker.discard, session, attempt.token)
+
+    def _lose_all(self, because: str) -> None:
+        for member in list(self._members.values()):
+            self._lose(member, because)
+
+    def _lose(self, member: Member, because: str) -> None:
+        """Take a worker for lost; its attempts are over once its lease has ended and its runs are closed."""
+        if self._members.get(member.address) is member:
+            del self._members[member.address]
+        if member.is_lost:
+            return
+        member.is_lost = True
+        if member.has_joined:
+            self._replies.tell("gone", {"worker": member.id, "name": member.name, "because": because})
+        for attempt in [each for each in self._attempts.values() if each.member is member]:
+            self._go_on(self._tell_lost(attempt, because))
+
+    async def _tell_lost(self, attempt: _Attempt, because: str, *, is_certain: bool = False) -> None:
+        """Tell that an attempt is lost, once its run has ended in any case; at once where it has not begun for certain."""
+        if attempt.is_over:
+            return
+        attempt.is_over = attempt.is_ending = True
+        end = 0.0 if is_certain else attempt.member.renewed + self._facts["lease"] + self._facts["closing"]
+        while time.monotonic() < end and not attempt.is_killed:
+            await asyncio.sleep(min(0.1, max(0.0, end - time.monotonic())))
+        self._forget(attempt)
+        self._replies.tell("over", {"token": attempt.token, "lost": because})
+
+    def _tell_over(self, attempt: _Attempt, over: dict[str, Any]) -> None:
+        if not attempt.is_over:
+            attempt.is_over = True
+            self._forget(attempt)
+            self._replies.tell("over", {"token": attempt.token, **over})
+
+    def _forget(self, attempt: _Attempt) -> None:
+        self._attempts.pop(attempt.token, None)
+        if attempt.future is not None:
+            attempt.future.release()  # so that the scheduler forgets the task as well
+
+    async def _say_goodbye(self) -> None:
+        client = self._client
+        if client is None:
+            return
+        here = [each for each in self._members.values() if each.has_joined and not each.is_lost]
+        answers = (answer_of(client, each, _GOODBYE, on_worker.leave, self._session) for each in here)
+        await asyncio.gather(*answers, return_exceptions=True)
+
+    def _go_on(self, steps: Any) -> None:
+        task = asyncio.create_task(steps)
+        self._tasks.add(task)  # the loop itself holds no task
+        task.add_done_callback(self._tasks.discard)
+
+
+class _Replies:
+    """What is told to the orchestrator; never waited for, as it may be busy with a callback of a user."""
+
+    def __init__(self, descriptor: int) -> None:
+        os.set_blocking(descriptor, False)
+        self._descriptor = descriptor
+        self._pending = bytearray()
+
+    def tell(self, kind: str, fields: dict[str, Any]) -> None:
+        """Send one reply, once the pipe takes it."""
+        was_empty = not self._pending
+        self._pending += json.dumps([kind, fields]).encode() + b"\n"
+        if was_empty:
+            self._write()
+
+    async def flushed(self) -> None:
+        """Wait, but not for ever, until everything is sent."""
+        end = time.monotonic() + _GOODBYE
+        while self._pending and time.monotonic() < end:
+            await asyncio.sleep(0.01)
+
+    def _write(self) -> None:
+        loop = asyncio.get_running_loop()
+        try:
+            sent = os.write(self._descriptor, self._pending)
+        except BlockingIOError:
+            sent = 0
+        except OSError:  # nobody reads any more
+            sent = len(self._pending)
+        del self._pending[:sent]
+        if self._pending:
+            loop.add_writer(self._descriptor, self._write)
+        else:
+            loop.remove_writer(self._descriptor)
+
+
+def main(requests: int, replies: int) -> None:
+    """Be the gateway of one experiment; its facts are the first request."""
+    os.setsid()  # Ctrl-C is the orchestrator's: it says what becomes of the runs
+    reader = RecordReader(requests)
+    while not (begun := reader.read())[0]:
+        if not begun[1]:
+            return
+        time.sleep(0.01)
+    asyncio.run(_served(_with_settings(begun[0][0][1]), requests, replies))
+
+
+def _with_settings(facts: dict[str, Any]) -> dict[str, Any]:
+    """Add what is set in Dask's own configuration, under `robot-runner`."""
+    lease = parse_timedelta(dask.config.get("robot-runner.lease", "30s"))
+    return facts | {
+        "lease": lease,
+        "patience": parse_timedelta(dask.config.get("robot-runner.patience", "5m")),
+        "in_place": bool(dask.config.get("robot-runner.in-place", True)),  # noqa: FBT003 - Dask's signature
+        "worker_facts": facts["worker_facts"] | {"lease": lease},
+    }
+
+
+async def _served(facts: Mapping[str, Any], requests: int, replies: int) -> None:
+    await Gateway(facts, requests, replies).serve()
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]))

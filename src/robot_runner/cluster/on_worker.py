@@ -1,0 +1,328 @@
+"""What a Dask worker does for an experiment: it joins, executes runs, and hands over what they wrote.
+
+The functions of the first part are called through Dask: `execute` is a task, and occupies a thread of the worker as long
+as the run lasts; the others are answered by the worker's event loop, and return at once. A worker that does not know
+the session that they name has been started anew meanwhile.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import select
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.cluster.run_host import OUTBOX
+from robot_runner.cluster.worker_versions import described_versions
+from robot_runner.core.execution.task import RecordReader, RecordWriter
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from distributed import Worker
+
+__all__ = ["TOPIC", "describe", "discard", "execute", "join", "leave", "read_piece", "renew", "settle", "stop"]
+
+#: What workers tell of runs goes through the scheduler under this topic, which keeps the last thousand messages of it.
+TOPIC = "robot-runner"
+#: How often the records of a run are sent while it is executed, s, and how many of them at a time.
+_SENDING, _MOST_RECORDS = 0.5, 200
+#: How long a host may take to close a run after its worker has let go of it, s, beside the grace.
+_CLOSING = 30.0
+
+_sessions: dict[str, _Session] = {}
+
+
+def describe() -> dict[str, Any]:
+    """Return the name of this machine, and its versions."""
+    return {"host": os.uname().nodename, "versions": described_versions()}
+
+
+def join(facts: Mapping[str, Any], dask_worker: Worker) -> dict[str, Any]:
+    """Begin to take part in an experiment; what is left of a time before is ended.
+
+    Args:
+        facts: `session`, the `id` of the part that this worker takes in it, `snapshot`, `probe` with its `path` and `digest`, `runs`, and `lease` in s.
+        dask_worker: given by Dask.
+
+    Returns:
+        whether the experiment's folder is shared with the orchestrator, and where the answer to its probe stands.
+    """
+    leave(facts["session"])
+    session = _sessions[facts["session"]] = _Session(facts, Path(dask_worker.local_directory))
+    return {"answer": session.answer, "digest": session.answer_digest}
+
+
+def settle(session: str, *, is_shared: bool) -> None:
+    """Take note of whether runs write into the orchestrator's folder, once both have looked."""
+    _sessions[session].settle(is_shared=is_shared)
+
+
+def renew(session: str) -> None:
+    """Renew the lease of the session: the orchestrator was there after the last time that this was answered."""
+    _sessions[session].renew()
+
+
+def stop(session: str, token: str, request: Mapping[str, Any]) -> None:
+    """Have the run of an attempt end soon, or at once."""
+    _sessions[session].stop(token, request)
+
+
+def read_piece(session: str, token: str, name: str, offset: int, size: int) -> tuple[bytes, str]:
+    """Return a piece of a file that an attempt has left, and its SHA-256; the list of files has no name."""
+    path = _sessions[session].outbox(token, name)
+    with path.open("rb") as file:
+        file.seek(offset)
+        piece = file.read(size)
+    return piece, hashlib.sha256(piece).hexdigest()
+
+
+def discard(session: str, token: str) -> None:
+    """Remove what an attempt has left: it is home."""
+    _sessions[session].discard(token)
+
+
+def leave(session: str) -> None:
+    """End the part that this worker takes in an experiment, with its run if there is one; nothing of it is left."""
+    left = _sessions.pop(session, None)
+    if left is not None:
+        threading.Thread(target=left.end, daemon=True, name="robot-runner-leave").start()
+
+
+def execute(order: dict[str, Any]) -> None:
+    """Execute one attempt at a run: a task of Dask. What happens is told under the topic, and nothing is returned.
+
+    Args:
+        order: `session`, `token` of the attempt, the id of the `worker` that is meant, and the `task`.
+
+    Raises:
+        RuntimeError: it is refused: another worker was meant, or this attempt was begun before.
+    """
+    from distributed import get_worker  # noqa: PLC0415 - heavy, and not there where only the core is installed
+
+    worker = get_worker()
+    session = _sessions.get(order["session"])
+    if session is None or session.id != order["worker"]:
+        # Dask gives the tasks of a worker that it has lost to another one that listens at the same address.
+        raise RuntimeError("the order was meant for a worker that was lost")
+    session.execute(order, lambda message: worker.log_event(TOPIC, message))
+
+
+class _Session:
+    """The part that a worker takes in one experiment."""
+
+    def __init__(self, facts: Mapping[str, Any], local: Path) -> None:
+        self.id: str = facts["id"]
+        self.folder = local / f"robot-runner-{self.id}"
+        self.folder.mkdir(mode=0o700)
+        self._facts = facts
+        self._lock = threading.Lock()
+        self._begun: set[str] = set()
+        self._stopped: dict[str, Mapping[str, Any]] = {}
+        self._idle: list[_HostProcess] = []
+        self._hosts: list[_HostProcess] = []
+        self._of_attempt: dict[str, _HostProcess] = {}
+        self._seen = self._until = time.monotonic()
+        self.answer, self.answer_digest = self._answered_probe()
+
+    def _answered_probe(self) -> tuple[str, str]:
+        """Look for the orchestrator's probe; where it is there, return a file beside it that answers, and its digest."""
+        probe = Path(self._facts["probe"]["path"])
+        try:
+            if hashlib.sha256(probe.read_bytes()).hexdigest() != self._facts["probe"]["digest"]:
+                return "", ""
+            content = os.urandom(32)
+            answer = probe.with_name(f"{probe.name}-{os.urandom(8).hex()}")
+            answer.write_bytes(content)
+        except OSError:
+            return "", ""
+        return answer.name, hashlib.sha256(content).hexdigest()
+
+    def settle(self, *, is_shared: bool) -> None:
+        """Leave the experiment where the processes that execute runs find it."""
+        told = {"snapshot": self._facts["snapshot"], "runs": self._facts["runs"] if is_shared else ""}
+        (self.folder / "snapshot.json").write_text(json.dumps(told), encoding="utf-8")
+
+    def renew(self) -> None:
+        """Move the end of the lease on.
+
+        The orchestrator asks again only once it has the answer to the last time. So it was there when that was
+        answered, and knows that the lease does not outlast the moment at which it asks by more than its length.
+        """
+        self._until, self._seen = self._seen + self._facts["lease"], time.monotonic()
+        with self._lock:
+            for host in self._hosts:
+                host.ask("lease", {"until": self._until})
+
+    def stop(self, token: str, request: Mapping[str, Any]) -> None:
+        """Pass the request on to the process that executes the run; one that has not begun does not begin."""
+        with self._lock:
+            host = self._of_attempt.get(token)
+            self._stopped[token] = request
+        if host is not None:
+            host.ask(request["kind"], {"token": token, **request})
+
+    def execute(self, order: Mapping[str, Any], tell: Any) -> None:
+        """Have an attempt executed, and tell of it until it has ended."""
+        token = order["token"]
+        with self._lock:
+            if token in self._begun:
+                raise RuntimeError("the attempt was begun before")
+            self._begun.add(token)
+            stopped = self._stopped.pop(token, None)
+        outgoing = _Outgoing(self._facts["session"], token, tell)
+        if stopped is not None:
+            outgoing.end({"because": stopped["because"], "is_interrupted": stopped["is_interruption"], "seconds": 0.0})
+            return
+        host = self._free_host()
+        with self._lock:
+            self._of_attempt[token] = host
+        host.ask("execute", {"token": token, "until": self._until, "task": order["task"]})
+        ended = host.followed(outgoing)
+        with self._lock:
+            self._stopped.pop(token, None)
+            if ended.get("lost") or not ended.get("files"):
+                self._of_attempt.pop(token)
+            if host.is_alive:
+                self._idle.append(host)
+            else:
+                self._hosts.remove(host)
+        outgoing.end(ended)
+
+    def outbox(self, token: str, name: str) -> Path:
+        """Return the file of an attempt that is to be sent home, or, without a name, the list of them."""
+        outbox = self._of_attempt[token].folder / OUTBOX
+        return outbox / token / name if name else outbox / f"{token}.list"
+
+    def discard(self, token: str) -> None:
+        """Remove what an attempt has left."""
+        with self._lock:
+            outbox = self._of_attempt.pop(token).folder / OUTBOX
+        shutil.rmtree(outbox / token, ignore_errors=True)
+        (outbox / f"{token}.list").unlink(missing_ok=True)
+
+    def end(self) -> None:
+        """Have all hosts end, wait for them, and remove what is left."""
+        with self._lock:
+            hosts = list(self._hosts)
+        for host in hosts:
+            host.let_go()
+        for host in hosts:
+            host.wait(self._facts["grace"] + _CLOSING)
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _free_host(self) -> _HostProcess:
+        with self._lock:
+            if self._idle:
+                return self._idle.pop()
+            host = _HostProcess(self.folder / f"host-{len(self._hosts) + 1}-{os.urandom(4).hex()}")
+            self._hosts.append(host)
+        return host
+
+
+class _HostProcess:
+    """A process that executes runs, as the worker sees it."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir()
+        self.folder = folder
+        requests, request = os.pipe()
+        self._descriptor, replies = os.pipe()
+        self._process = subprocess.Popen(  # noqa: S603 - this interpreter, and our own program
+            [sys.executable, "-m", "robot_runner.cluster.run_host", str(requests), str(replies), str(folder)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            pass_fds=[requests, replies],
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        )
+        os.close(requests)
+        os.close(replies)
+        self._writer = RecordWriter(request)
+        self._reader = RecordReader(self._descriptor)
+        self._refused: list[str] = []
+        self.is_alive = True
+
+    def ask(self, kind: str, fields: dict[str, Any]) -> None:
+        """Send a request; where the process is gone, its end tells."""
+        with suppress(OSError):
+            self._writer(kind, fields)
+
+    def followed(self, outgoing: _Outgoing) -> dict[str, Any]:
+        """Pass on what the process tells of a run, and return what it tells of its end."""
+        poll = select.poll()
+        poll.register(self._descriptor, select.POLLIN)
+        while True:
+            poll.poll(_SENDING * 1000)
+            replies, is_open = self._reader.read()
+            for kind, fields in replies:
+                if kind == "record":
+                    outgoing.add(fields)
+                elif kind == "ended":
+                    return fields
+                elif kind == "refused":
+                    self._refused = fields["problems"]
+            if not is_open:
+                self.is_alive = False
+                code = self._process.wait()
+                because = f"the process that executed it ended with code {code}"
+                return {"lost": "; ".join(self._refused) or because, "has_begun": not self._refused}
+            outgoing.send_if_due()
+
+    def let_go(self) -> None:
+        """Have it end: a run that it executes is stopped first."""
+        with suppress(OSError):
+            self._writer.close()
+
+    def wait(self, seconds: float) -> None:
+        """Wait for its end; kill it where that takes longer, which ends its run as well."""
+        try:
+            self._process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+class _Outgoing:
+    """What is told of one attempt: records as they come, some at a time, and the end.
+
+    They are numbered, so that the other side can tell that none is missing.
+    """
+
+    def __init__(self, session: str, token: str, tell: Any) -> None:
+        self._of = {"session": session, "token": token}
+        self._tell = tell
+        self._records: list[dict[str, Any]] = []
+        self._sent = 0
+        self._due = time.monotonic() + _SENDING
+
+    def add(self, record: dict[str, Any]) -> None:
+        """Take a record."""
+        self._records.append(record)
+        if len(self._records) >= _MOST_RECORDS:
+            self._send({})
+
+    def send_if_due(self) -> None:
+        """Send what has come, some time after the last time."""
+        if self._records and time.monotonic() >= self._due:
+            self._send({})
+
+    def end(self, ended: Mapping[str, Any]) -> None:
+        """Send the rest, and how the attempt ended."""
+        self._send({"ended": dict(ended)})
+
+    def _send(self, more: dict[str, Any]) -> None:
+        # As text: a record may hold integers that Dask's own encoding does not know.
+        records = json.dumps([[each["kind"], each["fields"]] for each in self._records])
+        self._tell({**self._of, "first": self._sent, "records": records, **more})
+        self._sent += len(self._records)
+        self._records = []
+        self._due = time.monotonic() + _SENDING

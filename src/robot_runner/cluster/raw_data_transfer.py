@@ -1,0 +1,130 @@
+"""Raw data on its way home: piece by piece from a worker into the run's folder.
+
+What a worker says of its files is not trusted: each name has to lead into the run's folder, no link is followed or
+made, and no more is written than was announced and fits on the disk. A piece that does not have its checksum is asked for
+again; a file that does not have its own is an error. Memory is bounded by the size of a piece.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.guarded_files import make_folder, open_descriptor
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable, Mapping
+    from pathlib import Path
+
+__all__ = ["PIECE", "TransferError", "bring_home"]
+
+#: Bytes of a piece: some hundred of them are on their way at most (see `gateway.py`), and each costs a round trip.
+PIECE = 1 << 20
+#: How often a piece is asked for again whose checksum is not that of its bytes.
+_ATTEMPTS = 3
+#: The longest list of files of one run, bytes: some 400,000 files.
+_LONGEST_LIST = 64_000_000
+_DEEPEST = 64
+
+
+class TransferError(Exception):
+    """The worker's files cannot be had as they are there."""
+
+
+async def bring_home(
+    read: Callable[[str, int, int], Awaitable[tuple[bytes, str]]],
+    ended: Mapping[str, Any],
+    run: Path,
+    root: Path,
+) -> None:
+    """Write all that an attempt has left on its worker into the run's folder.
+
+    Args:
+        read: gets a piece and its SHA-256 from the worker, given the name of a file (that of the list of files is
+            empty), where the piece begins, and its size.
+        ended: what the worker told of the end: `files`, `bytes`, and the length of the `list`.
+        run: the run's folder.
+        root: the experiment's.
+
+    Raises:
+        TransferError: the worker gives something else than it announced, or a name that leads elsewhere.
+        StorageError: it cannot be written here.
+    """
+    free = shutil.disk_usage(root).free
+    if ended["bytes"] > free:
+        sizes = f"{ended['bytes'] / 1e6:.0f} MB, and {free / 1e6:.0f} MB are free here"
+        raise StorageError(f"the run has left {sizes}", where=str(run), fix="Make room, and execute the run again.")
+    listed = await _listed(read, ended)
+    if len(listed) != ended["files"] or sum(size for _, size, _ in listed) != ended["bytes"]:
+        raise TransferError("the list of files is not the one that was announced")
+    for name, size, digest in listed:
+        path = run.joinpath(*_parts(name))
+        make_folder(path.parent, root)
+        descriptor = open_descriptor(path, root, os.O_WRONLY | os.O_CREAT | os.O_EXCL)
+        try:
+            await _copy(read, name, size, digest, descriptor)
+        except OSError as error:
+            raise StorageError(str(error), where=str(path), fix="Make room, and execute the run again.") from error
+        finally:
+            os.close(descriptor)
+
+
+async def _listed(
+    read: Callable[[str, int, int], Awaitable[tuple[bytes, str]]], ended: Mapping[str, Any]
+) -> list[tuple[str, int, str]]:
+    if not 0 <= ended["list"] <= _LONGEST_LIST:
+        raise TransferError("the list of files is too long")
+    text = b""
+    while len(text) < ended["list"]:
+        text += await _piece(read, "", len(text), ended["list"] - len(text))
+    try:
+        listed = [json.loads(line) for line in text.splitlines()]
+        return [(str(name), _size(size), str(digest)) for name, size, digest in listed]
+    except (ValueError, TypeError) as error:
+        raise TransferError(f"the list of files cannot be read: {error}") from error
+
+
+def _size(size: Any) -> int:
+    if type(size) is not int or size < 0:
+        raise TransferError(f"a file has the size {size!r}")
+    return size
+
+
+def _parts(name: str) -> tuple[str, ...]:
+    """Return the parts of a file's name, none of which leads elsewhere."""
+    parts = PurePosixPath(name).parts
+    is_odd = not parts or len(parts) > _DEEPEST or name != "/".join(parts) or name.startswith("/")
+    if is_odd or ".." in parts or "\0" in name:
+        raise TransferError(f"a file has the name {name[:200]!r}, which does not lead into the run's folder")
+    return parts
+
+
+async def _copy(
+    read: Callable[[str, int, int], Awaitable[tuple[bytes, str]]], name: str, size: int, digest: str, descriptor: int
+) -> None:
+    whole, offset = hashlib.sha256(), 0
+    while offset < size:
+        piece = await _piece(read, name, offset, size - offset)
+        whole.update(piece)
+        offset += len(piece)
+        view = memoryview(piece)
+        while view:
+            view = view[os.write(descriptor, view) :]
+    if whole.hexdigest() != digest:
+        raise TransferError(f"the file {name[:200]!r} has another SHA-256 than the worker told")
+
+
+async def _piece(
+    read: Callable[[str, int, int], Awaitable[tuple[bytes, str]]], name: str, offset: int, left: int
+) -> bytes:
+    wanted = min(PIECE, left)
+    for _ in range(_ATTEMPTS):
+        piece, digest = await read(name, offset, wanted)
+        if len(piece) == wanted and hashlib.sha256(piece).hexdigest() == digest:
+            return piece
+    raise TransferError(f"a piece of {name[:200]!r} came {_ATTEMPTS} times with another checksum or length")

@@ -1,0 +1,266 @@
+"""The process that executes runs on a worker: `python -m robot_runner.cluster.run_host`.
+
+Dask executes tasks in threads, and the process that forks runs has none (docs/architecture.md). So a worker starts one
+of these for each of its threads. It loads the experiment once, and executes one run after another as an orchestrator
+does on its own machine: keeper, standby, deadlines, grace.
+
+It ends its run when it is told to, when its *lease* ends, or when the worker is gone: the end of the pipe says so. The
+lease is the moment until which the orchestrator is known to be there; who is cut off from it stops its runs, as the
+orchestrator executes them elsewhere some time after. What it has written on this machine is removed when it ends.
+"""
+
+from __future__ import annotations
+
+import gc
+import hashlib
+import json
+import os
+import select
+import shutil
+import stat
+import sys
+import time
+import traceback
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.cluster.experiment_snapshot import experiment_of
+from robot_runner.core.errors import RobotRunnerError
+from robot_runner.core.execution.executor import executor_for
+from robot_runner.core.execution.interruption import Interruption
+from robot_runner.core.execution.places import Watch
+from robot_runner.core.execution.processes import use_no_streams
+from robot_runner.core.execution.task import OutcomeBuilder, RecordReader, RecordWriter
+from robot_runner.core.execution.worker import task_of
+from robot_runner.core.treatments import bind
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.execution.places import RunInFlight
+    from robot_runner.core.execution.task import RunOutcome, RunTask
+
+__all__ = ["GONE", "OUTBOX", "main"]
+
+#: Why a run is stopped whose orchestrator is out of reach.
+GONE = "the orchestrator is gone, or out of reach"
+#: The folder that holds what is to be sent home, a folder and a list for each attempt.
+OUTBOX = "outbox"
+#: What a disk needs to have left for a run to begin, and for its end to be believed, bytes.
+_ROOM, _NO_ROOM = 64_000_000, 1_000_000
+_READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
+_BLOCK = 1 << 20
+
+
+class _Host:
+    """Executes the runs that the worker orders, one at a time."""
+
+    def __init__(self, experiment: Experiment, folder: Path, requests: int, replies: RecordWriter) -> None:
+        self._experiment = experiment
+        self._folder = folder
+        self._executor = executor_for(experiment)
+        self._descriptor = requests
+        self._requests = RecordReader(requests)
+        self._tell = replies
+        self._lease = 0.0
+        self._token = ""
+        self._run: RunInFlight | None = None
+        self._builder: _Builder | None = None
+        self._is_leaving = self._is_stopped = False
+
+    def serve(self) -> None:
+        """Execute runs until the worker, or a signal, ends this."""
+        with Interruption() as self._interruption:
+            while not self._is_leaving or self._run is not None:
+                self._wait()
+                self._take_requests()
+                if self._interruption.is_requested:
+                    self._leave()
+                if self._run is not None:
+                    self._see_to_run(self._run)
+
+    def _wait(self) -> None:
+        poll = select.poll()
+        poll.register(self._interruption.descriptor, _READABLE)
+        if not self._is_leaving:
+            poll.register(self._descriptor, _READABLE)
+        due: list[float] = []
+        if self._run is not None:
+            for descriptor in self._run.descriptors:
+                poll.register(descriptor, _READABLE)
+            due = [each for each in (self._run.due, self._lease_end) if each is not None]
+        waited = min(due, default=float("inf")) - time.monotonic()
+        # A millisecond more, as poll would return a little before the moment that is waited for.
+        poll.poll(None if waited == float("inf") else max(0.0, waited) * 1000 + 1)
+        self._interruption.forget_wakeups()
+
+    @property
+    def _lease_end(self) -> float | None:
+        """When the run is to be stopped as nobody is known to be there; None once it was."""
+        return None if self._is_leaving or self._is_stopped else self._lease
+
+    def _take_requests(self) -> None:
+        if self._is_leaving:
+            return
+        requests, is_open = self._requests.read()
+        for kind, fields in requests:
+            if kind == "lease":
+                self._lease = fields["until"]
+            elif kind == "execute":
+                self._begin(fields)
+            elif self._run is not None and fields["token"] == self._token:
+                self._run.stop(fields["because"], is_interruption=fields["is_interruption"])
+                if kind == "kill":
+                    self._run.kill()
+        if not is_open:
+            self._leave()
+
+    def _leave(self) -> None:
+        self._is_leaving = True
+        if self._run is not None:
+            self._run.stop(GONE)
+
+    def _begin(self, order: Mapping[str, Any]) -> None:
+        self._token, self._lease = order["token"], order["until"]
+        room = shutil.disk_usage(self._folder).free
+        if room < _ROOM:
+            lost = f"the worker's disk is full: {room / 1e6:.0f} MB are left"
+            self._tell("ended", {"lost": lost, "has_begun": False})
+            return
+        self._task = task = replace(task_of(self._experiment, order["task"]), slot=1)  # of this machine
+        for plugin in self._experiment.plugins:  # which the orchestrator has done as well
+            bind(plugin, task.combination)
+        self._is_stopped = False
+        self._builder = _Builder(task.run_id, self._experiment.columns)
+        watch = Watch(interruption=self._interruption, report=self._report)
+        self._run = self._executor.begin(task, self._builder, watch)
+
+    def _report(self, kind: str, fields: dict[str, Any]) -> None:
+        self._tell("record", {"kind": kind, "fields": fields})
+
+    def _see_to_run(self, run: RunInFlight) -> None:
+        if self._lease_end is not None and time.monotonic() >= self._lease_end:
+            self._is_stopped = True
+            run.stop(GONE)
+        if not run.advance():
+            return
+        outcome = run.outcome()
+        run.close()
+        self._run = None
+        self._tell("ended", self._told(outcome))
+
+    def _told(self, outcome: RunOutcome) -> dict[str, Any]:
+        assert self._builder is not None  # noqa: S101 - a run was begun
+        ended = {
+            "because": self._builder.ended_because,
+            "is_interrupted": self._builder.is_interrupted,
+            "seconds": outcome.seconds,
+        }
+        try:
+            return ended | self._kept(self._task)
+        except OSError as error:
+            return {"lost": f"what the run left on the worker cannot be kept: {error}"}
+        finally:
+            room = shutil.disk_usage(self._folder).free
+            if outcome.failure is not None and room < _NO_ROOM:
+                ended["lost"] = f"the worker's disk is full: {room} bytes are left"
+
+    def _kept(self, task: RunTask) -> dict[str, Any]:
+        """Keep the log of a run, and make all that is to be sent home ready: nothing where it stands there already."""
+        folder = self._experiment.folder
+        log = folder.current_log
+        if log.exists() and log.stat().st_size:
+            folder.run(task.run_id).mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(log, folder.log(task.run_id))  # the runs may be on another file system
+        log.unlink(missing_ok=True)
+        run = folder.run(task.run_id)
+        if not run.exists() or not run.is_relative_to(self._folder):
+            return {"files": 0, "bytes": 0, "skipped": []}
+        outbox = self._folder / OUTBOX
+        outbox.mkdir(exist_ok=True)
+        run.rename(outbox / self._token)
+        listed, skipped = _listed(outbox / self._token)
+        text = "".join(json.dumps(each) + "\n" for each in listed)
+        (outbox / f"{self._token}.list").write_text(text, encoding="utf-8")
+        return {"files": len(listed), "bytes": sum(each[1] for each in listed), "list": len(text), "skipped": skipped}
+
+
+class _Builder(OutcomeBuilder):
+    """Gathers what happens in a run, and remembers what the orchestrator is to be told of its end."""
+
+    ended_because = ""
+    is_interrupted = False
+
+    def outcome(self, *, ended_because: str = "", interrupted: bool = False) -> RunOutcome:
+        """Return how the attempt went."""
+        self.ended_because, self.is_interrupted = ended_because, interrupted
+        return super().outcome(ended_because=ended_because, interrupted=interrupted)
+
+
+def _listed(folder: Path) -> tuple[list[tuple[str, int, str]], list[str]]:
+    """Return name, size and SHA-256 of each regular file of a folder, and the names of what else is there."""
+    files: list[tuple[str, int, str]] = []
+    others: list[str] = []
+    for path in _paths(folder):
+        name = path.relative_to(folder).as_posix()
+        if not stat.S_ISREG(path.lstat().st_mode):
+            others.append(name)
+            continue
+        digest, size = hashlib.sha256(), 0
+        with path.open("rb") as file:
+            while block := file.read(_BLOCK):
+                digest.update(block)
+                size += len(block)
+        files.append((name, size, digest.hexdigest()))
+    return files, others
+
+
+def _paths(folder: Path) -> Iterator[Path]:
+    for path in sorted(folder.iterdir()):
+        if path.is_dir() and not path.is_symlink():
+            yield from _paths(path)
+        else:
+            yield path
+
+
+def _clear(folder: Path) -> None:
+    """Remove what this process wrote, and the session's folder with the last of its processes."""
+    shutil.rmtree(folder, ignore_errors=True)
+    with suppress(OSError):
+        if not any(each.is_dir() for each in folder.parent.iterdir()):
+            shutil.rmtree(folder.parent, ignore_errors=True)
+
+
+def main(requests: int, writer: int, folder: Path) -> None:
+    """Load the experiment of a session, and execute runs of it until the worker ends this.
+
+    Args:
+        requests: a descriptor from which the worker's orders are read.
+        writer: a descriptor that takes what is told to the worker.
+        folder: this process's own; that above it has the session's `snapshot.json`.
+    """
+    os.setsid()
+    use_no_streams()
+    tell = RecordWriter(writer)
+    try:
+        session = json.loads((folder.parent / "snapshot.json").read_text(encoding="utf-8"))
+        runs = Path(session["runs"]) if session["runs"] else None
+        experiment = experiment_of(session["snapshot"], folder, runs)
+        gc.collect()
+        gc.freeze()  # what a forked run does not collect it does not have to copy
+        tell("ready", {})
+        _Host(experiment, folder, requests, tell).serve()
+    except RobotRunnerError as error:
+        tell("refused", {"problems": [str(finding) for finding in error.findings if finding.is_error]})
+    except Exception as error:  # noqa: BLE001 - whatever it is, the worker has to know why no run is executed
+        line = traceback.extract_tb(error.__traceback__)[-1]
+        tell("refused", {"problems": [f"{type(error).__name__}: {error} ({Path(line.filename).name}:{line.lineno})"]})
+    finally:
+        _clear(folder)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3]))
