@@ -259,7 +259,8 @@ _WHERE = "robot"
 class RobotName:
     """What `robot` in a config says: `link`, `link:option=value,option=value`, or an address: `link://host:port`.
 
-    Of a link that reaches a whole graph, what stands in the place of an address names one of its robots: `ros2://alice`.
+    Of a link that reaches a whole graph, what stands in the place of an address names one of its robots by its
+    namespace: `ros2://alice`, or with other options `ros2:domain=7,namespace=/alice`.
 
     Attributes:
         link: the name of the robot link.
@@ -304,4 +305,5 @@ class RobotName:
             if name in options:
                 raise LinkError(f"{text!r} sets {name!r} twice", where=_WHERE, fix="Leave one of them out.")
             options[name] = value
-        return cls(link.strip(), options)
+        namespace = options.pop("namespace", "")
+        return cls(link.strip(), options, namespace=namespace)

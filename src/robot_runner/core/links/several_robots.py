@@ -23,7 +23,7 @@ class Robots:
     Each combination is executed equally often on each robot, where that is possible.
 
     Args:
-        robots: how each is reached, as `robot` says it of one. The last part of an address is its name.
+        robots: how each is reached, as `robot` says it of one. The host of an address, or the namespace, is its name.
         named: the same, by the robot's name.
 
     Attributes:
@@ -50,7 +50,9 @@ class Robots:
 
 
 def _name_of(link: object) -> str:
-    return re.split(r"[/:]", str(link).partition("://")[2] or str(link))[0]
+    text = str(link)
+    namespace = re.search(r"[:,]\s*namespace\s*=\s*/?([^,/]+)", text)
+    return namespace[1].strip() if namespace else re.split(r"[/:]", text.partition("://")[2] or text)[0]
 
 
 def _name_findings(given: list[tuple[str, str]]) -> list[Finding]:
