@@ -58,6 +58,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         # What was set from outside the config file: a replication has to know.
         "deviations": hidden_settings(experiment.overrides),
         "robot": experiment.parameters.robot,
+        **({"robots": dict(robots)} if (robots := experiment.parameters.robots) else {}),
         "design": {"source": "run_table.csv" if by_hand else "config", **described_design(model)},
         "seed": model.seed,
         "seed_is_given": model.seed_is_given,
@@ -88,7 +89,7 @@ def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[s
     Raises:
         ExecutionError: the folder holds another experiment.
     """
-    if not (_NEEDED <= manifest.keys() and _NEEDED_OF_DESIGN <= manifest["design"].keys() and manifest["executions"]):
+    if not (manifest.keys() >= _NEEDED and manifest["design"].keys() >= _NEEDED_OF_DESIGN and manifest["executions"]):
         raise ExecutionError(
             "the folder's manifest is none of Robot Runner's",
             where=str(experiment.folder.manifest),
