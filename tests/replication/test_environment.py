@@ -11,10 +11,11 @@ from tests.replication.small_index import tiny_wheel
 
 from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.manifest import describe_host, describe_software
-from robot_runner.replication import environment as environment_module
+from robot_runner.replication import virtual_environments
 from robot_runner.replication.differences import differing_environment, differing_packages, remaining_differences
 from robot_runner.replication.distributions import closure, installed_distributions, wheel_name, wheel_of, write_wheel
-from robot_runner.replication.environment import make_environment, record_environment
+from robot_runner.replication.environment import record_environment
+from robot_runner.replication.virtual_environments import make_environment
 from robot_runner.ros.ros_environment import describe_ros
 
 
@@ -130,8 +131,8 @@ def test_an_environment_gets_its_own_pip_where_there_is_none_beside_us(tmp_path,
     called = []
     folder = tmp_path / "made"
     folder.mkdir()
-    monkeypatch.setattr(environment_module, "find_spec", lambda _: None)
-    monkeypatch.setattr(environment_module, "_call", lambda words, _: called.append(words))
+    monkeypatch.setattr(virtual_environments, "find_spec", lambda _: None)
+    monkeypatch.setattr(virtual_environments, "_call", lambda words, *_: called.append(words))
     make_environment(tmp_path, folder, {})
     assert "--without-pip" not in called[0]
     assert called[1][:4] == [str(folder / "bin" / "python"), "-m", "pip", "install"]

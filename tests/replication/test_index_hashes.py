@@ -12,9 +12,10 @@ from tests.replication.small_experiment import home
 from tests.replication.small_index import SmallIndex, pip_settings, tiny_wheel
 
 from robot_runner.core.errors import PackageError
-from robot_runner.replication.environment import make_environment, record_environment
+from robot_runner.replication.environment import record_environment
 from robot_runner.replication.index_hashes import ask_index, findings_of_hashes
 from robot_runner.replication.packing import Packing, pack
+from robot_runner.replication.virtual_environments import make_environment
 
 PYTHON = "3.11.7"
 

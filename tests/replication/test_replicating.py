@@ -21,7 +21,8 @@ from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
-from robot_runner.replication.replicating import Sameness, identical_values, prepare_replication
+from robot_runner.replication.replicating import prepare_replication
+from robot_runner.replication.run_by_run import Sameness, identical_values
 
 GROWING = """
 from robot_runner import ExperimentConfig, Factor, RunTableModel

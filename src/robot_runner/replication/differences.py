@@ -13,15 +13,22 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.plugin import described_circumstances
 from robot_runner.core.storage.manifest import describe_host
 from robot_runner.replication.distributions import distributions_in, installed_distributions
-from robot_runner.replication.environment import imported_names
+from robot_runner.replication.imported_packages import imported_names, importers
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
     from robot_runner.replication.distributions import InstalledDistribution
 
-__all__ = ["Difference", "differing_environment", "differing_packages", "missing_modules", "remaining_differences"]
+__all__ = [
+    "Difference",
+    "differing_environment",
+    "differing_packages",
+    "missing_modules",
+    "ranked",
+    "remaining_differences",
+]
 
 _GIBIBYTE = 1 << 30
 _SAME_MEMORY = 0.02  # what the kernel keeps for itself differs from boot to boot
@@ -44,20 +51,25 @@ class Difference:
         original: its value or version then; `-` where there was none.
         here: its value or version now; `-` where there is none.
         is_package: whether it is a Python package.
+        imported_by: of a package, the parts of the experiment that import it: the robot's link, plugins, the config.
     """
 
     what: str
     original: str
     here: str
     is_package: bool = False
+    imported_by: tuple[str, ...] = ()
 
 
-def differing_environment(environment: Mapping[str, Any], *, robot: str | None) -> list[Difference]:
+def differing_environment(
+    environment: Mapping[str, Any], *, robot: str | None, manifest: Mapping[str, Any] | None = None
+) -> list[Difference]:
     """Compare an environment with this machine.
 
     Args:
         environment: as the package has it.
         robot: how the robot is to be reached.
+        manifest: the experiment's: tells of an environment that does not say it, who imports which package.
     """
     facts = [
         ("Robot", environment.get("robot"), robot),
@@ -66,17 +78,39 @@ def differing_environment(environment: Mapping[str, Any], *, robot: str | None) 
     ]
     differing = [Difference(what, _shown(there), _shown(here)) for what, there, here in facts if there != here]
     differing += _ros(environment.get("ros"), described_circumstances().get("ros"))
-    return [*differing, *differing_packages(environment, installed_distributions())]
+    return [*differing, *differing_packages(environment, installed_distributions(), manifest)]
+
+
+def ranked(differing: Iterable[Difference]) -> tuple[list[Difference], list[Difference]]:
+    """Return the differences that can matter, those that matter most first, and the packages that nobody imports.
+
+    First come robot and Python, then what the robot's link imports (the simulator), what plugins and config import, and
+    the machine.
+    """
+    telling = [each for each in differing if not each.is_package or each.imported_by]
+    rest = [each for each in differing if each.is_package and not each.imported_by]
+    return sorted(telling, key=_rank), sorted(rest, key=lambda each: each.what)
+
+
+def _rank(difference: Difference) -> tuple[int, int, int, str]:
+    if not difference.is_package:
+        # Sorting keeps the order of the facts about the machine.
+        return (0 if difference.what in {"Robot", "Python"} else 2, 0, 0, "")
+    is_of_robot = any(name.startswith("robot ") for name in difference.imported_by)
+    return 1, int(not is_of_robot), -len(difference.imported_by), difference.what
 
 
 def differing_packages(
-    environment: Mapping[str, Any], installed: Mapping[str, InstalledDistribution]
+    environment: Mapping[str, Any],
+    installed: Mapping[str, InstalledDistribution],
+    manifest: Mapping[str, Any] | None = None,
 ) -> list[Difference]:
     """Compare the packages that an experiment needs with those that are installed.
 
     Where the version is the same, the fingerprints of the installed files are compared, if both are known.
     """
     differing = []
+    known_importers = importers(manifest or {})
     needed = {name: each for name, each in (environment.get("packages") or {}).items() if each.get("is_needed")}
     for name, recorded in needed.items():
         here, version, known = installed.get(name), str(recorded["version"]), recorded.get("fingerprint")
@@ -84,8 +118,14 @@ def differing_packages(
         if here and shown == version and known and not here.is_editable and here.fingerprint not in {known, None}:
             shown = f"{version}, with other files"
         if shown != version:
-            differing.append(Difference(name, version, shown, is_package=True))
+            by = _names(recorded.get("imported_by")) or known_importers.get(name, ())
+            differing.append(Difference(name, version, shown, is_package=True, imported_by=by))
     return differing
+
+
+def _names(recorded: object) -> tuple[str, ...]:
+    """Return what a stranger's package says of who imports something, where it is names."""
+    return tuple(map(str, recorded)) if isinstance(recorded, list) else ()
 
 
 def remaining_differences(folder: Path, environment: Mapping[str, Any]) -> list[Difference]:

@@ -1,4 +1,4 @@
-"""The environment that an experiment was executed in: recorded, and made again in a folder of its own.
+"""The environment that an experiment was executed in, recorded.
 
 What was installed when the experiment was executed is in its manifest: names and versions. Where the same versions
 are installed while it is packed, more is known: where each came from, a fingerprint of its files, and for what was
@@ -8,24 +8,16 @@ an index is not known, because installers do not keep it; `index_hashes` asks fo
 
 from __future__ import annotations
 
-import ast
-import shutil
-import subprocess
-import sys
-from dataclasses import dataclass, field
-from functools import cache
-from importlib.metadata import packages_distributions
-from importlib.util import find_spec
-from pathlib import Path
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import Finding, PackageError
-from robot_runner.core.storage.safe_write import storage_error
-from robot_runner.replication.contents import REQUIREMENTS, WHEELS
+from robot_runner.core.errors import Finding
 from robot_runner.replication.distributions import canonical, closure, installed_distributions
+from robot_runner.replication.imported_packages import imported_names, importers, owners_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
 
     from robot_runner.replication.distributions import InstalledDistribution
 
@@ -33,14 +25,10 @@ __all__ = [
     "PLATFORMS",
     "PackageRecord",
     "RecordedEnvironment",
-    "imported_names",
-    "make_environment",
     "record_environment",
 ]
 
 _OUR_NAME = "robot-runner"
-_DEADLINE_S = 3600.0
-_SHOWN_LINES = 8
 _GLIBC = ("manylinux2014", *(f"manylinux_2_{minor}" for minor in (17, 24, 26, 27, 28, 31, 34, 35, 36)))
 #: Where else an experiment is replicated, as pip calls it: the oldest first, whose files fit most machines.
 PLATFORMS: Mapping[str, tuple[str, ...]] = {
@@ -48,8 +36,6 @@ PLATFORMS: Mapping[str, tuple[str, ...]] = {
     "Linux on aarch64": tuple(f"{each}_aarch64" for each in _GLIBC),
     "macOS on arm64": ("macosx_14_0_arm64",),
 }
-#: Which distributions bring each top-level module.
-_owners = cache(packages_distributions)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +49,7 @@ class PackageRecord:
         requirement: the line for an installer.
         sha256: of the file that it is installed from, where that is known.
         fingerprint: of its installed files; None where that is not known.
+        imported_by: the parts of the experiment that import it: `config`, plugins, the robot.
     """
 
     name: str
@@ -72,6 +59,7 @@ class PackageRecord:
     requirement: str
     sha256: str | None = None
     fingerprint: str | None = None
+    imported_by: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +132,7 @@ class RecordedEnvironment:
                 "source": each.source,
                 "sha256": wheels.get(name) or each.sha256,
                 "fingerprint": each.fingerprint,
+                **({"imported_by": list(each.imported_by)} if each.imported_by else {}),
             }
             for name, each in self.packages.items()
         }
@@ -174,37 +163,18 @@ def record_environment(manifest: Mapping[str, Any], config: Path) -> RecordedEnv
     }
     # Packed elsewhere, nothing tells which package needs which.
     needed = closure(_roots(manifest, config)) & set(recorded) if _OUR_NAME in same else set(recorded)
+    imported = importers(manifest, config)
     records = {
-        name: _record(f"{name}=={release}", same.get(name), name in needed) for name, release in recorded.items()
+        name: replace(_record(f"{name}=={release}", same.get(name), name in needed), imported_by=imported.get(name, ()))
+        for name, release in recorded.items()
     }
     local = tuple(each for name, each in same.items() if name in needed and each.is_local)
     return RecordedEnvironment(manifest, records, local, tuple(_findings(recorded, same, needed)))
 
 
-def imported_names(folder: Path) -> set[str]:
-    """Return the top-level modules that the Python files in a folder import, found without executing them.
-
-    Raises:
-        OSError: a file cannot be read.
-    """
-    found: set[str] = set()
-    for path in sorted(folder.rglob("*.py")):
-        try:
-            tree = ast.parse(path.read_bytes())
-        except (SyntaxError, ValueError):
-            continue
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Import):
-                found.update(alias.name.partition(".")[0] for alias in node.names)
-            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-                found.add(node.module.partition(".")[0])
-    return found
-
-
 def _roots(manifest: Mapping[str, Any], config: Path) -> set[str]:
-    owners = _owners()
     plugins = {str(each["package"]) for each in manifest.get("plugins", ()) if each.get("package")}
-    return {_OUR_NAME, *plugins, *(owner for name in imported_names(config) for owner in owners.get(name, ()))}
+    return {_OUR_NAME, *plugins, *(owner for name in imported_names(config) for owner in owners_of(name))}
 
 
 def _record(pinned: str, installed: InstalledDistribution | None, is_needed: bool) -> PackageRecord:
@@ -243,71 +213,3 @@ def _findings(
     else:
         return
     yield Finding.warning("environment", problem, fix)
-
-
-def make_environment(root: Path, folder: Path, environment: Mapping[str, Any]) -> Path:
-    """Make a virtual environment and install what a package needs; one that is complete is used as it is.
-
-    What the package brings as wheels is taken from it; pip gets the rest from wherever it is set up to, and demands the
-    hashes where the package has them of all files.
-
-    Args:
-        root: the unpacked package.
-        folder: where the environment is to be.
-        environment: as the package has it; its Python is taken where it is installed here under its usual name.
-
-    Returns:
-        The program `robot-runner` in it.
-
-    Raises:
-        PackageError: the environment cannot be made; shows the last lines that pip wrote.
-        StorageError: the folder cannot be written.
-    """
-    python, done = folder / "bin" / "python", folder / "complete"
-    log = folder.with_name(f"{folder.name}.log")
-    # Pip works on other environments, too: to put one into each would take the longest of all.
-    has_pip = find_spec("pip") is not None
-    pip = [sys.executable, "-m", "pip", "--python", str(python)] if has_pip else [str(python), "-m", "pip"]
-    wheels = ["--find-links", str(root / WHEELS)] if (root / WHEELS).is_dir() else []
-    try:
-        if not done.exists():
-            folder.parent.mkdir(parents=True, exist_ok=True)
-            log.unlink(missing_ok=True)
-            _call([_python(environment), "-m", "venv", "--clear", *["--without-pip"] * has_pip, str(folder)], log)
-            quietly = ["--no-input", "--disable-pip-version-check"]
-            _call([*pip, "install", *quietly, *wheels, "-r", str(root / REQUIREMENTS)], log)
-            done.touch()
-    except OSError as error:
-        raise storage_error(folder, "made", error) from error
-    return folder / "bin" / "robot-runner"
-
-
-def _python(environment: Mapping[str, Any]) -> str:
-    wanted = ".".join(str(environment.get("python") or "").split(".")[:2])
-    if wanted == f"{sys.version_info.major}.{sys.version_info.minor}":
-        return sys.executable
-    return shutil.which(f"python{wanted}") or sys.executable
-
-
-def _call(words: Sequence[str], log: Path) -> None:
-    with log.open("ab") as output:
-        try:
-            finished = subprocess.run(  # noqa: S603 - words of our own
-                words,
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                timeout=_DEADLINE_S,
-                check=False,
-            )
-        except subprocess.TimeoutExpired as error:
-            problem = f"{Path(words[0]).name} took longer than {_DEADLINE_S:.0f} s"
-            raise PackageError(problem, where=str(log), fix="Look at what it wrote there.") from error
-    if finished.returncode:
-        lines = log.read_text(encoding="utf-8", errors="replace").splitlines()[-_SHOWN_LINES:]
-        raise PackageError(
-            f"the environment cannot be made: {' / '.join(line.strip() for line in lines if line.strip())}",
-            where=str(log),
-            fix="Mend what is said there, or take your own environment: --environment here. The first lines of "
-            f"{REQUIREMENTS} say for which Python and platforms its hashes are.",
-        )

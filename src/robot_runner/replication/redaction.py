@@ -2,96 +2,28 @@
 
 from __future__ import annotations
 
-import ast
 import re
 from collections import Counter
-from dataclasses import dataclass
-from functools import cache, partial
-from typing import TYPE_CHECKING, BinaryIO
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from typing import TYPE_CHECKING
+
+from robot_runner.core.secret_names import REDACTED
+from robot_runner.replication.code_secrets import found_in_code, secrets_in_code
+from robot_runner.replication.named_secrets import NAME_HINTS, Grammar, named_secrets
+from robot_runner.replication.secret_kinds import HOME_PATH, Found, Kind, kinds, literal, reduced
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
-__all__ = ["REDACTED", "SECRET_NAME", "Redactor", "forbidden_name", "is_binary", "secrets_in_code"]
-
-#: What stands in a secret's place.
-REDACTED = "REDACTED"
-
-_HOME_PATH = "home path"
-
-#: A name under which a secret is kept, in a config, a command or a settings file.
-SECRET_NAME = re.compile(
-    r"(?i)(?:^|[^a-z])(?:password|passwd|passphrase|pwd|secret|token|api_?key|access_?key|private_?key|credentials?)"
-    r"(?:$|[^a-rt-z])"
-)
-
-_WORD = rb"(?:password|passwd|passphrase|pwd|secret|token|api[_-]?key|access[_-]?key|private[_-]?key|credentials?)"
-_WORD_HINTS = (b"passw", b"passphrase", b"pwd", b"secret", b"token", b"key", b"credential")
-_MARK = REDACTED.encode()
+__all__ = ["REDACTED", "Hits", "Redactor", "forbidden_name", "grammar_of", "is_binary", "secrets_in_code"]
 
 _FORBIDDEN = re.compile(
-    r"(?i)\.env(\..*)?|id_(rsa|dsa|ecdsa|ed25519)(_sk)?|known_hosts(\.old)?|authorized_keys|.*\.(pem|key|p12|pfx|kdbx)"
-    r"|\.netrc|\.pypirc|\.git-credentials|ssh_host_.*_key(\.pub)?"
+    r"(?i)\.env(\..*)?|id_(rsa|dsa|ecdsa|ed25519)(_sk)?|known_hosts(\.old)?|authorized_keys"
+    r"|.*\.(pem|key|p12|pfx|kdbx|ppk|jks|keystore|keytab|ovpn)|ssh_host_.*_key(\.pub)?"
+    r"|\.(netrc|pypirc|npmrc|pgpass|htpasswd|git-credentials|my\.cnf|vault_pass.*)"
 )
-
-
-@dataclass(frozen=True, slots=True)
-class _Pattern:
-    """One kind of secret.
-
-    Attributes:
-        what: the secret in words.
-        hints: texts in lower case of which the secret holds one. Looking for them is much quicker than the expression.
-        expression: finds the secret.
-        replacement: what stands in its place; groups may be kept.
-        loose: whether it also takes what merely looks like a setting, as in a log; not for files with a grammar.
-    """
-
-    what: str
-    hints: tuple[bytes, ...]
-    expression: re.Pattern[bytes]
-    replacement: bytes
-    loose: bool = False
-
-
-@cache
-def _patterns() -> tuple[_Pattern, ...]:
-    """Return the kinds of secrets, wherever they are; home paths come last, so that a secret in a path goes whole."""
-    return (
-        _pattern("private key", rb"(-----BEGIN [A-Z0-9 ]*PRIVATE KEY-----).*?(-----END [A-Z0-9 ]*PRIVATE KEY-----)",
-                 rb"\1" + _MARK + rb"\2", b"private key-----"),
-        _pattern("password in a URL", rb"(\b[A-Za-z][A-Za-z0-9+.-]*://[^\s/:@\"'\\]*:)[^\s/@\"'\\]+(@)",
-                 rb"\1" + _MARK + rb"\2", b"://"),
-        _pattern("authorisation", rb"(?i)(\b(?:bearer|authorization: basic)\s+)[A-Za-z0-9._~+/=-]{12,}",
-                 rb"\1" + _MARK, b"bearer", b"authorization"),
-        _pattern("token", rb"\b(?:gh[pousr]_[A-Za-z0-9]{20,}|github_pat_\w{20,}|glpat-[\w-]{20,}|AKIA[0-9A-Z]{16}"
-                 rb"|xox[abprs]-[\w-]{10,}|sk-[A-Za-z0-9_-]{20,}|hf_[A-Za-z0-9]{20,}|AIza[\w-]{35}|pypi-[\w-]{30,}"
-                 rb"|eyJ[\w-]{8,}\.eyJ[\w-]{8,}\.[\w-]*)",
-                 _MARK, b"gh", b"glpat-", b"akia", b"xox", b"sk-", b"hf_", b"aiza", b"pypi-", b"eyj"),
-        _pattern("SSH key", rb"\b((?:sk-)?(?:ssh-(?:rsa|dss|ed25519)|ecdsa-sha2-nistp\d+)(?:@openssh\.com)?\s+)"
-                 rb"AAAA[A-Za-z0-9+/=]{20,}", rb"\1" + _MARK, b"ssh-", b"ecdsa-"),
-        _pattern("SSH fingerprint", rb"\bSHA256:[A-Za-z0-9+/]{43}(?![A-Za-z0-9+/])", b"SHA256:" + _MARK, b"sha256:"),
-        _pattern("password", rb"(?i)(\b[\w.-]*" + _WORD + rb"[\w-]*[\"']\s*:\s*)([\"'])(?:\\.|(?!\2)[^\\\n])+\2",
-                 rb"\1\2" + _MARK + rb"\2", *_WORD_HINTS),
-        _pattern("password", rb"(?i)(\b[\w.-]*" + _WORD + rb"[\w-]*\\\"\s*:\s*\\\")[^\"\n]+?(\\\")",
-                 rb"\1" + _MARK + rb"\2", *_WORD_HINTS),
-        _pattern("password", rb"(?i)(\b\w*" + _WORD + rb"\w*\s*=\s*)([\"'])(?:\\.|(?!\2)[^\\\n])+\2",
-                 rb"\1\2" + _MARK + rb"\2", *_WORD_HINTS),
-        _pattern("password", rb"(?i)(--?" + _WORD + rb"(?:=|\s+))(?!-)[^\s\"'\\,]+", rb"\1" + _MARK, *_WORD_HINTS),
-        _Pattern("password", _WORD_HINTS, re.compile(
-            rb"(?i)(\b[\w.-]*" + _WORD + rb"(?:[_-]\w+)?\s*[:=]\s*)(?:\"[^\"\n]+\"|'[^'\n]+'|[^\s\"',;]+)"),
-            rb"\1" + _MARK, loose=True),
-        _pattern(_HOME_PATH, rb"(?<![\w.~-])/(?:home|Users)/[A-Za-z0-9_][A-Za-z0-9._-]*(?=$|[^A-Za-z0-9._-])", b"~",
-                 b"/home/", b"/users/"),
-        _pattern(_HOME_PATH, rb"(?<![\w./~-])/root(?=$|[/\s\"'\\,:;)\]}<])", b"~", b"/root"),
-    )  # fmt: skip
-
-
-def _literal(what: str, text: str, replacement: str) -> _Pattern:
-    """Return what finds this very text."""
-    raw = text.encode("utf-8", "surrogateescape")
-    return _Pattern(what, (raw.lower(),), re.compile(re.escape(raw)), replacement.encode())
 
 
 def forbidden_name(name: str) -> bool:
@@ -99,19 +31,26 @@ def forbidden_name(name: str) -> bool:
     return _FORBIDDEN.fullmatch(name) is not None
 
 
-def _pattern(what: str, expression: bytes, replacement: bytes, *hints: bytes) -> _Pattern:
-    return _Pattern(what, tuple(hint.lower() for hint in hints), re.compile(expression, re.DOTALL), replacement)
-
-
 _BLOCK = 1 << 20
-_LONGEST = 4 << 20  # a longer line is cut: what stands across the cut may be missed
-_SHORTEST_SECRET = 5
+#: A file that is not longer is looked at as a whole.
+_WHOLE = 4 << 20
+#: Of a line that is longer than a block, so much stays for the next block: what stands across the cut is found there.
+_KEPT_BACK = 8192
+#: More lines of one kind in one file are counted, not told.
+_MOST_LINES = 20
 _SNIFFED = 8192
-_BINARY = frozenset(
-    ".bag .bz2 .db3 .gz .mcap .npz .parquet .pdf .png .whl .woff2 .xz .zip .zst".split()  # noqa: SIM905 - sixteen lines otherwise
-)
-#: Files with a grammar, which a value without its quotes would break.
-_STRICT = frozenset({".csv", ".html", ".json", ".jsonl", ".py", ".svg"})
+_BINARY_TEXT = ".bag .bz2 .db3 .gz .mcap .npz .parquet .pdf .png .tar .tgz .whl .woff2 .xz .zip .zst"
+_BINARY = frozenset(_BINARY_TEXT.split())
+_GRAMMARS = {
+    **dict.fromkeys((".csv", ".json", ".jsonl", ".ipynb"), Grammar.DATA),
+    **dict.fromkeys((".html", ".svg"), Grammar.MARKUP),
+    **dict.fromkeys((".py", ".pyi"), Grammar.CODE),
+}
+
+
+def grammar_of(path: Path) -> Grammar:
+    """Return what a file is written in, by its name."""
+    return _GRAMMARS.get(path.suffix.casefold(), Grammar.TEXT)
 
 
 def is_binary(path: Path) -> bool:
@@ -126,63 +65,36 @@ def is_binary(path: Path) -> bool:
         return b"\0" in file.read(_SNIFFED)
 
 
-def secrets_in_code(text: str) -> set[str]:
-    """Return the values that Python code gives to names such as `password`; nothing where it does not parse.
+@dataclass(slots=True)
+class Hits:
+    """What was found in a file: of each kind how often, and in which lines at first.
 
-    Example:
-        >>> sorted(secrets_in_code('wifi_password = "swordfish"; connect(token="open-sesame", user="ada")'))
-        ['open-sesame', 'swordfish']
+    Attributes:
+        replaced: how many secrets of each kind were replaced.
+        doubtful: how often something was found that may be one, and stays.
+        lines: the numbers of the first lines with each kind, from 1.
     """
-    try:
-        tree = ast.parse(text)
-    except (SyntaxError, ValueError):
-        return set()
-    return {value for node in ast.walk(tree) for value in _secrets_of(node) if len(value) >= _SHORTEST_SECRET}
+
+    replaced: Counter[str] = field(default_factory=Counter)
+    doubtful: Counter[str] = field(default_factory=Counter)
+    lines: dict[str, list[int]] = field(default_factory=dict)
+
+    def note(self, found: Found, line: int, *, is_replaced: bool) -> None:
+        """Count one."""
+        (self.replaced if is_replaced else self.doubtful)[found.what] += 1
+        lines = self.lines.setdefault(found.what, [])
+        if len(lines) < _MOST_LINES and line not in lines[-1:]:
+            lines.append(line)
 
 
-def _secrets_of(node: ast.AST) -> Iterator[str]:
-    pairs: Iterable[tuple[ast.AST | None, ast.AST | None]] = ()
-    match node:
-        case ast.Assign(targets=targets, value=value):
-            pairs = [(target, value) for target in targets]
-        case ast.AnnAssign(target=target, value=value) | ast.NamedExpr(target=target, value=value):
-            pairs = [(target, value)]
-        case ast.keyword(arg=str(name), value=value):
-            pairs = [(ast.Name(name), value)]
-        case ast.Dict(keys=keys, values=values):
-            pairs = zip(keys, values, strict=True)
-        case ast.arguments():
-            positional = [*node.posonlyargs, *node.args]
-            with_default = [*positional[len(positional) - len(node.defaults) :], *node.kwonlyargs]
-            names = [ast.Name(argument.arg) for argument in with_default]
-            pairs = zip(names, [*node.defaults, *node.kw_defaults], strict=True)
-    for named, secret in pairs:
-        yield from _if_secret(named, secret)
-
-
-def _if_secret(target: ast.AST | None, value: ast.AST | None) -> Iterator[str]:
-    if SECRET_NAME.search(_name_of(target)) and isinstance(value, ast.Constant):
-        if isinstance(value.value, str):
-            yield value.value
-        elif isinstance(value.value, bytes):
-            yield value.value.decode("utf-8", "surrogateescape")
-
-
-def _name_of(target: ast.AST | None) -> str:
-    match target:
-        case ast.Name(id=name) | ast.Attribute(attr=name) | ast.Constant(value=str(name)):
-            return name
-        case ast.Subscript(slice=key):
-            return _name_of(key)
-    return ""
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Redactor:
     """Replaces secrets in files.
 
     Attributes:
-        patterns: the secrets that are replaced.
+        known: texts that are secrets of this experiment, wherever they stand, and the home folder of the user.
+        has_general: whether secrets of all kinds are looked for, and not only those that are known, and private keys.
+        replaces_doubtful: whether what may be a secret is replaced, too.
 
     Example:
         >>> redactor = Redactor.knowing({"swordfish"}, home=None)
@@ -190,35 +102,67 @@ class Redactor:
         b'GET ~/map.pgm with REDACTED'
     """
 
-    patterns: tuple[_Pattern, ...]
+    known: tuple[Kind, ...]
+    has_general: bool = True
+    replaces_doubtful: bool = False
 
     @classmethod
-    def knowing(cls, secrets: Iterable[str], *, home: Path | None) -> Redactor:
+    def knowing(cls, secrets: Iterable[str], *, home: Path | None, replaces_doubtful: bool = False) -> Redactor:
         """Return one that also replaces these very texts, and the home folder of the user who packs."""
-        known = [_literal("password", text, REDACTED) for text in sorted(secrets, key=len, reverse=True)]
-        own = [_literal(_HOME_PATH, str(home), "~")] if home and len(home.parts) > 2 else []  # noqa: PLR2004
-        return cls((*known, *own, *_patterns()))
+        texts = sorted(secrets, key=lambda text: (-len(text), text))
+        known = [literal("password", text, REDACTED, is_whole=text.isalnum()) for text in texts]
+        own = [literal(HOME_PATH, str(home), "~")] if home and len(home.parts) > 2 else []  # noqa: PLR2004
+        return cls((*known, *own), replaces_doubtful=replaces_doubtful)
 
     @property
     def own(self) -> Redactor:
         """A redactor of this experiment's secrets, this home and private keys only: code is full of false alarms."""
-        general = set(_patterns())
-        return Redactor(tuple(each for each in self.patterns if each not in general or each.what == "private key"))
+        return Redactor(self.known, has_general=False)
 
-    def blocks(self, path: Path, found: Counter[str]) -> Iterator[bytes]:
+    @cached_property
+    def _kinds(self) -> tuple[Kind, ...]:
+        general = kinds()
+        homes = [each for each in general if each.what == HOME_PATH]
+        others = [each for each in general if each.what != HOME_PATH]
+        if not self.has_general:
+            return (*self.known, *(each for each in others if each.what == "private key"))
+        secrets = [each for each in self.known if each.what != HOME_PATH]
+        own = [each for each in self.known if each.what == HOME_PATH]
+        return (*secrets, *others, *own, *homes)
+
+    def find(self, block: bytes, grammar: Grammar, *, is_file: bool = False) -> list[Found]:
+        """Return the secrets of a block, in the order in which they stand, none of them across another.
+
+        Args:
+            block: the text.
+            grammar: what it is written in.
+            is_file: whether it is a whole file, so that code can be parsed.
+        """
+        hinted = reduced(block)
+        if not hinted:
+            return []
+        found: list[Found] = []
+        if is_file and grammar is Grammar.CODE and self.has_general:
+            found += found_in_code(block)
+        for kind in self._kinds:
+            if any(hint in hinted for hint in kind.hints):
+                found += kind.find(block)
+        if self.has_general and any(hint in hinted for hint in NAME_HINTS):
+            found += named_secrets(block, grammar)
+        return _without_overlap(found)
+
+    def blocks(self, path: Path, hits: Hits) -> Iterator[bytes]:
         """Yield a text file in blocks, secrets replaced.
 
         Args:
-            path: the file.
-            found: counts the secrets of each kind that were replaced.
+            path: the file; its name tells what it is written in.
+            hits: takes what was found.
 
         Raises:
             OSError: it cannot be read.
         """
-        loose = path.suffix.casefold() not in _STRICT
         with path.open("rb") as file:
-            for block in _whole_lines(file):
-                yield self.redacted(block, found, loose=loose)
+            yield from self.cleaned(iter(partial(file.read, _BLOCK), b""), hits, grammar_of(path))
 
     def secrets_in(self, path: Path) -> Counter[str]:
         """Return how many secrets of each kind are in a file, which stays as it is.
@@ -226,45 +170,84 @@ class Redactor:
         Raises:
             OSError: it cannot be read.
         """
-        found = Counter[str]()
+        hits = Hits()
         with path.open("rb") as file:
-            for block in _whole_lines(file):
-                self.redacted(block, found, loose=False)
-        return found
+            for _ in self.cleaned(iter(partial(file.read, _BLOCK), b""), hits, Grammar.MARKUP):
+                pass
+        return hits.replaced
 
     def redacted(self, block: bytes, found: Counter[str], *, loose: bool) -> bytes:
         """Return a block with its secrets replaced, and count them."""
-        lowered = block.lower()
-        for pattern in self.patterns:
-            if (pattern.loose and not loose) or not any(hint in lowered for hint in pattern.hints):
+        hits = Hits(replaced=found)
+        return self._replaced(block, self.find(block, Grammar.TEXT if loose else Grammar.MARKUP), hits, 1)
+
+    def cleaned(self, chunks: Iterable[bytes], hits: Hits, grammar: Grammar) -> Iterator[bytes]:
+        """Yield a text that comes in chunks of UTF-8 in blocks of another size, secrets replaced."""
+        kept, line, is_whole = b"", 1, True
+        for chunk, is_last in _with_last(chunks):
+            kept += chunk
+            if not is_last and is_whole and len(kept) < _WHOLE:
                 continue
-            cleaned = pattern.expression.sub(partial(_replaced, pattern, found), block)
-            if cleaned != block:
-                block, lowered = cleaned, cleaned.lower()
-        return block
+            found = self.find(kept, grammar, is_file=is_whole and is_last)
+            cut = len(kept) if is_last else _cut_of(kept, found)
+            yield self._replaced(kept[:cut], [each for each in found if each.end <= cut], hits, line)
+            line += kept.count(b"\n", 0, cut)
+            kept, is_whole = kept[cut:], False
+
+    def _replaced(self, block: bytes, found: list[Found], hits: Hits, line: int) -> bytes:
+        if not found:
+            return block
+        parts, end = [], 0
+        for each in found:
+            line += block.count(b"\n", end, each.start)
+            is_replaced = each.is_sure or self.replaces_doubtful
+            hits.note(each, line, is_replaced=is_replaced)
+            parts += [block[end : each.start], each.replacement if is_replaced else block[each.start : each.end]]
+            line += block.count(b"\n", each.start, each.end)
+            end = each.end
+        return b"".join([*parts, block[end:]])
 
 
-def _replaced(pattern: _Pattern, found: Counter[str], match: re.Match[bytes]) -> bytes:
-    """Return what takes a secret's place; a secret that an earlier pattern replaced is not counted again."""
-    replacement = match.expand(pattern.replacement)
-    if replacement != match[0]:
-        found[pattern.what] += 1
-    return replacement
+def _with_last(chunks: Iterable[bytes]) -> Iterator[tuple[bytes, bool]]:
+    """Yield each chunk, and whether it is the last one."""
+    before: bytes | None = None
+    for chunk in chunks:
+        if before is not None:
+            yield before, False
+        before = chunk
+    if before is not None:
+        yield before, True
 
 
-def _whole_lines(file: BinaryIO) -> Iterator[bytes]:
-    """Yield blocks that end where a line does, and with no private key begun."""
-    kept = b""
-    while data := file.read(_BLOCK):
-        block = kept + data
-        cut = block.rfind(b"\n") + 1
-        begun = block.rfind(b"-----BEGIN ", 0, cut)
-        if begun >= 0 and block.find(b"-----END ", begun, cut) < 0:
-            cut = begun
-        if cut == 0 and len(block) >= _LONGEST:
-            cut = len(block)
-        kept = block[cut:]
-        if cut:
-            yield block[:cut]
-    if kept:
-        yield kept
+def _without_overlap(found: list[Found]) -> list[Found]:
+    """Return the same in the order of the text; where several have something in common, one that covers them all."""
+    kept: list[Found] = []
+    for each in sorted(found, key=lambda each: each.start):
+        if kept and each.start < kept[-1].end:
+            kept[-1] = _joined(kept[-1], each)
+        else:
+            kept.append(each)
+    return kept
+
+
+def _joined(first: Found, second: Found) -> Found:
+    """Return one finding that covers two, with the words and the replacement of the one that covers more."""
+    sure = [each for each in (first, second) if each.is_sure] or [first, second]
+    secret = [each for each in sure if each.what != HOME_PATH] or sure
+    widest = max(secret, key=lambda each: each.end - each.start)
+    if not widest.is_sure or len(sure) == 1:  # a doubt beside what is sure counts no more
+        first = second = widest
+    start, end = min(first.start, second.start), max(first.end, second.end)
+    return widest._replace(start=start, end=end, begin=min(first.begin, second.begin))
+
+
+def _cut_of(block: bytes, found: list[Found]) -> int:
+    """Return where to end a block that goes on: with a line, where it has one, and before whatever may go on."""
+    cut = block.rfind(b"\n") + 1 or max(0, len(block) - _KEPT_BACK)
+    begun = block.rfind(b"-----BEGIN ", 0, cut)
+    if begun >= 0 and block.find(b"-----END ", begun, cut) < 0 and cut - begun < 1 << 16:
+        cut = begun
+    for each in reversed(found):
+        if each.begin < cut < each.end:
+            cut = each.begin
+    return cut if cut or len(block) < 2 * _WHOLE else len(block)

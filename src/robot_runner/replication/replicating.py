@@ -13,7 +13,7 @@ from robot_runner.core.config.treatment_makers import known_treatments
 from robot_runner.core.design.batches import EXTENDED, REPEATED, records_of
 from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.recovery import table_differences
-from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.secret_names import REDACTED, hidden_settings, is_same_setting, shown_settings
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
@@ -26,7 +26,6 @@ from robot_runner.replication.contents import DESCRIPTION, SUMS
 from robot_runner.replication.differences import missing_modules
 from robot_runner.replication.distributions import canonical
 from robot_runner.replication.opening import open_package, unpack
-from robot_runner.replication.redaction import REDACTED
 from robot_runner.replication.verification import refuse_faults, verify_package
 
 if TYPE_CHECKING:
@@ -39,12 +38,11 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Replication",
-    "Sameness",
     "Source",
     "find_source",
-    "identical_values",
     "original_settings",
     "prepare_replication",
+    "replicated_folder",
 ]
 
 _UNPACKED = "package"
@@ -190,7 +188,7 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
     experiment = replace(preparation.experiment, replication=facts, overrides=overrides)
     findings = list(preparation.findings)
     if experiment.folder.manifest.exists():
-        _refuse_other(experiment, facts)
+        _refuse_other(experiment, facts, deviations)
     else:
         experiment.model.take_seed(int(manifest["seed"]))
         experiment = _with_batches(experiment, files)
@@ -227,29 +225,37 @@ def _refuse_redacted(settings: Mapping[str, str]) -> None:
 
 
 def _facts(files: ExperimentFolder, manifest: Mapping[str, Any], deviations: Mapping[str, str]) -> dict[str, Any]:
-    sums = files.root / SUMS
-    identity = sums if sums.is_file() else files.manifest
-    try:
-        digest = hashlib.sha256(identity.read_bytes()).hexdigest()
-    except OSError as error:
-        raise storage_error(identity, "read", error) from error
+    name, digest = _identity(files)
     return {
         "of": manifest.get("experiment_name"),
-        "identified_by": identity.name,
+        "identified_by": name,
         "sha256": digest,
         "seed": manifest.get("seed"),
-        "deviations": dict(deviations),
+        "deviations": hidden_settings(deviations),
         "treatments": known_treatments(files),  # a branch may mean another commit by now
     }
 
 
-def _refuse_other(experiment: Experiment, facts: Mapping[str, Any]) -> None:
+def _identity(files: ExperimentFolder) -> tuple[str, str]:
+    """Return the file that tells which original it is, and its SHA-256."""
+    sums = files.root / SUMS
+    identity = sums if sums.is_file() else files.manifest
+    try:
+        return identity.name, hashlib.sha256(identity.read_bytes()).hexdigest()
+    except OSError as error:
+        raise storage_error(identity, "read", error) from error
+
+
+def _refuse_other(experiment: Experiment, facts: Mapping[str, Any], deviations: Mapping[str, str]) -> None:
     recorded = read_manifest(experiment.folder.manifest).get("replication") or {}
     if recorded.get("sha256") != facts["sha256"]:
         problem = "another experiment is in this folder"
         raise PackageError(problem, where=str(experiment.folder.root), fix="Name another folder with --to.")
-    if recorded.get("deviations") != facts["deviations"]:
-        was = " ".join(f"--set {name}={text}" for name, text in recorded.get("deviations", {}).items()) or "no --set"
+    before = recorded.get("deviations") or {}
+    if before.keys() != deviations.keys() or not all(
+        is_same_setting(before[name], deviations[name]) for name in before
+    ):
+        was = " ".join(f"--set {name}={text}" for name, text in shown_settings(before).items()) or "no --set"
         problem = f"this replication was begun with {was}"
         raise PackageError(problem, where=str(experiment.folder.root), fix="Go on with the same, or name another --to.")
 
@@ -315,58 +321,21 @@ def _has_exclusions(files: ExperimentFolder) -> bool:
     return files.schema.exists() and TableLayout.of_schema(read_schema(files.schema)).has_exclusions
 
 
-@dataclass(frozen=True, slots=True)
-class Sameness:
-    """One measure in the runs that are done in both experiments.
+def replicated_folder(target: Path, root: Path) -> Path:
+    """Return the folder in which a package was executed again.
 
-    Attributes:
-        runs: how many of them have a value in either.
-        identical: in how many of these the two values are the same, to the last digit.
-
-    Example:
-        >>> Sameness(15, 15).is_complete
-        True
-    """
-
-    runs: int
-    identical: int
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether there are values, and all are the same."""
-        return self.runs > 0 and self.identical == self.runs
-
-
-def identical_values(original: Path, replication: Path) -> dict[str, Sameness]:
-    """Compare the run tables of two experiments run by run, by the runs' ids; excluded runs are passed over.
-
-    Returns:
-        Each measure that both have.
+    Args:
+        target: the folder below which it is.
+        root: the unpacked package, or the experiment's folder that was replicated.
 
     Raises:
-        StorageError: a run table cannot be read.
+        PackageError: there is none.
+        StorageError: something cannot be read.
     """
-    ours, theirs = _rows(original), _rows(replication)
-    pairs = [
-        (place, other)
-        for place in range(len(ours))
-        if (other := theirs.place_of(ours.run_id(place))) is not None
-        and ours.status(place) is theirs.status(other) is RunStatus.DONE
-        and ours.excluded(place) is theirs.excluded(other) is None
-        and not ours.is_warm_up(place)
-    ]
-    return {
-        name: _sameness(ours, theirs, name, pairs) for name in ours.layout.measures if name in theirs.layout.measures
-    }
-
-
-def _sameness(ours: RunTableRows, theirs: RunTableRows, name: str, pairs: list[tuple[int, int]]) -> Sameness:
-    first_values, second_values = list(ours.values(name)), list(theirs.values(name))
-    values = [(first_values[place], second_values[other]) for place, other in pairs]
-    with_value = [pair for pair in values if pair != (None, None)]
-    return Sameness(len(with_value), sum(first == second for first, second in with_value))
-
-
-def _rows(folder: Path) -> RunTableRows:
-    files = ExperimentFolder.found_at(folder)
-    return read_run_table(files.run_table, TableLayout.of_schema(read_schema(files.schema)))
+    digest = _identity(ExperimentFolder.found_at(root))[1]
+    for folder in sorted(each for each in target.iterdir() if each.resolve() != root.resolve()):
+        manifest = ExperimentFolder.found_at(folder).manifest
+        if manifest.is_file() and (read_manifest(manifest).get("replication") or {}).get("sha256") == digest:
+            return folder
+    fix = "Repeat the command: what was executed before is kept."
+    raise PackageError("the package was not executed again here", where=str(target), fix=fix)

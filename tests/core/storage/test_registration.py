@@ -81,7 +81,7 @@ def test_a_damaged_file_is_refused_with_a_way_out(tmp_path: Path, text: str) -> 
     with pytest.raises(StorageError) as raised:
         read_registration(path)
     assert raised.value.fix
-    with pytest.raises(StorageError, match="no registration"):
+    with pytest.raises(StorageError, match="the folder cannot be read: Is a directory"):
         read_registration(tmp_path)
 
 

@@ -11,7 +11,6 @@ from typing import TextIO
 import pytest
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.storage import safe_write
 from robot_runner.core.storage.safe_write import fsync_folder, storage_error, write_beside_and_rename
 
 
@@ -132,9 +131,9 @@ def test_a_file_system_that_flushes_no_folders_is_no_reason_to_fail(
     def refuse(number: int) -> None:
         raise OSError(number, "refused")
 
-    monkeypatch.setattr(safe_write.os, "fsync", lambda _: refuse(errno.EINVAL))
+    monkeypatch.setattr(os, "fsync", lambda _: refuse(errno.EINVAL))
     fsync_folder(tmp_path)
-    monkeypatch.setattr(safe_write.os, "fsync", lambda _: refuse(errno.EIO))
+    monkeypatch.setattr(os, "fsync", lambda _: refuse(errno.EIO))
     with pytest.raises(OSError, match="refused"):
         fsync_folder(tmp_path)
 

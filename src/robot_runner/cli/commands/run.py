@@ -22,6 +22,7 @@ from robot_runner.cli.screens.plain import terminal_input
 from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.execution.recovery import Resumption, TableChoice, TableDisagreementError, config_changes
+from robot_runner.core.secret_names import shown_assignments
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -107,7 +108,7 @@ def execute(arguments: Namespace) -> int:
         if chosen is None:
             raise
         execution = executed(replace(resumption, table=chosen))
-    settings = [word for each in arguments.set for word in ("--set", each)]
+    settings = [word for each in shown_assignments(arguments.set) for word in ("--set", each)]
     command = shlex.join(["robot-runner", arguments.config, *settings])
     with read_or_not():
         if execution.finished:

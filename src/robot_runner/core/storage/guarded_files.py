@@ -14,6 +14,7 @@ What cannot be done is a `StorageError` that names the file, why, and what to do
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import stat
@@ -22,6 +23,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.declared_shapes import checked_json
 from robot_runner.core.storage.guarded_paths import (
     ONLY_FILES,
     MissingFileError,
@@ -32,7 +34,7 @@ from robot_runner.core.storage.guarded_paths import (
     refusals,
     rights_of,
 )
-from robot_runner.core.storage.safe_write import fsync_folder, storage_error
+from robot_runner.core.storage.system_refusals import fsync_folder, storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
     from typing import BinaryIO
 
 __all__ = [
+    "DamagedFileError",
     "MissingFileError",
     "make_experiment_folder",
     "make_folder",
@@ -47,9 +50,9 @@ __all__ = [
     "open_to_append",
     "open_to_read",
     "open_to_write",
+    "read_blocks",
     "read_bytes",
     "read_json",
-    "read_lines",
     "read_text",
     "remove",
     "replace",
@@ -62,12 +65,18 @@ JSON_DEPTH = 64
 #: Text that is read whole, and the longest line of what is read line by line.
 TEXT_LIMIT = 64_000_000
 LINE_LIMIT = 16_000_000
+#: How much of a file of many lines is read at once.
+_BLOCK = 1_000_000
 
 #: O_NONBLOCK has a meaning for pipes and devices only, which may have taken the file's place since we looked.
 _FILE = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
 
 _UNITS = ("B", "kB", "MB", "GB", "TB")
 _WRITING = os.O_WRONLY | os.O_RDWR
+
+
+class DamagedFileError(StorageError):
+    """A file that was opened does not hold what it should: no text, no JSON, too much of it, or nested too deeply."""
 
 
 def open_to_read(path: Path, root: Path | None = None, *, limit: int | None = None) -> BinaryIO:
@@ -138,7 +147,7 @@ def read_json(path: Path, root: Path | None = None, *, limit: int = JSON_LIMIT, 
     """
     content = read_bytes(path, root, limit=limit)
     try:
-        value = json.loads(content.decode("utf-8-sig"))
+        value = json.loads(content.decode("utf-8-sig"), object_pairs_hook=checked_json)
     except RecursionError as error:
         raise _damaged(path, f"its JSON is nested deeper than {depth} levels") from error
     except ValueError as error:
@@ -148,20 +157,27 @@ def read_json(path: Path, root: Path | None = None, *, limit: int = JSON_LIMIT, 
     return value
 
 
-def read_lines(path: Path, root: Path | None = None, *, longest: int = LINE_LIMIT) -> Iterator[bytes]:
-    """Yield the lines of a file as they stand, with their ends.
+def read_blocks(path: Path, root: Path | None = None, *, longest: int = LINE_LIMIT) -> Iterator[bytes]:
+    """Yield a file in blocks of whole lines; the last line of all may lack its end.
 
     Raises:
         StorageError: as `open_to_read` says; or a line is longer than that many bytes.
     """
+    rest = b""
     with open_to_read(path, root) as file:
         try:
-            for line in iter(partial(file.readline, longest + 1), b""):
-                if len(line) > longest:
+            for piece in iter(partial(file.read, min(_BLOCK, longest)), b""):
+                block = rest + piece
+                end = block.rfind(b"\n") + 1
+                rest = block[end:]
+                if max(len(rest), block.find(b"\n") + 1) > longest:  # a later line lies within the piece
                     raise _too_large(path, f"the file has a line of more than {_in_words(longest)}", longest)
-                yield line
+                if end:
+                    yield block[:end]
         except OSError as error:
             raise storage_error(path, "read", error) from error
+    if rest:
+        yield rest
 
 
 def open_to_append(path: Path, root: Path | None = None) -> BinaryIO:
@@ -192,17 +208,22 @@ def open_descriptor(path: Path, root: Path | None = None, flags: int = os.O_RDWR
 
 
 @contextmanager
-def open_to_write(path: Path, root: Path | None = None) -> Iterator[BinaryIO]:
+def open_to_write(path: Path, root: Path | None = None, *, mode: int = 0) -> Iterator[BinaryIO]:
     """Write a file beside `path`, flush it to the disk, and rename it over `path` when the block ends.
 
     Where anything fails, what stood at `path` is intact and nothing is left beside it. A link that stands there is
     refused: neither what it points to nor the link itself is replaced.
 
+    Args:
+        path: the file.
+        root: the experiment's folder.
+        mode: the file's permissions, of which the umask takes its part; 0 for those of the experiment's folder.
+
     Raises:
         StorageError: there stands no regular file, or it cannot be written.
     """
     with refusals(path, root, "written") as (top, (*folders, name)):
-        with folder_inside(top, folders) as folder, _beside(path, folder, name, rights_of(top) & 0o666) as file:
+        with folder_inside(top, folders) as folder, _beside(path, folder, name, mode or rights_of(top) & 0o666) as file:
             yield file
         fsync_folder(path.parent)
 
@@ -215,7 +236,8 @@ def _beside(path: Path, folder: int, name: str, mode: int) -> Iterator[BinaryIO]
     _unlink(beside, folder)  # left by a process of this number that was killed, or planted: O_EXCL follows no link
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _FILE
     try:
-        with os.fdopen(os.open(beside, flags, mode, dir_fd=folder), "wb") as file:
+        opener = partial(os.open, mode=mode, dir_fd=folder)
+        with open(path.with_name(beside), "wb", opener=lambda *_: opener(beside, flags)) as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
@@ -232,7 +254,7 @@ def replace(path: Path, content: str | bytes, root: Path | None = None) -> None:
         StorageError: as `open_to_write` says.
     """
     with open_to_write(path, root) as file:
-        file.write(content.encode("utf-8") if isinstance(content, str) else content)
+        file.write(content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content)
 
 
 def remove(path: Path, root: Path | None = None) -> None:
@@ -252,7 +274,7 @@ def remove(path: Path, root: Path | None = None) -> None:
 def _opened(path: Path, root: Path | None, flags: int, kind: str, buffering: int) -> BinaryIO:
     # By an opener, so that the file knows its name, as messages of libraries show it.
     opener = lambda *_: open_descriptor(path, root, flags)  # noqa: E731
-    return cast("BinaryIO", open(path, kind, buffering, opener=opener))  # noqa: SIM115 - the caller closes it
+    return cast("BinaryIO", open(path, kind, buffering, opener=opener))
 
 
 def _open_regular(path: Path, folder: int, name: str, flags: int, mode: int) -> int:
@@ -275,6 +297,8 @@ def _look_at(path: Path, folder: int, name: str) -> None:
 
 
 def _require_regular(path: Path, mode: int) -> None:
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
     if not stat.S_ISREG(mode):
         raise StorageError(f"this is {kind_of(mode)}, not a regular file", where=str(path), fix=ONLY_FILES)
 
@@ -290,13 +314,15 @@ def _unlink(name: str, folder: int) -> None:
         os.unlink(name, dir_fd=folder)
 
 
-def _too_large(path: Path, problem: str, limit: int) -> StorageError:
+def _too_large(path: Path, problem: str, limit: int) -> DamagedFileError:
     limits = f"at most {_in_words(limit)} are read"
-    return StorageError(f"{problem}; {limits}", where=str(path), fix="Restore the file from a backup, or remove it.")
+    return DamagedFileError(
+        f"{problem}; {limits}", where=str(path), fix="Restore the file from a backup, or remove it."
+    )
 
 
-def _damaged(path: Path, problem: str) -> StorageError:
-    return StorageError(problem, where=str(path), fix="Restore it from a backup.")
+def _damaged(path: Path, problem: str) -> DamagedFileError:
+    return DamagedFileError(problem, where=str(path), fix="Restore it from a backup.")
 
 
 def _in_words(size: float) -> str:

@@ -12,7 +12,9 @@ import os
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.guarded_files import make_folder, open_descriptor, open_to_append
+from robot_runner.core.storage.masked_log import MaskedText, mask_log
+from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -202,16 +204,16 @@ def _open_log(folder: ExperimentFolder) -> int:
     """Return a descriptor that appends to the log of the run that is being executed.
 
     Raises:
-        OSError: it cannot be opened.
+        StorageError: it cannot be opened.
     """
-    return os.open(folder.current_log, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+    return open_descriptor(folder.current_log, folder.root, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
 
 
 def print_to_log(folder: ExperimentFolder) -> None:
     """Have this process print to the log of the run that is being executed, what it starts and what is in C included.
 
     Raises:
-        OSError: the log cannot be opened.
+        StorageError: the log cannot be opened.
     """
     log = _open_log(folder)
     os.dup2(log, 1)
@@ -259,19 +261,21 @@ class LazyLog(io.TextIOBase):
         if self.closed:
             raise ValueError("I/O operation on closed file.")
         if self._file is None:
-            self._file = os.fdopen(_open_log(self._folder), "a", encoding="utf-8", errors="backslashreplace")
+            binary = os.fdopen(_open_log(self._folder), "ab")
+            self._file = MaskedText(binary, encoding="utf-8", errors="backslashreplace")
         return self._file
 
 
 def keep_log(folder: ExperimentFolder, run_id: str) -> None:
-    """Move what a run printed into its folder; a run that printed nothing has no log.
+    """Move what a run printed into its folder, without secrets of the environment; one that printed nothing has no log.
 
     Raises:
         StorageError: it cannot be moved.
     """
     try:
         if _size(folder.current_log) > 0:
-            folder.run(run_id).mkdir(exist_ok=True)
+            make_folder(folder.run(run_id), folder.root)
+            mask_log(folder.current_log, folder.root)
             folder.current_log.replace(folder.log(run_id))
     except OSError as error:
         raise storage_error(folder.log(run_id), "written", error) from error
@@ -290,17 +294,14 @@ def keep_refused(folder: ExperimentFolder, run_id: str, refused: Mapping[str, An
         StorageError: it cannot be written.
     """
     path = folder.refused(run_id)
-    try:
-        path.parent.mkdir(exist_ok=True)
-        with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(refused, ensure_ascii=False, default=str) + "\n")
-    except OSError as error:
-        raise storage_error(path, "written", error) from error
+    make_folder(path.parent, folder.root)
+    with open_to_append(path, folder.root) as file:
+        file.write(f"{json.dumps(refused, default=str)}\n".encode())
 
 
 def _size(path: Path) -> int:
     try:
-        return path.stat().st_size
+        return path.lstat().st_size
     except FileNotFoundError:
         return 0
 
@@ -315,7 +316,7 @@ def put_earlier_attempt_away(folder: ExperimentFolder, run_id: str, attempt: int
     try:
         if left.exists():
             kept = _free(folder.earlier_attempt(run_id, attempt))
-            kept.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(kept.parent, folder.root)
             left.rename(kept)
     except OSError as error:
         raise storage_error(left, "moved", error) from error

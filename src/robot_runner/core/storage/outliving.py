@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.guarded_files import MissingFileError, make_experiment_folder, open_to_append, read_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -51,12 +51,9 @@ def spare(path: Path, pid: int) -> None:
         StorageError: the file cannot be written.
     """
     line = json.dumps([pid, _start_of(pid)]) + "\n"
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("a", encoding="utf-8") as file:
-            file.write(line)
-    except OSError as error:
-        raise storage_error(path, "written", error) from error
+    make_experiment_folder(path.parent)
+    with open_to_append(path) as file:
+        file.write(line.encode())
 
 
 def outliving(path: Path) -> frozenset[int]:
@@ -74,8 +71,8 @@ def is_spared(pid: int, spared: frozenset[int]) -> bool:
 
 
 def _read(path: Path) -> Iterator[tuple[int, str]]:
-    with suppress(OSError):
-        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+    with suppress(MissingFileError):
+        for line in read_text(path, errors="replace").splitlines():
             with suppress(ValueError, TypeError):  # a line that was torn when the power failed
                 pid, started = json.loads(line)
                 yield int(pid), str(started)

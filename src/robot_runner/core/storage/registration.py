@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.precision import rule_in_words, rules_of_mapping
 from robot_runner.core.errors import DesignError, StorageError
-from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
+from robot_runner.core.storage.declared_shapes import shape_findings
+from robot_runner.core.storage.file_shapes import RegistrationFile
+from robot_runner.core.storage.guarded_files import DamagedFileError, MissingFileError, read_json, replace
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
@@ -33,19 +35,6 @@ FORMAT = 1
 _SUM = "sha256"
 #: A registration has some kilobytes; what is larger is something else.
 _LARGEST = 16 << 20
-#: Each with the type that it has to have.
-_SHAPE: dict[str, type | tuple[type, ...]] = {
-    "format": int,
-    "registered_at": str,
-    "experiment": str,
-    "config": dict,
-    "design": dict,
-    "seed": int,
-    "measures": list,
-    "analysis": (dict, type(None)),
-    "power": (dict, type(None)),
-    _SUM: str,
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +92,7 @@ def write_registration(path: Path, content: Mapping[str, Any]) -> Registration:
     plain = json.loads(json.dumps({"format": FORMAT, **content}))
     sealed = {**plain, _SUM: checksum_of(plain)}
     text = json.dumps(sealed, indent=2, ensure_ascii=False) + "\n"
-    write_beside_and_rename(path, lambda file: file.write(text))
+    replace(path, text)
     return Registration(path, sealed, is_intact=True)
 
 
@@ -115,29 +104,17 @@ def read_registration(path: Path) -> Registration:
     """
     where = str(path)
     try:
-        if not path.exists():
-            fix = "Register the study: robot-runner preregister CONFIG"
-            raise StorageError("there is no registration", where=where, fix=fix)
-        if not path.is_file() or path.stat().st_size > _LARGEST:
-            raise StorageError("this is no registration", where=where, fix=_FIX)
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise storage_error(path, "read", error) from error
-    except (ValueError, RecursionError) as error:
-        raise StorageError(f"the registration cannot be read: {error}", where=where, fix=_FIX) from error
+        content = read_json(path, limit=_LARGEST)
+    except MissingFileError as error:
+        fix = "Register the study: robot-runner preregister CONFIG"
+        raise StorageError("there is no registration", where=where, fix=fix) from error
+    except DamagedFileError as error:
+        raise StorageError(f"the registration cannot be read: {error.problem}", where=where, fix=_FIX) from error
     if isinstance(content, dict) and isinstance(content.get("format"), int) and content["format"] > FORMAT:
         problem = f"the registration has format {content['format']}, newer than {FORMAT}, which this version knows"
         raise StorageError(problem, where=where, fix="Update robot-runner.")
-    wrong = (
-        [name for name, kind in _SHAPE.items() if not isinstance(content.get(name), kind) or name not in content]
-        if isinstance(content, dict)
-        else list(_SHAPE)
-    )
-    if wrong:
-        problem = (
-            f"this is no registration: {enumerated(wrong)} {'is' if len(wrong) == 1 else 'are'} not as it has them"
-        )
-        raise StorageError(problem, where=where, fix=_FIX)
+    if findings := shape_findings(where, "registration", content, RegistrationFile, _FIX):
+        raise StorageError.of_findings(findings)
     if not _is_comparable(content):
         raise StorageError("this is no registration: parts of it are not as it has them", where=where, fix=_FIX)
     return Registration(path, content, checksum_of(content) == content[_SUM])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain, islice, repeat
@@ -15,8 +16,9 @@ from robot_runner.core.design.factor import Combination, factor_places
 from robot_runner.core.design.planned_runs import PlannedRun, garbage_collection_paused
 from robot_runner.core.errors import StorageError, nearest
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.run_table_rows import RunRow, RunTableRows
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.storage.table_columns import MARKS
 from robot_runner.core.storage.table_decoders import (
     FactorDecoder,
@@ -130,6 +132,8 @@ def _names(trimmed: Sequence[str], layout: TableLayout) -> list[str]:
 
 _ROWS_AT_ONCE = 500  # what fits into a processor's cache; ten times as many take twice as long
 _NO_DEFAULTS: Mapping[str, Any] = MappingProxyType({})
+#: More than a million runs, bytes; a file of that size without a line's end is still read within half a gigabyte.
+_LARGEST = 256_000_000
 _LONGEST_CELL = 1 << 27  # the module's own limit of 128 KiB is less than what we write
 
 
@@ -368,7 +372,7 @@ def _sharing_empty(rows: list[tuple[Any, ...]]) -> Iterable[tuple[Any, ...]]:
 def _opened(path: Path) -> Iterator[TextIO]:
     csv.field_size_limit(max(csv.field_size_limit(), _LONGEST_CELL))
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
+        with io.TextIOWrapper(open_to_read(path, limit=_LARGEST), encoding="utf-8-sig", newline="") as file:
             yield file
     except UnicodeDecodeError as error:
         fix = "Save it as CSV with the character set UTF-8."

@@ -360,7 +360,7 @@ def write_run_table(path: Path, rows: RunTableRows) -> str:
             file.write(text)
             digest.update(text.encode())
 
-    write_beside_and_rename(path, write)
+    write_beside_and_rename(path, write, path.parent)
     return digest.hexdigest()
 
 

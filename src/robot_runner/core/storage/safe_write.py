@@ -1,12 +1,12 @@
-"""Bytes to disk so that a reader sees the old file or the new one, whole, whatever fails in between."""
+"""Text to disk so that a reader sees the old file or the new one, whole, whatever fails in between."""
 
 from __future__ import annotations
 
-import errno
-import os
+import io
 from typing import TYPE_CHECKING
 
-from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.guarded_files import open_to_write
+from robot_runner.core.storage.system_refusals import fsync_folder, storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -15,74 +15,26 @@ if TYPE_CHECKING:
 
 __all__ = ["fsync_folder", "storage_error", "write_beside_and_rename"]
 
-_FIXES = {
-    errno.ENOSPC: "Make room on the disk, then try again.",
-    errno.EDQUOT: "Make room in your quota, then try again.",
-    errno.EACCES: "Mend the permissions of the file and its folder.",
-    errno.EPERM: "Mend the permissions of the file and its folder.",
-    errno.EROFS: "Choose a folder on a file system that can be written.",
-    errno.ENOENT: "Mend the path, or make the folder first.",
-    errno.ENOTDIR: "Mend the path: a part of it is a file.",
-    errno.EISDIR: "Move the folder of that name out of the way.",
-    errno.ENAMETOOLONG: "Choose a shorter name.",
-}
+#: The permissions of a file that belongs to no experiment: what the user's umask leaves of them.
+_RIGHTS = 0o666
 
 
-def write_beside_and_rename(path: Path, write: Callable[[TextIO], object]) -> None:
+def write_beside_and_rename(path: Path, write: Callable[[TextIO], object], root: Path | None = None) -> None:
     """Write a text file (UTF-8) beside `path`, flush it to the disk, and rename it over `path`.
 
-    Where anything fails, what stood at `path` is intact and nothing is left beside it. A symbolic link at `path`
-    stays, and what it points to is replaced.
+    Where anything fails, what stood at `path` is intact and nothing is left beside it.
 
     Args:
         path: the file to make or to replace; its folder exists.
         write: called once with the open file; lines end as they are written.
+        root: the experiment's folder that the file belongs to, in which no links are followed. Without it, the user
+            named the file: a symbolic link at `path` stays, and what it points to is replaced.
 
     Raises:
         StorageError: it cannot be written.
     """
-    try:
-        target = path.resolve()
-        # In the same folder: renaming across file systems is neither possible nor atomic.
-        beside = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-        try:
-            with beside.open("w", encoding="utf-8", newline="") as file:
-                write(file)
-                file.flush()
-                os.fsync(file.fileno())
-            beside.replace(target)
-        finally:
-            beside.unlink(missing_ok=True)
-        fsync_folder(target.parent)
-    except OSError as error:
-        raise storage_error(path, "written", error) from error
-
-
-def fsync_folder(folder: Path) -> None:
-    """Flush a folder to the disk, so that what was made or renamed in it is still there after a power cut.
-
-    Raises:
-        OSError: it cannot be opened or flushed.
-    """
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    except OSError as error:
-        if error.errno not in {errno.EINVAL, errno.ENOTSUP}:  # some network file systems flush no folders
-            raise
-    finally:
-        os.close(descriptor)
-
-
-def storage_error(path: Path, action: str, error: OSError) -> StorageError:
-    """Return the error to raise where the system refused a file.
-
-    Args:
-        path: the file or folder.
-        action: what could not be done to it, as in `written`.
-        error: what the system said.
-    """
-    reason = error.strerror or str(error)
-    fix = _FIXES.get(error.errno or 0, "Mend what the system names, then try again.")
-    kind = "folder" if action == "made" or path.is_dir() else "file"
-    return StorageError(f"the {kind} cannot be {action}: {reason}", where=str(path), fix=fix)
+    target, mode = (path, 0) if root else (path.resolve(), _RIGHTS)
+    with open_to_write(target, root, mode=mode) as file:
+        text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+        write(text)
+        text.detach()  # flushes, and leaves the file open

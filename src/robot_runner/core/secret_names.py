@@ -1,0 +1,223 @@
+"""Names under which secrets are kept, and how a secret is kept out of what is written: logs, journal, manifest."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import secrets
+import time
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+__all__ = [
+    "REDACTED",
+    "forms_of",
+    "hidden_setting",
+    "hidden_settings",
+    "is_placeholder",
+    "is_same_setting",
+    "is_secret_name",
+    "secrets_of_environment",
+    "shown_assignments",
+    "shown_settings",
+    "without_environment_secrets",
+]
+
+#: What stands in a secret's place.
+REDACTED = "REDACTED"
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+|[^\W\d_]+")
+#: Words that name a secret wherever they stand in a name, in the languages of labs that we know of.
+_STRONG = _words(
+    "password passwd passphrase passcode pwd pw psk secret credential apikey authtoken accesskey privatekey "
+    "secretkey presharedkey passwort kennwort wachtwoord contrasena contraseña senha motdepasse mdp"
+)
+#: Words that do, unless they are about a text's tokens, or a passage through something.
+_COMMON = frozenset({"token", "pass"})
+#: What a key opens or signs: these keys are secret, those of a keyboard or a dictionary are not.
+_KEYS = _words(
+    "api access private secret shared preshared signing encryption wep auth account master service deploy "
+    "ssh gpg client license wpa app webhook consumer"
+)
+_NOT_A_LOGIN = _words(
+    "eos bos pad unk cls sep mask stop special start end image max min num n total input output prompt "
+    "completion new generated first second third low high band all single multi two one render forward "
+    "backward by no per next last id test tests checks did does will prefill decode context count"
+)
+#: A name that ends in one of these tells of a secret, and is none: where it is kept, how long it is.
+_ABOUT = _words(
+    "file path env var variable name names field column label prompt count len length type types hint policy "
+    "regex pattern dir directory folder format min max limit rate size per expires expiry expiration ttl "
+    "timeout manager store provider usage id ids index budget times frequency throughput latency speed cost "
+    "price ms s seconds authentication required enabled check validator class parser generator loader source "
+    "location url uri endpoint attempts retries ratio percent through pos position error errors rule rules "
+    "kind mode level"
+)
+
+
+@lru_cache(maxsize=4096)
+def is_secret_name(name: str) -> bool:
+    """Whether a secret is kept under a name, in a config, a command, a settings file or the environment.
+
+    Example:
+        >>> [is_secret_name(each) for each in ("wifi_password", "apiKey", "PLUG_PW", "max_tokens", "password_file")]
+        [True, True, True, False, False]
+    """
+    words = [each.casefold() for each in _WORD.findall(name)]
+    while words and words[-1].isdigit():
+        words.pop()
+    if not words or words[-1] in _ABOUT:
+        return False
+    singular = [each.removesuffix("s") if each != "pass" else each for each in words]
+    if _STRONG & {*words, *singular}:
+        return True
+    for place, each in enumerate(singular):
+        before = words[place - 1] if place else ""
+        if each in _COMMON and place >= len(words) - 2 and before not in _NOT_A_LOGIN:
+            return each != "token" or words[place] != "tokens" or before in _KEYS
+        if each == "key" and (before in _KEYS or words[place - 2 : place] == ["pre", "shared"]):
+            return True
+    return words[-1] == "auth" or (words[-1] == "pin" and len(words) > 1 and words[0] in {"wifi", "sim", "door"})
+
+
+_PLACEHOLDER = re.compile(
+    r"(?is)none|null|nil|undefined|nan|true|false|yes|no|on|off|str|int|bytes|any|string|optional\b.*|required|missing"
+    r"|basic|digest|bearer|ntlm|oauth2?|anonymous|guest|wpa-?psk|wpa-?eap|sae|open|unknown|empty|todo"
+    r"|[*x•.?_-]+|<[^<>]*>|\$.*|%[\w(].*|\{\{.*|\{[\w.]*\}|@\w+@|your[\W_].*|/run/secrets/.*|!\w.*|REDACTED.*"
+)
+
+
+def is_placeholder(text: str) -> bool:
+    """Whether what stands where a secret would is none: nothing, a reference to a variable, or a word for nothing.
+
+    Example:
+        >>> [is_placeholder(each) for each in ("", "${LAB_TOKEN}", "None", "swordfish")]
+        [True, True, True, False]
+    """
+    return not text.strip() or _PLACEHOLDER.fullmatch(text.strip()) is not None or REDACTED in text
+
+
+# The environment: what a variable with such a name holds must not reach a log or the manifest.
+
+_SHORTEST = 6
+#: Of a secret of several lines, such as a key, each of at least so many characters is one.
+_SHORTEST_LINE = 16
+#: A folder or socket, and not a secret: SSH_AUTH_SOCK is kept under a name that sounds like one.
+_PATH = re.compile(r"[/~.][\w/.~@+-]*")
+_FOLDERS = frozenset({"PWD", "OLDPWD"})
+
+
+def secrets_of_environment(environment: Mapping[str, str] | None = None) -> tuple[str, ...]:
+    """Return the values of variables with names such as `LAB_TOKEN`, the longest first; of this process's, if left out.
+
+    Texts of less than six characters, numbers of less than eight digits and paths are passed over: to replace them
+    wherever they stand would damage what is no secret.
+    """
+    if environment is None:
+        return _secrets_of_process(len(os.environ), int(time.monotonic()))
+    found: set[str] = set()
+    for name, text in environment.items():
+        if name not in _FOLDERS and is_secret_name(name) and _is_worth_hiding(text):
+            found |= {text, *(line for line in text.splitlines() if len(line) >= _SHORTEST_LINE)}
+    return tuple(sorted(found, key=lambda text: (-len(text), text)))
+
+
+@lru_cache(maxsize=1)
+def _secrets_of_process(_count: int, _second: int) -> tuple[str, ...]:
+    # Looked at again once a variable came or went, and every second: a line of a log must not cost a look at all.
+    return secrets_of_environment(dict(os.environ))
+
+
+@lru_cache(maxsize=1024)
+def _is_worth_hiding(text: str) -> bool:
+    is_short = len(text) < (8 if text.isdigit() else _SHORTEST)
+    return not is_short and not is_placeholder(text) and _PATH.fullmatch(text) is None
+
+
+def without_environment_secrets(text: str) -> str:
+    """Return a text in which no value of a variable with a secret's name stands, as it is or as JSON writes it.
+
+    Example:
+        >>> import os
+        >>> os.environ["LAB_TOKEN"] = "open-sesame"
+        >>> without_environment_secrets("connected with open-sesame")
+        'connected with REDACTED'
+        >>> del os.environ["LAB_TOKEN"]
+    """
+    for secret in secrets_of_environment():
+        for form in forms_of(secret):
+            if form in text:
+                text = text.replace(form, REDACTED)
+    return text
+
+
+def forms_of(secret: str) -> set[str]:
+    """Return how a secret may be written: as it is, and as JSON has it, with and without letters beyond ASCII."""
+    return {secret, json.dumps(secret)[1:-1], json.dumps(secret, ensure_ascii=False)[1:-1]}
+
+
+# Static parameters that are set from outside: `--set db_password=X` is neither shown nor kept, and can be compared.
+
+_HIDDEN = re.compile(rf"{REDACTED} scrypt:([0-9a-f]{{32}}):([0-9a-f]{{64}})")
+#: RFC 7914: 16 MiB of memory and some 50 ms for each guess, so that a password cannot be found by trying many.
+_SCRYPT = {"n": 1 << 14, "r": 8, "p": 1, "dklen": 32}
+
+
+def hidden_setting(name: str, text: str) -> str:
+    """Return a setting as it is kept: one with a secret's name as a salted digest, by which it is known again."""
+    if not is_secret_name(name) or not text or REDACTED in text:
+        return text
+    return _digest(text, secrets.token_hex(16))
+
+
+def hidden_settings(settings: Mapping[str, str]) -> dict[str, str]:
+    """Return settings as they are kept; see `hidden_setting`."""
+    return {name: hidden_setting(name, text) for name, text in settings.items()}
+
+
+def is_same_setting(kept: str | None, given: str | None) -> bool:
+    """Whether a setting that was kept, hidden or not, is the one that is given now."""
+    match = _HIDDEN.fullmatch(kept or "")
+    if match is None or given is None:
+        return kept == given or (given is not None and kept == without_environment_secrets(given))
+    return given == kept or secrets.compare_digest(_digest(given, match[1]), kept or "")
+
+
+def shown_settings(settings: Mapping[str, object]) -> dict[str, str]:
+    """Return settings as they are shown: of a secret, that there is one.
+
+    Example:
+        >>> shown_settings({"robot": "simulated", "db_password": "swordfish"})
+        {'robot': 'simulated', 'db_password': 'REDACTED'}
+    """
+    return {
+        name: REDACTED if is_secret_name(name) and str(text) else _HIDDEN.sub(REDACTED, str(text))
+        for name, text in settings.items()
+    }
+
+
+def shown_assignments(assignments: Iterable[str]) -> list[str]:
+    """Return `name=value` assignments as words of a command to show; who repeats it writes the secret again.
+
+    Example:
+        >>> shown_assignments(["robot=simulated", "db_password=swordfish"])
+        ['robot=simulated', 'db_password=...']
+    """
+    named = (each.partition("=") for each in assignments)
+    return [f"{name}{equals}{'...' if is_secret_name(name) and text else text}" for name, equals, text in named]
+
+
+@lru_cache(maxsize=64)
+def _digest(text: str, salt: str) -> str:
+    digest = hashlib.scrypt(text.encode("utf-8", "surrogateescape"), salt=bytes.fromhex(salt), **_SCRYPT)
+    return f"{REDACTED} scrypt:{salt}:{digest.hex()}"

@@ -1,0 +1,158 @@
+"""Secrets in Python code: what it gives to names such as `password`, and what its comments tell."""
+
+from __future__ import annotations
+
+import ast
+import io
+import tokenize
+from itertools import accumulate
+from typing import TYPE_CHECKING
+
+from robot_runner.core.secret_names import is_placeholder, is_secret_name
+from robot_runner.replication.named_secrets import Grammar, named_secrets
+from robot_runner.replication.secret_kinds import Found
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+__all__ = ["found_in_code", "secrets_in_code"]
+
+_SHORTEST = 5
+#: Logins of half of the robots, and words of a default: where they stand elsewhere in the folder, they are no secret.
+_COMMON_TEXT = (
+    "admin change changeme default guest password postgres public raspberry robot secret simulated student "
+    "test token turtlebot turtlebot3 ubuntu video"
+)
+_COMMON = frozenset(_COMMON_TEXT.split())
+_COMMON = frozenset(_COMMON_TEXT.split())
+_WITH_DEFAULT = frozenset({"getenv", "get", "setdefault", "setenv", "putenv", "pop"})
+_Pair = tuple[ast.AST | None, ast.AST | None]
+
+
+def secrets_in_code(text: str) -> set[str]:
+    """Return the values that Python code gives to names such as `password`; nothing where it does not parse.
+
+    Values by which too much would be found elsewhere are left out: short ones, and common words.
+
+    Example:
+        >>> sorted(secrets_in_code('wifi_password = "swordfish"; connect(token="open-sesame", user="ada")'))
+        ['open-sesame', 'swordfish']
+    """
+    values = {_text_of(value) for value in _secret_values(text)}
+    return {value for value in values if len(value) >= _SHORTEST and value.casefold() not in _COMMON}
+
+
+def found_in_code(code: bytes) -> Iterator[Found]:
+    """Yield the secrets in the text of a Python file, and those in its comments; the code is code without them, too."""
+    try:
+        text = code.decode("utf-8")
+    except UnicodeDecodeError:
+        return
+    starts = [0, *accumulate(len(line) for line in code.splitlines(keepends=True))]
+    for node in _secret_values(text):
+        if node.end_lineno is not None and node.end_col_offset is not None:
+            start = starts[node.lineno - 1] + node.col_offset
+            end = starts[node.end_lineno - 1] + node.end_col_offset
+            yield Found(start, end, "password", start, _instead_of(node, code[start:end]))
+    yield from _in_comments(text, code, starts)
+
+
+def _instead_of(node: ast.expr, source: bytes) -> bytes:
+    is_bytes = isinstance(node, ast.Constant) and isinstance(node.value, bytes)
+    quote = b"'" if source.lstrip(b"rbfuRBFU").startswith(b"'") else b'"'
+    return (b"b" if is_bytes else b"") + quote + b"REDACTED" + quote
+
+
+def _secret_values(text: str) -> Iterator[ast.expr]:
+    """Yield the nodes of values under a secret's name; of an f-string only where it has a text of its own."""
+    try:
+        tree = ast.parse(text)
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return
+    for node in ast.walk(tree):
+        for target, value in _pairs(node):
+            if isinstance(value, ast.expr) and is_secret_name(_name_of(target)) and _is_secret(value):
+                yield value
+
+
+def _is_secret(value: ast.expr) -> bool:
+    if isinstance(value, ast.JoinedStr):
+        return len(_text_of(value)) >= _SHORTEST * 2
+    if not isinstance(value, ast.Constant) or not isinstance(value.value, str | bytes):
+        return False
+    text = _text_of(value)
+    is_path = text.startswith(("/", "~/", "./")) and "/" in text[1:]
+    return not is_placeholder(text) and not is_path and not text.startswith(("http://", "https://", "-"))
+
+
+def _text_of(value: ast.expr) -> str:
+    if isinstance(value, ast.JoinedStr):
+        return "".join(_text_of(part) for part in value.values if isinstance(part, ast.Constant))
+    content = value.value if isinstance(value, ast.Constant) else ""
+    return content.decode("utf-8", "surrogateescape") if isinstance(content, bytes) else str(content)
+
+
+def _pairs(node: ast.AST) -> Iterable[_Pair]:
+    """Return what a node names, with what it gives to each name."""
+    pairs: Iterable[_Pair] = ()
+    match node:
+        case ast.Assign(targets=targets, value=value):
+            pairs = [pair for target in targets for pair in _assigned(target, value)]
+        case ast.AnnAssign(target=target, value=value) | ast.NamedExpr(target=target, value=value):
+            pairs = [(target, value)]
+        case ast.keyword(arg=str(name), value=value):
+            pairs = [(ast.Name(name), each) for each in _last_of_pair(name, value)]
+        case ast.Dict(keys=keys, values=values):
+            pairs = zip(keys, values, strict=True)
+        case ast.arguments():
+            positional = [*node.posonlyargs, *node.args]
+            with_default = [*positional[len(positional) - len(node.defaults) :], *node.kwonlyargs]
+            names = [ast.Name(argument.arg) for argument in with_default]
+            pairs = zip(names, [*node.defaults, *node.kw_defaults], strict=True)
+        case ast.Call(args=[ast.Constant(value=str()) as name, *others], keywords=keywords):
+            given = [each.value for each in keywords if each.arg in {"default_value", "default", "value"}]
+            is_of_name = isinstance(node.func, ast.Attribute | ast.Name) and _called(node.func) in _WITH_DEFAULT
+            pairs = [(name, each) for each in [*given, *(others if is_of_name else ())]]
+    return pairs
+
+
+def _called(function: ast.Attribute | ast.Name) -> str:
+    return function.attr if isinstance(function, ast.Attribute) else function.id
+
+
+def _assigned(target: ast.expr, value: ast.expr) -> Iterator[_Pair]:
+    """Yield names with values; `user, password = "ada", "X"` names two."""
+    if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple) and len(target.elts) == len(value.elts):
+        yield from zip(target.elts, value.elts, strict=True)
+    else:
+        for each in _last_of_pair(_name_of(target), value):
+            yield target, each
+
+
+def _last_of_pair(name: str, value: ast.expr) -> list[ast.expr]:
+    """Return a value; of `auth = ("ada", "X")` the second one."""
+    if name.casefold().endswith("auth") and isinstance(value, ast.Tuple) and len(value.elts) == 2:  # noqa: PLR2004 - a pair
+        return [value.elts[1]]
+    return [value]
+
+
+def _name_of(target: ast.AST | None) -> str:
+    match target:
+        case ast.Name(id=name) | ast.Attribute(attr=name) | ast.Constant(value=str(name)):
+            return name
+        case ast.Subscript(slice=key):
+            return _name_of(key)
+    return ""
+
+
+def _in_comments(text: str, code: bytes, starts: list[int]) -> Iterator[Found]:
+    try:
+        tokens = list(tokenize.generate_tokens(io.StringIO(text, newline="").readline))
+    except (tokenize.TokenError, SyntaxError):
+        return
+    for token in tokens:
+        if token.type == tokenize.COMMENT:
+            start = starts[token.start[0] - 1] + len(token.line[: token.start[1]].encode())
+            comment = code[start : start + len(token.string.encode())]
+            for found in named_secrets(comment, Grammar.TEXT):
+                yield found._replace(start=start + found.start, end=start + found.end, begin=start + found.begin)

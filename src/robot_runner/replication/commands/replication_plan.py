@@ -1,0 +1,175 @@
+"""Before a replication: what will be executed, what differs here, and the questions that come before anything of it."""
+
+from __future__ import annotations
+
+import shlex
+from typing import TYPE_CHECKING
+
+from rich.text import Text
+
+from robot_runner.cli.console import (
+    Column,
+    UserConsole,
+    aligned,
+    output,
+    print_facts,
+    print_folded,
+    shown_path,
+    width_of,
+)
+from robot_runner.cli.findings import show_findings
+from robot_runner.cli.parser import UsageError
+from robot_runner.cli.screens.plain import terminal_input
+from robot_runner.core.errors import Finding
+from robot_runner.core.secret_names import shown_settings
+from robot_runner.core.words import counted, listed, one_line
+from robot_runner.replication.container import container_commands, is_pinned
+from robot_runner.replication.differences import ranked, remaining_differences
+from robot_runner.replication.replicating import original_settings
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+    from typing import Any
+
+    from robot_runner.replication.differences import Difference
+    from robot_runner.replication.replicating import Source
+
+__all__ = ["agrees", "make_sure", "print_container", "print_made_environment", "print_plan", "wants_own_environment"]
+
+#: So few are named instead of counted.
+_FEW = 5
+
+
+def make_sure(*, is_agreed: bool) -> None:
+    """Ask at a terminal whether the code of the package may be executed.
+
+    Raises:
+        UsageError: it may not, or nobody can be asked.
+    """
+    if is_agreed:
+        return
+    where = "robot-runner replicate"
+    if terminal_input() is None:
+        fix = "Look at its config, then add --yes."
+        raise UsageError("nobody can be asked whether the package's code may be executed", where=where, fix=fix)
+    if not agrees("Execute the code of this package? [y/N]", otherwise=False):
+        raise UsageError("nothing was executed", where=where, fix="Look at its config first: robot-runner verify")
+
+
+def agrees(question: str, *, otherwise: bool) -> bool:
+    """Ask who sits at the terminal; ENTER alone means `otherwise`."""
+    answer = input(f"{question} ").strip().casefold()
+    return answer in {"y", "yes"} or (otherwise and answer not in {"n", "no"})
+
+
+def wants_own_environment(differing: Sequence[Difference], *, is_agreed: bool) -> bool:
+    """Return whether the package's own environment is to be made, where what its experiment imports differs here.
+
+    Args:
+        differing: what differs.
+        is_agreed: whether everything was agreed to beforehand; otherwise who sits at the terminal is asked.
+    """
+    names = listed(one_line(each.what) for each in ranked(differing)[0] if each.is_package)
+    if not names:
+        return False
+    if is_agreed:
+        output().print(f"The package's own environment is taken, as {names} differ here (--environment here: not).")
+        return True
+    return agrees(f"Make the package's own environment first, as {names} differ here? [Y/n]", otherwise=True)
+
+
+def print_plan(
+    console: UserConsole,
+    source: Source,
+    differing: Sequence[Difference],
+    deviations: Mapping[str, str],
+    target: Path,
+    *,
+    has_all: bool,
+) -> None:
+    """Print what will be executed, and what differs from how it was.
+
+    Args:
+        console: where to.
+        source: the package.
+        differing: what differs between its environment and this machine.
+        deviations: what is set otherwise.
+        target: where everything is written.
+        has_all: whether each package is shown that differs, also those that nothing of the experiment imports.
+    """
+    manifest, settings = source.manifest, original_settings(source.manifest)
+    sealed = ("verified: every file is as it was packed", "green") if source.is_sealed else ("not sealed", "yellow")
+    head = Text(one_line(source.experiment), style="bold").append(f"  {sealed[0]}", f"not bold {sealed[1]}")
+    console.print(head, soft_wrap=True)
+    facts = [
+        ("Executes", f"config/{(manifest.get('config') or {}).get('file')}, seed {manifest.get('seed')}"),
+        (
+            "As then",
+            ", ".join(f"{name}={text}" for name, text in shown_settings(settings).items() if name not in deviations),
+        ),
+        ("Deviates", ", ".join(f"{name}={text}" for name, text in shown_settings(deviations).items())),
+        ("Replaced", _replaced(source)),
+        ("Left out", ", ".join(str(each.get("name")) for each in source.description.get("left_out", ()))),
+        ("Results", f"{shown_path(target)}/"),
+    ]
+    print_facts(console, [(what, one_line(text)) for what, text in facts])  # a stranger's text may hold escapes
+    if source.findings:
+        show_findings(source.findings)
+    _print_differences(console, differing, "This machine differs from the package's:", "here", has_all=has_all)
+
+
+def print_made_environment(console: UserConsole, folder: Path, environment: Mapping[str, Any]) -> None:
+    """Print how a virtual environment differs from that of the package for which it was made."""
+    differing = remaining_differences(folder, environment)
+    if not differing:
+        same = "the same versions, and the same files where that is known"
+        console.print(f"The environment has what the package lists: {same}.")
+    _print_differences(console, differing, "The environment that was made differs:", "made", has_all=False)
+
+
+def print_container(console: UserConsole, source: Source, root: Path) -> None:
+    """Print the commands that build an image and replicate in it."""
+    image = source.description.get("base_image")
+    if not (isinstance(image, str) and is_pinned(image)):
+        fix = "`--build-arg BASE=NAME@sha256:...` pins it."
+        show_findings(
+            [Finding.warning("Containerfile", "no digest of its base image is known, so that it may change", fix)]
+        )
+    console.print()
+    console.print("Build the image and replicate in it (docker takes the same words):", style="bold")
+    for command in container_commands(source.experiment, shlex.quote(shown_path(root))):
+        console.print(f"  {command}", soft_wrap=True)
+
+
+def _replaced(source: Source) -> str:
+    """Return the kinds of secrets that were replaced; a config may not work without those that were in it."""
+    replaced = source.description.get("replaced", ())
+    names = sorted({str(each.get("name")) for each in replaced if str(each.get("name")).startswith("config/")})
+    advice = f" (in {', '.join(names)}, too: look whether it works without)" if names else ""
+    return ", ".join(sorted({str(each.get("what")) for each in replaced})) + advice
+
+
+def _print_differences(
+    console: UserConsole, differing: Sequence[Difference], head: str, second: str, *, has_all: bool
+) -> None:
+    """Print what differs as a table: what the experiment imports before the machine; other packages are counted."""
+    if not differing:
+        return
+    console.print(head, style="bold")
+    telling, rest = ranked(differing)
+    shown = [*telling, *rest] if has_all else telling
+    rows = [
+        [one_line(text) for text in (each.what, each.original, each.here, listed(each.imported_by, shown=2))]
+        for each in shown
+    ]
+    headings = ["", "package", second, "imported by" if any(each.imported_by for each in shown) else ""]
+    columns = [Column(name, width_of([name, *(row[place] for row in rows)])) for place, name in enumerate(headings)]
+    if rows:
+        console.print(f"  {aligned(columns, headings)}", style="dim", soft_wrap=True)
+    for row in rows:
+        console.print(f"  {aligned(columns, row)}", soft_wrap=True)
+    if rest and not has_all:
+        named = listed((one_line(each.what) for each in rest), shown=_FEW) if len(rest) <= _FEW else ""
+        what = f"{counted(len(rest), 'package')} that the experiment does not import itself"
+        print_folded(console, "  and ", f"{what}: {named or '--all-differences shows them'}", style="")

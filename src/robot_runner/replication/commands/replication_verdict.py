@@ -1,0 +1,211 @@
+"""After a replication: its results compared with the original's, and the verdict told."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from rich.text import Text
+
+from robot_runner.analysis.libraries import MissingLibraryError, require_libraries
+from robot_runner.cli.console import UserConsole, output, print_facts, print_folded, shown_path
+from robot_runner.cli.findings import show_error
+from robot_runner.core.errors import PackageError, RobotRunnerError, did_you_mean
+from robot_runner.core.secret_names import shown_settings
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.manifest import read_manifest
+from robot_runner.core.storage.safe_write import write_beside_and_rename
+from robot_runner.core.storage.table_schema import read_schema
+from robot_runner.core.words import one_line
+from robot_runner.replication.commands.replication_plan import agrees
+from robot_runner.replication.run_by_run import identical_values
+from robot_runner.replication.verdicts import Conclusion, margins_of, reached_verdict, why_not_primary
+from robot_runner.replication.virtual_environments import compare_with, make_comparison_environment
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.replication.differences import Difference
+    from robot_runner.replication.replicating import Source
+    from robot_runner.replication.run_by_run import Sameness
+    from robot_runner.replication.verdicts import Margin, ReplicationVerdict
+
+__all__ = ["Comparing", "Ending", "facts_of"]
+
+_STYLES = {
+    Conclusion.IDENTICAL: "green",
+    Conclusion.EQUIVALENT: "green",
+    Conclusion.DIFFERENT: "red",
+    Conclusion.UNDECIDED: "yellow",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """How a replication ended.
+
+    Attributes:
+        exit_code: what the shell gets.
+        facts: everything about it, as plain data.
+    """
+
+    exit_code: int
+    facts: dict[str, Any]
+
+
+def facts_of(
+    package: str, source: Source, differing: Sequence[Difference], deviations: Mapping[str, str]
+) -> dict[str, Any]:
+    """Return what is known before anything is executed, as plain data; there is no verdict yet."""
+    return {
+        "package": package,
+        "experiment": source.experiment,
+        "is_sealed": source.is_sealed,
+        "deviations": shown_settings(deviations),
+        "differences": [asdict(each) for each in differing],
+        "environment": None,
+        "exit_code": 0,
+        "verdict": None,
+        "sentence": None,
+        "measures": [],
+    }
+
+
+class Comparing:
+    """The comparison of a replication with its original, in whichever environment has the libraries for it.
+
+    Args:
+        root: the unpacked package, or the experiment's folder that is replicated.
+        target: where everything is written.
+        bounds: as they were given.
+        is_agreed: whether libraries may be installed below `target` without asking.
+
+    Raises:
+        PackageError: a bound is for a measure that the original does not have.
+        StorageError: the original cannot be read.
+    """
+
+    def __init__(self, root: Path, target: Path, bounds: Sequence[str], *, is_agreed: bool) -> None:
+        self.root, self.target = root, target
+        self._is_agreed = is_agreed
+        files = ExperimentFolder.found_at(root)
+        self._manifest = read_manifest(files.manifest)
+        self._columns = read_schema(files.schema)
+        self._secondary = why_not_primary(self._columns, self._manifest)
+        for name in (each.rpartition("=")[0] for each in bounds if "=" in each):
+            if name not in self._secondary:
+                fix = did_you_mean(name, list(self._secondary))
+                raise PackageError(f"there is no measure {name!r}", where="--bound", fix=fix)
+        self._margins = margins_of(list(self._secondary), self._manifest, bounds)
+
+    def prepare(self, *, is_simulated: bool) -> None:
+        """Have at hand what statistics need, before a robot moves; what is simulated will hardly need any.
+
+        Raises:
+            PackageError: an environment that was agreed to cannot be made.
+            StorageError: it cannot be written.
+        """
+        if not (is_simulated or _has_libraries()):
+            self._environment()
+
+    def end(self, replication: Path, ending: Ending) -> Ending:
+        """Compare, print the verdict, and write it beside the results; without statistics there is one, too.
+
+        Raises:
+            StorageError: results cannot be read, or the verdict cannot be written.
+        """
+        console = output()
+        same = identical_values(self.root, replication)
+        try:
+            comparison = self._comparison(replication, same)
+        except RobotRunnerError as error:
+            show_error(error)
+            comparison = None
+        verdict = reached_verdict(self._columns, self._manifest, same, self._margins, comparison)
+        code = ending.exit_code or verdict.conclusion.exit_code
+        facts = ending.facts | {
+            "exit_code": code,
+            "verdict": verdict.conclusion.value,
+            "sentence": verdict.sentence,
+            "measures": [{**asdict(each), "conclusion": each.conclusion.value} for each in verdict.measures],
+            "original": str(self.root),
+            "replication": str(replication),
+        }
+        text = json.dumps(facts, indent=2, ensure_ascii=False) + "\n"
+        write_beside_and_rename(self.target / "verdict.json", lambda file: file.write(text))
+        self._print(console, replication, verdict, comparison)
+        return replace(ending, exit_code=code, facts=facts)
+
+    def _comparison(self, replication: Path, same: Mapping[str, Sameness]) -> Mapping[str, Any] | None:
+        """Return what the statistics say, as plain data; None where nobody needs them, or wants them here."""
+        bounds = _as_given(self._margins, same)
+        page, beside = self.target / "comparison.html", self.target / "comparison.json"
+        if _has_libraries():
+            text = _compared(self.root, replication, bounds, page)
+        else:
+            differ = [name for name, because in self._secondary.items() if not because and _differs(same.get(name))]
+            program = self._environment() if differ else None
+            if program is None:
+                return None
+            text = json.dumps(compare_with(program, self.root, replication, bounds, page), indent=2, ensure_ascii=False)
+        write_beside_and_rename(beside, lambda file: file.write(text + "\n"))
+        found: dict[str, Any] = json.loads(text)
+        return found
+
+    def _environment(self) -> Path | None:
+        """Return the program of an environment that has the libraries; None where nobody wants one."""
+        folder = self.target / "comparison_environment"
+        question = f"Install what the comparison needs (the extra `analysis`) into {shown_path(folder)}? [Y/n]"
+        if not (self._is_agreed or (folder / "complete").exists() or agrees(question, otherwise=True)):
+            return None
+        output().print("Making an environment for the comparison ...", style="bold")
+        return make_comparison_environment(folder)
+
+    def _print(
+        self, console: UserConsole, replication: Path, verdict: ReplicationVerdict, comparison: Mapping[str, Any] | None
+    ) -> None:
+        console.print()
+        paths = {"Original": self.root, "Again": replication, "Verdict": self.target / "verdict.json"}
+        if comparison is not None:
+            paths["All of it"] = self.target / "comparison.html"
+        print_facts(console, [(what, shown_path(path)) for what, path in paths.items()])
+        for note in (comparison or {}).get("notes", ()):
+            print_folded(console, "  ! ", one_line(note), style="bold yellow")
+        console.print()
+        for each in verdict.measures:
+            beside = f" It does not count: {each.secondary_because}." if each.secondary_because else ""
+            print_folded(console, "  ", one_line(f"{each.sentence}{beside}"), style="")
+        style = f"bold {_STYLES[verdict.conclusion]}"
+        console.print(Text(one_line(verdict.sentence), style=style), soft_wrap=True)
+
+
+def _differs(same: Sameness | None) -> bool:
+    return same is not None and same.runs > 0 and not same.is_complete
+
+
+def _has_libraries() -> bool:
+    try:
+        require_libraries()
+    except MissingLibraryError:
+        return False
+    return True
+
+
+def _as_given(margins: Mapping[str, Margin], same: Mapping[str, Sameness]) -> list[str]:
+    """Return the bounds of the measures that both have, as `compare` takes them."""
+    return [f"{name}={margin.text.strip()}" for name, margin in margins.items() if name in same]
+
+
+def _compared(original: Path, replication: Path, bounds: Sequence[str], page: Path) -> str:
+    """Compare with the libraries of this very environment, and write the page."""
+    from robot_runner.analysis.comparison.comparing import compare  # noqa: PLC0415 - slow, and an extra
+    from robot_runner.analysis.comparison.comparison_document import (  # noqa: PLC0415 - as above
+        json_of_comparison,
+        write_comparison,
+    )
+
+    comparison = compare(original, replication, bound=bounds or None)
+    write_comparison(comparison, page)
+    return json_of_comparison(comparison)

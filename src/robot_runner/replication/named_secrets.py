@@ -1,0 +1,214 @@
+"""Secrets by the names that they stand under: settings, arguments, fields, elements, and what a note says of them."""
+
+from __future__ import annotations
+
+import re
+from enum import Enum
+from typing import TYPE_CHECKING
+
+from robot_runner.core.secret_names import is_placeholder, is_secret_name
+from robot_runner.replication.secret_kinds import Found
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["NAME_HINTS", "Grammar", "named_secrets"]
+
+
+class Grammar(Enum):
+    """What a file's text is written in, which its text without the secrets has to be as well."""
+
+    TEXT = "text"
+    DATA = "data"
+    CODE = "code"
+    MARKUP = "markup"
+
+
+#: Parts of names, in lower case, near which a secret is looked for.
+NAME_HINTS = (
+    *(b"pass", b"pwd", b"pw", b"psk", b"secret", b"token", b"key", b"credential", b"auth", b"kennwort", b"wachtwoord"),
+    *(b"contrase", b"senha", b"mdp", b"pin"),
+)
+_HINT = re.compile(b"|".join(NAME_HINTS))
+_LONGEST_NAME = 64
+_LONGEST_LINE = 400
+_NAME_BEFORE = re.compile(rb"[\w.-]*\Z", re.ASCII)
+_NAME_AFTER = re.compile(rb"[\w.-]{0,64}", re.ASCII)
+
+_QUOTE = rb"\\?[\"']"
+_TEXT = rb"(?P<quote>[rbfuRBFU]{0,2}(?P<mark>\\?[\"']))(?P<quoted>(?:\\[^\n]|(?!(?P=mark))[^\\\n])*)(?P=mark)"
+_BARE = rb"(?P<bare>[^\s\"'`,;<>\\)}\]]+)"
+_NUMBER = rb"(?P<number>\d{4,})(?![\w.])"
+
+
+def _form(expression: bytes) -> re.Pattern[bytes]:
+    return re.compile(expression)
+
+
+#: What may follow a name, and ends in a text in quotes, whatever the file's grammar.
+_QUOTED = (
+    # password = "X", "password": "X", password: str = "X", ["DB_PASSWORD"] = "X"
+    _form(rb"(?:" + _QUOTE + rb"\s*\]?)?[ \t]*(?::[ \t]*[\w\[\]. |]+=|:=|=>|<-|[:=])[ \t]*(?:\\\n\s*|\(\s*)?" + _TEXT),
+    # name="password" value="X", ("password", default_value="X"), {"name": "password", "value": "X"}
+    _form(_QUOTE + rb"[\s,]+" + _QUOTE + rb"?(?:default_value|default|value)" + _QUOTE + rb"?\s*[:=]\s*" + _TEXT),
+)
+#: "--password", "X" and getenv("MQTT_PASS", "X"); in other lists the next text is another name.
+_NEXT = _form(_QUOTE + rb"\s*,\s*" + _TEXT)
+_BEFORE_NEXT = re.compile(rb"(?:getenv|environ\.get|setdefault|environ\.setdefault|setenv|param)\(\s*[\"']\Z|--?\Z")
+#: auth = ("ada", "X")
+_PAIR = _form(_QUOTE + rb"?\s*[:=]\s*\(\s*[\"'][^\"'\n]*[\"']\s*,\s*" + _TEXT + rb"\s*\)")
+#: value="X" name="password"
+_VALUE_BEFORE = re.compile(rb"(?:value|default)\s*=\s*([\"'])(?P<quoted>[^\"'\n<>]+)\1\s+name\s*=\s*[\"']\Z")
+_ELEMENT = _form(rb">(?P<bare>[^<>\n]+)</")
+_NUMERIC = _form(rb"(?:" + _QUOTE + rb")?[ \t]*(?::[ \t]*int[ \t]*=|:=|[:=])[ \t]*" + _NUMBER)
+#: Of a URL: ?token=X&next=...
+_PARAMETER = _form(rb"=(?P<bare>[^\s\"'&#\\<>{}]+)")
+#: A line of a settings file or a log: password: X
+_LOOSE = _form(rb"[ \t]*(?::=|[:=])[ \t]*(?:!!str[ \t]+)?" + _BARE)
+_OF_SOMEBODY = _form(rb"[ \t]+(?:for|of|von|van|voor|f\xc3\xbcr)[ \t]+(?:[\w@.'-]+[ \t]+){0,3}[\w@.'-]+:[ \t]+" + _BARE)
+_BLOCK_SCALAR = _form(rb"[ \t]*:[ \t]*[|>][-+0-9]*[ \t]*\n(?P<indent>[ \t]+)(?P<bare>[^\n]+(?:\n(?P=indent)[^\n]+)*)")
+_FLAG = _form(_QUOTE + rb"?(?:[ \t]+)(?!-)" + _BARE)
+#: The robot's password is X; pw - X
+_PROSE = _form(
+    rb"[ \t]+(?:is|was|war|ist|lautet|=|->|\xe2\x80\x93|-)[ \t]+(?P<bare>[^\s\"',;<>\\)}\]]+)(?P<rest>[^\n]*)"
+)
+_SPACED = _form(rb"[ \t]+(?P<bare>[^\s\"',;<>\\)}\]:=]+)[ \t]*(?=\r?\n|\Z|\\n|[\"'])")
+
+#: In a line with one of these, what follows the word password is one, without any sign between.
+_COMMAND_LINE = re.compile(rb"(?i)\b(?:nmcli|machine|login|param set|rosparam|wpa_cli|ENV|set -x|setx|identified by)\b")
+_NO_WORD = re.compile(
+    rb"(?i)(?:not?|never|wrong|incorrect|invalid|valid|correct|empty|set|in|the|a|an|that|this|his|her|our|their|your|my"
+    rb"|known|unknown|kept|read|given|sent|shown|still|there|here|too|only|also|always|now|then|nowhere|secret|private|by"
+    rb"|for|from|to|of|on|as|at|if|it|one|what|same|different|needed|asked|ask|stored|used|optional|required|missing"
+    rb"|ok|okay|public|short|long|weak|strong|\w+ed|\w+ing|\w+able|nicht|kein|das|der|die|ein|eine)[.!?:)]*"
+)
+_LONG, _SHORTEST_RANDOM, _SHORTEST_TOKEN_NUMBER = 256, 16, 16
+_WHAT = "password"
+_LOGIN_WORDS = re.compile(r"(?i)pass|pw|psk|pin|kennwort|wachtwoord|contrase|senha|mdp")
+
+
+def named_secrets(block: bytes, grammar: Grammar) -> Iterator[Found]:
+    """Yield the secrets that stand under names in a block.
+
+    Args:
+        block: the text.
+        grammar: what it is written in.
+    """
+    done = 0
+    for hint in _HINT.finditer(block.lower()):
+        if hint.start() < done:
+            continue
+        before = _NAME_BEFORE.search(block[max(0, hint.start() - _LONGEST_NAME) : hint.start()])
+        start = hint.start() - len(before[0] if before else b"")
+        after = _NAME_AFTER.match(block, hint.end())
+        end = after.end() if after else hint.end()
+        done = end
+        written = block[start:end].rstrip(b".-")
+        name = written.lstrip(b".-")
+        start += len(written) - len(name)
+        if end - start <= _LONGEST_NAME and is_secret_name(name.decode("ascii", "replace")):
+            yield from _after(block, (start, start + len(name)), name.decode("ascii", "replace"), grammar)
+
+
+def _after(block: bytes, place: tuple[int, int], name: str, grammar: Grammar) -> Iterator[Found]:
+    """Yield the secret that belongs to a name at a place of a block; at most one."""
+    start, end = place
+    before = block[max(0, start - _LONGEST_LINE) : start].rsplit(b"\n", 1)[-1]
+    if match := _quoted(block, end, before):
+        yield from _judged(match, "quoted", name, start)
+    elif match := _VALUE_BEFORE.search(block[max(0, start - _LONGEST_LINE) : start]):
+        offset = max(0, start - _LONGEST_LINE)
+        if _is_secret(match["quoted"], name):
+            value = match.span("quoted")
+            yield Found(offset + value[0], offset + value[1], _WHAT, offset + match.start())
+    elif match := _bare(block, end, before):
+        yield from _judged(match, "bare", name, start)
+    elif match := _NUMERIC.match(block, end):
+        yield from _judged_number(match, name, start, grammar)
+    elif grammar in {Grammar.TEXT, Grammar.DATA}:
+        yield from _loosely(block, place, name, before)
+
+
+def _quoted(block: bytes, end: int, before: bytes) -> re.Match[bytes] | None:
+    """Return the text in quotes that belongs to a name which ends here, in whatever grammar."""
+    for form in _QUOTED:
+        if (match := form.match(block, end)) and not _is_closing(match, before):
+            return match
+    match = _NEXT.match(block, end)
+    if match and _BEFORE_NEXT.search(before) and not match["quoted"].startswith(b"-"):
+        return match
+    return _PAIR.match(block, end)
+
+
+def _bare(block: bytes, end: int, before: bytes) -> re.Match[bytes] | None:
+    """Return the value without quotes that can be nothing else: of a URL, an XML element, an option."""
+    if before.endswith((b"?", b"&")):
+        return _PARAMETER.match(block, end)
+    if before.endswith(b"<"):
+        return _ELEMENT.match(block, end)
+    return _FLAG.match(block, end) if before.endswith(b"-") else None
+
+
+def _is_closing(match: re.Match[bytes], before: bytes) -> bool:
+    """Whether a quotation mark ends the text in which the name stands, as in `ask("Password: ")`."""
+    mark = match["mark"]
+    is_in_quotes = before.endswith(mark) and match[0].startswith(mark)
+    return before.count(mark) % 2 == 1 and not is_in_quotes
+
+
+def _loosely(block: bytes, place: tuple[int, int], name: str, before: bytes) -> Iterator[Found]:
+    """Yield what a text without a grammar says of a secret."""
+    start, end = place
+    if match := _BLOCK_SCALAR.match(block, end):
+        yield from _judged(match, "bare", name, start)
+    elif (match := _LOOSE.match(block, end)) or (match := _OF_SOMEBODY.match(block, end)):
+        if not _is_code(match["bare"]) and not block.startswith(b"(", match.end()):
+            yield from _judged(match, "bare", name, start)
+    elif match := _PROSE.match(block, end):
+        yield from _told(match, name, start)
+    elif (match := _SPACED.match(block, end)) and (_COMMAND_LINE.search(before) or "_" in name):
+        yield from _judged(match, "bare", name, start)
+
+
+def _told(match: re.Match[bytes], name: str, start: int) -> Iterator[Found]:
+    """Yield what a sentence says that a secret is; where it is a mere word, somebody has to judge."""
+    value = match["bare"].rstrip(b".!?")
+    if _NO_WORD.fullmatch(value) or is_placeholder(value.decode("utf-8", "replace")) or _is_code(value):
+        return
+    is_random = re.search(rb"\d", value) is not None or re.search(rb"[a-z][A-Z]", value) is not None
+    is_last = not match["rest"].strip(b" \t\r.!-<>/*\"'}")
+    is_sure = is_random or (is_last and _LOGIN_WORDS.search(name) is not None)
+    what = _WHAT if is_sure else f"what may be a {_WHAT}"
+    yield Found(match.start("bare"), match.start("bare") + len(value), what, start, is_sure=is_sure)
+
+
+def _judged(match: re.Match[bytes], group: str, name: str, begin: int) -> Iterator[Found]:
+    value = match[group]
+    if _is_secret(value, name):
+        yield Found(*match.span(group), _WHAT, begin)
+
+
+def _judged_number(match: re.Match[bytes], name: str, begin: int, grammar: Grammar) -> Iterator[Found]:
+    """Yield a number that is a password; tokens are counted, and keys numbered, more often than they are numbers."""
+    if _LOGIN_WORDS.search(name) or len(match["number"]) >= _SHORTEST_TOKEN_NUMBER:
+        replacement = b"REDACTED" if grammar in {Grammar.TEXT, Grammar.MARKUP} else b'"REDACTED"'
+        yield Found(*match.span("number"), _WHAT, begin, replacement)
+
+
+def _is_secret(value: bytes, name: str) -> bool:
+    text = value.decode("utf-8", "replace")
+    if is_placeholder(text) or len(text) > _LONG * 256:
+        return False
+    if text.replace(".", "").replace("-", "").isdigit():
+        return bool(_LOGIN_WORDS.search(name)) and len(text) >= 4  # noqa: PLR2004 - a PIN's
+    is_path = text.startswith(("/", "~/", "./", "../")) and "/" in text[1:]
+    is_prose = " " in text.strip() and not _LOGIN_WORDS.search(name)
+    return not is_path and not is_prose and not text.startswith(("http://", "https://")) and len(text) > 2  # noqa: PLR2004
+
+
+_CALL = re.compile(rb"[A-Za-z_][\w.]*[(\[]|[A-Za-z_]\w*\.[A-Za-z_]\w*(?:\.\w+)*\Z|(?:self|os|args|cls)\b|\(|\[|\{|&|\*")
+
+
+def _is_code(value: bytes) -> bool:
+    """Whether a value without quotes is an expression: a call, an attribute."""
+    return _CALL.match(value) is not None

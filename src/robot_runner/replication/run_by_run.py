@@ -1,0 +1,87 @@
+"""The values of two experiments beside each other, run by run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.table_columns import TableLayout
+from robot_runner.core.storage.table_schema import read_schema
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from robot_runner.core.storage.run_table_rows import RunTableRows
+
+__all__ = ["Sameness", "identical_values", "is_executed"]
+
+
+@dataclass(frozen=True, slots=True)
+class Sameness:
+    """One measure in the runs that are done in both experiments.
+
+    Attributes:
+        runs: how many of them have a value in either.
+        identical: in how many of these the two values are the same, to the last digit.
+
+    Example:
+        >>> Sameness(15, 15).is_complete
+        True
+    """
+
+    runs: int
+    identical: int
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether there are values, and all are the same."""
+        return self.runs > 0 and self.identical == self.runs
+
+
+def identical_values(original: Path, replication: Path) -> dict[str, Sameness]:
+    """Compare the run tables of two experiments run by run, by the runs' ids; excluded runs are passed over.
+
+    Returns:
+        Each measure that both have.
+
+    Raises:
+        StorageError: a run table cannot be read.
+    """
+    ours, theirs = _rows(original), _rows(replication)
+    pairs = [
+        (place, other)
+        for place in range(len(ours))
+        if (other := theirs.place_of(ours.run_id(place))) is not None
+        and ours.status(place) is theirs.status(other) is RunStatus.DONE
+        and ours.excluded(place) is theirs.excluded(other) is None
+        and not ours.is_warm_up(place)
+    ]
+    return {
+        name: _sameness(ours, theirs, name, pairs) for name in ours.layout.measures if name in theirs.layout.measures
+    }
+
+
+def is_executed(folder: Path) -> bool:
+    """Return whether each run of an experiment was executed, whatever became of it, and some run is done.
+
+    Raises:
+        StorageError: the run table cannot be read.
+    """
+    rows = _rows(folder)
+    statuses = [rows.status(place) for place in range(len(rows)) if rows.excluded(place) is None]
+    return RunStatus.DONE in statuses and set(statuses) <= {RunStatus.DONE, RunStatus.FAILED}
+
+
+def _sameness(ours: RunTableRows, theirs: RunTableRows, name: str, pairs: list[tuple[int, int]]) -> Sameness:
+    first_values, second_values = list(ours.values(name)), list(theirs.values(name))
+    values = [(first_values[place], second_values[other]) for place, other in pairs]
+    with_value = [pair for pair in values if pair != (None, None)]
+    return Sameness(len(with_value), sum(first == second for first, second in with_value))
+
+
+def _rows(folder: Path) -> RunTableRows:
+    files = ExperimentFolder.found_at(folder)
+    return read_run_table(files.run_table, TableLayout.of_schema(read_schema(files.schema)))

@@ -1,0 +1,327 @@
+"""What a replication says of its original: a conclusion for each measure, one for all together, and an exit code."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.events.measure import QUALITY_SUFFIX
+from robot_runner.core.storage.table_columns import ColumnRole
+from robot_runner.core.words import counted, enumerated, listed, shown_value
+from robot_runner.replication.needed_runs import needed_runs
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from robot_runner.core.storage.table_schema import ColumnDescription
+    from robot_runner.replication.run_by_run import Sameness
+
+__all__ = [
+    "DEFAULT_BOUND",
+    "Conclusion",
+    "Margin",
+    "MeasureConclusion",
+    "ReplicationVerdict",
+    "margins_of",
+    "reached_verdict",
+    "why_not_primary",
+]
+
+#: What difference does not matter where nobody has said it: a convention, and said to be one wherever it counts.
+DEFAULT_BOUND = "5%"
+_TIMES = frozenset({"ns", "us", "\N{MICRO SIGN}s", "\N{GREEK SMALL LETTER MU}s", "ms", "s", "min", "h"})
+_MEASURED = frozenset({None, "", "measured"})
+
+
+class Conclusion(Enum):
+    """What can be said of a measure, or of all primary measures together.
+
+    IDENTICAL: the same value in every run, to the last digit. EQUIVALENT: no difference as large as the bound.
+    DIFFERENT: a difference that chance does not explain, or that no chance is in. UNDECIDED: nothing was compared, or
+    too little for any of the others.
+    """
+
+    IDENTICAL = "identical"
+    EQUIVALENT = "equivalent"
+    DIFFERENT = "different"
+    UNDECIDED = "undecided"
+
+    @property
+    def exit_code(self) -> int:
+        """The exit code that says so."""
+        return {Conclusion.DIFFERENT: 3, Conclusion.UNDECIDED: 4}.get(self, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Margin:
+    """The largest difference of a measure that does not matter.
+
+    Attributes:
+        text: as `compare --bound` takes it: a percentage of the original's mean, or a number in the measure's unit.
+        source: who says so, in words.
+
+    Example:
+        >>> str(Margin("5%", "--bound"))
+        '5 %'
+    """
+
+    text: str
+    source: str
+
+    def __str__(self) -> str:
+        return f"{self.text.strip().removesuffix('%')} %" if self.text.strip().endswith("%") else self.text.strip()
+
+
+@dataclass(frozen=True, slots=True)
+class MeasureConclusion:
+    """What a replication says of one measure.
+
+    Attributes:
+        runs: how many runs have a value in either experiment.
+        bound: what difference does not matter, in words; empty where no bound was needed.
+        bound_source: who says so.
+        sentence: the conclusion in words.
+        secondary_because: why it does not count in the verdict; empty for a primary measure.
+    """
+
+    name: str
+    unit: str
+    conclusion: Conclusion
+    runs: int
+    bound: str
+    bound_source: str
+    sentence: str
+    secondary_because: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ReplicationVerdict:
+    """What a replication says of its original.
+
+    Attributes:
+        conclusion: of all primary measures together.
+        sentence: the same in words.
+        measures: one each, the primary ones first.
+    """
+
+    conclusion: Conclusion
+    sentence: str
+    measures: tuple[MeasureConclusion, ...]
+
+
+def why_not_primary(columns: Sequence[ColumnDescription], manifest: Mapping[str, Any]) -> dict[str, str]:
+    """Return why each measure of an experiment is not primary, by name; the primary ones have an empty text.
+
+    The plan of the analysis names them, where there is one. Otherwise all are, but for how long this machine took on a
+    simulated robot, which depends on what else it did.
+    """
+    measures = [
+        column for column in columns if column.role is ColumnRole.MEASURE and not column.name.endswith(QUALITY_SUFFIX)
+    ]
+    planned = set((manifest.get("analysis") or {}).get("measures") or ()) & {column.name for column in measures}
+    is_simulated = str(manifest.get("robot") or "").startswith("simulated")
+    found = {}
+    for column in measures:
+        if planned:
+            found[column.name] = "" if column.name in planned else "the plan does not name it as primary"
+        else:
+            is_timing = is_simulated and column.unit in _TIMES and column.origin in _MEASURED
+            found[column.name] = "it is how long the machine took" if is_timing else ""
+    return found if not all(found.values()) else dict.fromkeys(found, "")
+
+
+def margins_of(names: Sequence[str], manifest: Mapping[str, Any], given: Sequence[str]) -> dict[str, Margin]:
+    """Return what difference does not matter, by measure: as given, else as planned, else by our own convention.
+
+    Args:
+        names: the measures.
+        manifest: the original's; a hypothesis of equivalence in its plan has a margin for a measure.
+        given: `5%` or `10` for every measure, `NAME=5%` for one, as `--bound` takes them; they can be read.
+    """
+    own = {name: text for name, equals, text in (each.rpartition("=") for each in given) if equals}
+    general = next((each for each in given if "=" not in each), None)
+    planned = _planned(manifest.get("analysis") or {})
+    found = {}
+    for name in names:
+        if name in own or general is not None:
+            found[name] = Margin(own.get(name, general or ""), "as --bound says")
+        elif name in planned:
+            found[name] = Margin(f"{planned[name]:g}", "the margin of equivalence in the plan of the original")
+        else:
+            found[name] = Margin(DEFAULT_BOUND, "the default, as neither --bound nor the plan says what matters")
+    return found
+
+
+def _planned(plan: Mapping[str, Any]) -> dict[str, float]:
+    """Return the smallest margin of a difference of two means that hypotheses state, by measure."""
+    found: dict[str, float] = {}
+    for each in plan.get("hypotheses") or ():
+        margin, name = each.get("within"), each.get("measure")
+        if not isinstance(margin, int | float) or margin <= 0:
+            continue
+        # Of a contrast the margin is that of the weighted sum; a difference of two means weighs 1 and -1.
+        weight = sum(map(abs, (each.get("contrast") or {}).values())) / 2 or 1.0
+        found[str(name)] = min(margin / weight, found.get(str(name), float("inf")))
+    return found
+
+
+def reached_verdict(
+    columns: Sequence[ColumnDescription],
+    manifest: Mapping[str, Any],
+    same: Mapping[str, Sameness],
+    margins: Mapping[str, Margin],
+    comparison: Mapping[str, Any] | None,
+) -> ReplicationVerdict:
+    """Return what the replication says of the original.
+
+    Args:
+        columns: of the original's run table.
+        manifest: the original's.
+        same: each measure that both have, run by run.
+        margins: what difference does not matter, by measure.
+        comparison: what `robot-runner compare --json` found, as plain data; None where it was not asked.
+    """
+    secondary = why_not_primary(columns, manifest)
+    is_simulated = str(manifest.get("robot") or "").startswith("simulated")
+    compared = {each["first_name"]: each for each in (comparison or {}).get("measures", ())}
+    units = {column.name: column.unit if column.unit != "1" else "" for column in columns}
+    measures = [
+        _judged(
+            _Judged(name, units[name], same.get(name), margins[name], compared.get(name)),
+            has_comparison=comparison is not None,
+            is_simulated=is_simulated,
+            secondary_because=because,
+        )
+        for name, because in secondary.items()
+    ]
+    measures.sort(key=lambda each: bool(each.secondary_because))
+    primary = [each for each in measures if not each.secondary_because]
+    conclusion = _of_all([each.conclusion for each in primary])
+    return ReplicationVerdict(conclusion, _sentence_of_all(conclusion, primary, len(measures)), tuple(measures))
+
+
+@dataclass(frozen=True, slots=True)
+class _Judged:
+    """One measure that is judged: what is the same, and what the comparison found."""
+
+    name: str
+    unit: str
+    same: Sameness | None
+    margin: Margin
+    found: Mapping[str, Any] | None
+
+    @property
+    def label(self) -> str:
+        return f"{self.name} ({self.unit})" if self.unit else self.name
+
+    @property
+    def bound(self) -> str:
+        unit = "" if self.margin.text.strip().endswith("%") else self.unit
+        return f"{self.margin} {unit}".strip()
+
+
+def _judged(judged: _Judged, *, has_comparison: bool, is_simulated: bool, secondary_because: str) -> MeasureConclusion:
+    same, runs = judged.same, 0 if judged.same is None else judged.same.runs
+    if same is not None and same.is_complete:
+        conclusion, told = Conclusion.IDENTICAL, f"is identical in {_all_runs(runs)}, to the last digit."
+    elif same is None or not runs:
+        told = "could not be decided: no run has a value of it in both experiments."
+        conclusion = Conclusion.UNDECIDED
+    elif judged.found is None:
+        why = (
+            "its values are no numbers, and one execution does not tell whether that is chance"
+            if has_comparison
+            else "no statistics were at hand to tell whether that matters (install the extra `analysis`, and repeat "
+            "the command: no run is executed again)"
+        )
+        conclusion = Conclusion.UNDECIDED
+        told = f"could not be decided: it differs in {runs - same.identical} of {counted(runs, 'run')}, and {why}."
+    else:
+        conclusion, told = _by_statistics(judged, judged.found, is_simulated=is_simulated)
+    is_bounded = judged.found is not None and conclusion is not Conclusion.IDENTICAL
+    return MeasureConclusion(
+        judged.name,
+        judged.unit,
+        conclusion,
+        runs,
+        judged.bound if is_bounded else "",
+        judged.margin.source if is_bounded else "",
+        f"{judged.label} {told}",
+        secondary_because,
+    )
+
+
+def _by_statistics(judged: _Judged, found: Mapping[str, Any], *, is_simulated: bool) -> tuple[Conclusion, str]:
+    """Return the conclusion from a comparison, and the rest of a sentence that begins with the measure."""
+    differences = found["differences"]
+    verdicts = [_of_difference(each, is_simulated=is_simulated) for each in differences]
+    conclusion = _of_all(verdicts)
+    within = f"{judged.bound} ({judged.margin.source})"
+    largest = _largest(differences, judged.unit)
+    if conclusion is Conclusion.EQUIVALENT:
+        return conclusion, f"is equivalent within {within}{largest}."
+    pairs = zip(differences, verdicts, strict=True)
+    concerned = [_combination(each) for each, verdict in pairs if verdict is conclusion]
+    where = f" for {listed(concerned)}" if concerned and len(differences) > 1 else ""
+    if conclusion is Conclusion.DIFFERENT:
+        return conclusion, f"is different{where}{largest}; the bound was {within}."
+    alpha = _alpha(differences)
+    return conclusion, f"could not be decided{where} within {within}{largest}: {needed_runs(differences, alpha)}."
+
+
+def _alpha(differences: Sequence[Mapping[str, Any]]) -> float:
+    levels = [each["interval"]["level"] for each in differences if each.get("interval")]
+    return 1 - levels[0] if levels else 0.05
+
+
+def _of_difference(each: Mapping[str, Any], *, is_simulated: bool) -> Conclusion:
+    """Return the conclusion of one combination; on a simulated robot runs that are all equal hold no chance."""
+    has_spread = bool(each["first_sd"] or each["second_sd"])
+    if is_simulated and each["not_computed"] and not has_spread and each["first_sd"] == each["second_sd"] == 0:
+        is_within = each["bound"] is not None and abs(each["difference"]) <= each["bound"]
+        return Conclusion.EQUIVALENT if is_within else Conclusion.DIFFERENT
+    return Conclusion(each["verdict"])
+
+
+def _combination(each: Mapping[str, Any]) -> str:
+    return " / ".join(map(str, each["treatments"].values())) or "all runs"
+
+
+def _largest(differences: Sequence[Mapping[str, Any]], unit: str) -> str:
+    known = [each for each in differences if each["difference"] is not None]
+    if not known:
+        return ""
+    largest = max(known, key=lambda each: abs(each["difference"]))
+    share = "" if largest["relative"] is None else f", {largest['relative']:+.3g} %"
+    where = f" for {_combination(largest)}" if len(differences) > 1 else ""
+    size = f"{shown_value(float(largest['difference']))} {unit}".rstrip()
+    return f"; the largest difference is {size}{share}{where}"
+
+
+def _of_all(conclusions: Sequence[Conclusion]) -> Conclusion:
+    """Return the weakest that can be said of all: different where one is, identical where all are."""
+    for each in (Conclusion.DIFFERENT, Conclusion.UNDECIDED, Conclusion.EQUIVALENT):
+        if each in conclusions:
+            return each
+    return Conclusion.IDENTICAL if conclusions else Conclusion.UNDECIDED
+
+
+def _sentence_of_all(conclusion: Conclusion, primary: Sequence[MeasureConclusion], measure_count: int) -> str:
+    concerned = enumerated(each.name for each in primary if each.conclusion is conclusion)
+    if conclusion is Conclusion.IDENTICAL:
+        runs = counted(max(each.runs for each in primary), "run")
+        what = "value" if len(primary) == measure_count else f"value of {enumerated(each.name for each in primary)}"
+        return f"The results are identical: every {what} of {runs}, to the last digit."
+    if conclusion is Conclusion.EQUIVALENT:
+        bounds = " and ".join(dict.fromkeys(each.bound for each in primary if each.bound))
+        return f"The results are equivalent: no difference reaches the bound of {bounds}."
+    if conclusion is Conclusion.DIFFERENT:
+        return f"The results are different: {concerned}."
+    if not primary or not any(each.runs for each in primary):
+        return "The results could not be compared: no run has a value in both experiments."
+    return f"Whether the results agree could not be decided: {concerned}."
+
+
+def _all_runs(runs: int) -> str:
+    return "the one run" if runs == 1 else f"all {runs:,} runs"

@@ -1,0 +1,216 @@
+"""Virtual environments below the folder of a replication: one that executes it, and one that compares its results."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import PackageError
+from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.replication.contents import REQUIREMENTS, WHEELS
+from robot_runner.replication.distributions import installed_distributions, wheel_name, wheel_of, write_wheel
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from types import FrameType
+    from typing import TextIO
+
+__all__ = ["compare_with", "execute_with", "make_comparison_environment", "make_environment", "program_in"]
+
+_OUR_NAME = "robot-runner"
+_DEADLINE_S = 3600.0
+_SHOWN_LINES = 8
+_NO_TALK = ("--no-input", "--disable-pip-version-check")
+_COMPLETE = "complete"
+
+
+def program_in(folder: Path) -> Path:
+    """Return where the program is in a virtual environment."""
+    return folder / "bin" / _OUR_NAME
+
+
+def make_environment(root: Path, folder: Path, environment: Mapping[str, Any]) -> Path:
+    """Make a virtual environment and install what a package needs; one that is complete is used as it is.
+
+    What the package brings as wheels is taken from it; pip gets the rest from wherever it is set up to, and demands the
+    hashes where the package has them of all files.
+
+    Args:
+        root: the unpacked package.
+        folder: where the environment is to be.
+        environment: as the package has it; its Python is taken where it is installed here under its usual name.
+
+    Returns:
+        The program `robot-runner` in it.
+
+    Raises:
+        PackageError: the environment cannot be made; shows the last lines that pip wrote.
+        StorageError: the folder cannot be written.
+    """
+    wheels = ["--find-links", str(root / WHEELS)] if (root / WHEELS).is_dir() else []
+    fix = (
+        "Mend what is said there, or take your own environment: --environment here. The first lines of "
+        f"{REQUIREMENTS} say for which Python and platforms its hashes are."
+    )
+    _make(folder, _python(environment), [*wheels, "-r", str(root / REQUIREMENTS)], fix)
+    return program_in(folder)
+
+
+def make_comparison_environment(folder: Path) -> Path:
+    """Make a virtual environment in which results can be compared: this very program, with its extra `analysis`.
+
+    It stands apart from what executes an experiment, so that no version of that changes.
+
+    Args:
+        folder: where the environment is to be; one that is complete is used as it is.
+
+    Returns:
+        The program `robot-runner` in it.
+
+    Raises:
+        PackageError: it cannot be made; shows the last lines that pip wrote.
+        StorageError: the folder cannot be written.
+    """
+    if not (folder / _COMPLETE).exists():
+        ours = installed_distributions()[_OUR_NAME]
+        wheel = folder.parent / wheel_name(ours)
+        try:
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            write_wheel(wheel_of(ours), wheel)
+        except OSError as error:
+            raise storage_error(wheel, "written", error) from error
+        fix = "Mend what is said there, or install the extra yourself: pip install 'robot-runner[analysis]'. "
+        fix += "Then repeat the command: no run is executed again."
+        try:
+            _make(folder, sys.executable, [f"{_OUR_NAME}[analysis] @ {wheel.resolve().as_uri()}"], fix)
+        finally:
+            wheel.unlink(missing_ok=True)
+    return program_in(folder)
+
+
+def compare_with(program: Path, original: Path, replication: Path, bounds: Sequence[str], page: Path) -> dict[str, Any]:
+    """Compare two experiments with the program of another environment.
+
+    Returns:
+        What `robot-runner compare --json` prints.
+
+    Raises:
+        PackageError: they cannot be compared; shows what the program said.
+    """
+    words = [str(program), "compare", str(original), str(replication), "--json", "--html", str(page)]
+    words += [word for bound in bounds for word in ("--bound", bound)]
+    try:
+        done = subprocess.run(  # noqa: S603 - words of our own
+            words, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=_DEADLINE_S, check=False
+        )
+        if done.returncode == 0:
+            found: dict[str, Any] = json.loads(done.stdout)
+            return found
+        said = done.stderr.strip().splitlines()
+    except (OSError, ValueError, subprocess.TimeoutExpired) as error:
+        said = [str(error)]
+    problem = f"the results cannot be compared: {' / '.join(said[-_SHOWN_LINES:])}"
+    raise PackageError(problem, where=str(program), fix="Remove its environment, then repeat the command.")
+
+
+def _make(folder: Path, python: str, asked: Sequence[str], fix: str) -> None:
+    """Make a virtual environment and have pip install what is asked; one that is complete is left as it is."""
+    done, log = folder / _COMPLETE, folder.with_name(f"{folder.name}.log")
+    # Pip works on other environments, too: to put one into each would take the longest of all.
+    has_pip = find_spec("pip") is not None
+    inside = str(folder / "bin" / "python")
+    pip = [sys.executable, "-m", "pip", "--python", inside] if has_pip else [inside, "-m", "pip"]
+    try:
+        if not done.exists():
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            log.unlink(missing_ok=True)
+            _call([python, "-m", "venv", "--clear", *["--without-pip"] * has_pip, str(folder)], log, fix)
+            _call([*pip, "install", *_NO_TALK, *asked], log, fix)
+            done.touch()
+    except OSError as error:
+        raise storage_error(folder, "made", error) from error
+
+
+def _python(environment: Mapping[str, Any]) -> str:
+    wanted = ".".join(str(environment.get("python") or "").split(".")[:2])
+    if wanted == f"{sys.version_info.major}.{sys.version_info.minor}":
+        return sys.executable
+    return shutil.which(f"python{wanted}") or sys.executable
+
+
+def _call(words: Sequence[str], log: Path, fix: str) -> None:
+    with log.open("ab") as output:
+        try:
+            finished = subprocess.run(  # noqa: S603 - words of our own
+                words,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                timeout=_DEADLINE_S,
+                check=False,
+            )
+        except subprocess.TimeoutExpired as error:
+            problem = f"{Path(words[0]).name} took longer than {_DEADLINE_S:.0f} s"
+            raise PackageError(problem, where=str(log), fix="Look at what it wrote there.") from error
+    if finished.returncode:
+        lines = log.read_text(encoding="utf-8", errors="replace").splitlines()[-_SHOWN_LINES:]
+        raise PackageError(
+            f"the environment cannot be made: {' / '.join(line.strip() for line in lines if line.strip())}",
+            where=str(log),
+            fix=fix,
+        )
+
+
+def execute_with(program: Path, words: Sequence[str], *, quietly: str, output: TextIO | None) -> int:
+    """Execute the program of another environment in this terminal, and return its exit code.
+
+    A stop request is passed on, and its end awaited: what it executes has a robot to make safe.
+
+    Args:
+        program: where it is.
+        words: what it is called with.
+        quietly: an option that is added where that version of the program knows it.
+        output: where its output goes; None for where ours goes.
+
+    Raises:
+        PackageError: it cannot be started.
+    """
+    try:
+        known = subprocess.run(  # noqa: S603 - words of our own
+            [str(program), words[0], "--help"], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
+        )
+        asked = [str(program), *words, *([quietly] if quietly in known.stdout else [])]
+        with _passed_on() as passed_on:
+            process = subprocess.Popen(asked, stdout=output)  # noqa: S603 - as above
+            passed_on.append(process)
+            return process.wait()
+    except OSError as error:
+        fix = "Remove the environment, then repeat the command."
+        raise PackageError(f"the program cannot be started: {error}", where=str(program), fix=fix) from error
+
+
+@contextmanager
+def _passed_on() -> Iterator[list[subprocess.Popen[bytes]]]:
+    """Pass stop requests on to the processes that are added to what is yielded, and go on waiting for them.
+
+    A terminal sends Ctrl-C to them, too: the program takes two within a second for one.
+    """
+    processes: list[subprocess.Popen[bytes]] = []
+
+    def pass_on(number: int, _frame: FrameType | None) -> None:
+        for process in processes:
+            process.send_signal(number)
+
+    before = {number: signal.signal(number, pass_on) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield processes
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
