@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from distributed import Client
 
-__all__ = ["ANSWER", "Member", "answer_of", "joined"]
+__all__ = ["ANSWER", "Member", "UnansweredError", "answer_of", "joined"]
 
 
 class UnansweredError(Exception):

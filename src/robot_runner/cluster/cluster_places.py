@@ -285,9 +285,7 @@ class ClusterPlace:
 class _RunAtWorker:
     """One attempt at a run that a worker executes."""
 
-    def __init__(
-        self, place: ClusterPlace, places: ClusterPlaces, builder: OutcomeBuilder, watch: Watch
-    ) -> None:
+    def __init__(self, place: ClusterPlace, places: ClusterPlaces, builder: OutcomeBuilder, watch: Watch) -> None:
         self._place = place
         self._places = places
         self._builder = builder
@@ -305,6 +303,7 @@ class _RunAtWorker:
             "token": self._token,
             "address": worker["address"],
             "worker": worker["worker"],
+            "name": worker["name"],
             "run": task.run_id,
             "claims": list(claims),
             "task": described_task(self._place.experiment, task),

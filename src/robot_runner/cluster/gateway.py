@@ -33,7 +33,7 @@ from dask.utils import parse_timedelta
 from distributed import Client
 
 from robot_runner.cluster import on_worker
-from robot_runner.cluster.cluster_members import ANSWER, Member, answer_of, joined
+from robot_runner.cluster.cluster_members import ANSWER, Member, UnansweredError, answer_of, joined
 from robot_runner.cluster.raw_data_transfer import TransferError, bring_home
 from robot_runner.core.errors import StorageError
 from robot_runner.core.execution.task import RecordReader
@@ -135,10 +135,12 @@ class Gateway:
             identity = await client.scheduler.identity(n_workers=-1)
         workers = identity["workers"]
         for address in set(self._members) - set(workers):
-            self._lose(self._members[address], "its worker is gone")
+            self._lose(self._members[address], f"worker {self._members[address].name} is gone")
         for address, facts in workers.items():
             if address not in self._members:
-                member = self._members[address] = Member(address, str(facts["name"]), facts["nthreads"], facts["resources"])
+                member = self._members[address] = Member(
+                    address, str(facts["name"]), facts["nthreads"], facts["resources"]
+                )
                 self._go_on(self._keep(client, member))
 
     async def _keep(self, client: Client, member: Member) -> None:
@@ -153,8 +155,12 @@ class Gateway:
                 member.renewed = time.monotonic()
                 await answer_of(client, member, self._facts["lease"], on_worker.renew, self._session)
                 await asyncio.sleep(self._facts["lease"] / 4)
-        except ANSWER as error:
-            self._lose(member, f"its worker does not answer: {error or type(error).__name__}")
+        except TimeoutError:
+            self._lose(member, f"worker {member.name} has not answered for {self._facts['lease']:g} s")
+        except OSError:
+            self._lose(member, f"the connection to worker {member.name} was lost")
+        except UnansweredError as error:
+            self._lose(member, f"worker {member.name} does not take part any more: {error}")
 
     def _take_requests(self) -> None:
         requests, is_open = self._requests.read()
@@ -172,7 +178,7 @@ class Gateway:
     def _begin(self, order: dict[str, Any]) -> None:
         member = self._members.get(order["address"])
         if self._client is None or member is None or member.is_lost or member.id != order["worker"]:
-            self._replies.tell("over", {"token": order["token"], "lost": "its worker is gone"})
+            self._replies.tell("over", {"token": order["token"], "lost": f"worker {order['name']} is gone"})
             return
         attempt = self._attempts[order["token"]] = _Attempt(order, member)
         attempt.future = self._client.submit(
@@ -206,7 +212,13 @@ class Gateway:
             with contextlib.suppress(*ANSWER):
                 asked = {"kind": kind, **request}
                 await answer_of(
-                    self._client, attempt.member, self._facts["lease"], on_worker.stop, self._session, attempt.token, asked
+                    self._client,
+                    attempt.member,
+                    self._facts["lease"],
+                    on_worker.stop,
+                    self._session,
+                    attempt.token,
+                    asked,
                 )
 
     def _take_event(self, event: tuple[float, Mapping[str, Any]]) -> None:
@@ -231,7 +243,9 @@ class Gateway:
             self._replies.tell("aside", {"worker": attempt.member.id, "because": ended["lost"]})
             await self._tell_lost(attempt, ended["lost"], is_certain=not ended.get("has_begun", True))
             return
-        over = {name: ended[name] for name in ("because", "is_interrupted", "seconds")} | {"skipped": ended.get("skipped", [])}
+        over = {name: ended[name] for name in ("because", "is_interrupted", "seconds")} | {
+            "skipped": ended.get("skipped", [])
+        }
         if ended.get("files"):
             try:
                 await self._brought_home(attempt, ended)
@@ -359,12 +373,11 @@ def main(requests: int, replies: int) -> None:
 
 def _with_settings(facts: dict[str, Any]) -> dict[str, Any]:
     """Add what is set in Dask's own configuration, under `robot-runner`."""
-    set_here = {"lease": "30s", "patience": "5m", "in-place": True} | dask.config.get("robot-runner", {})
-    lease = parse_timedelta(set_here["lease"])
+    lease = parse_timedelta(dask.config.get("robot-runner.lease", "30s"))
     return facts | {
         "lease": lease,
-        "patience": parse_timedelta(set_here["patience"]),
-        "in_place": bool(set_here["in-place"]),
+        "patience": parse_timedelta(dask.config.get("robot-runner.patience", "5m")),
+        "in_place": bool(dask.config.get("robot-runner.in-place", True)),  # noqa: FBT003 - Dask's signature
         "worker_facts": facts["worker_facts"] | {"lease": lease},
     }
 

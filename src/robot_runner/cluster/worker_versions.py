@@ -12,7 +12,7 @@ import hashlib
 import platform
 import sys
 from functools import cache
-from importlib.metadata import PackageNotFoundError, entry_points, version
+from importlib.metadata import PackageNotFoundError, distributions, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -78,9 +78,9 @@ def _shown(value: str | None) -> str:
 
 
 def _packages() -> Iterator[tuple[str, str]]:
-    for each in entry_points():
-        if each.group.startswith(_GROUPS) and each.dist is not None and each.dist.name != "robot-runner":
-            yield each.dist.name, each.dist.version
+    for each in distributions():
+        if each.name != "robot-runner" and any(point.group.startswith(_GROUPS) for point in each.entry_points):
+            yield each.name, each.version
     for name in _BEHIND_SIMULATED_VALUES:
         try:
             yield name, version(name)

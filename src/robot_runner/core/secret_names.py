@@ -12,7 +12,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
 __all__ = [
     "REDACTED",
@@ -23,6 +23,7 @@ __all__ = [
     "is_same_setting",
     "is_secret_name",
     "secrets_of_environment",
+    "shown_assignments",
     "shown_settings",
     "without_environment_secrets",
 ]
@@ -30,31 +31,37 @@ __all__ = [
 #: What stands in a secret's place.
 REDACTED = "REDACTED"
 
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+|[^\W\d_]+")
 #: Words that name a secret wherever they stand in a name, in the languages of labs that we know of.
-_STRONG = frozenset(
-    "password passwd passphrase passcode pwd pw psk secret credential apikey authtoken accesskey privatekey secretkey "
-    "presharedkey passwort kennwort wachtwoord contrasena contraseña senha motdepasse mdp".split()  # noqa: SIM905 - a list
+_STRONG = _words(
+    "password passwd passphrase passcode pwd pw psk secret credential apikey authtoken accesskey privatekey "
+    "secretkey presharedkey passwort kennwort wachtwoord contrasena contraseña senha motdepasse mdp"
 )
 #: Words that do, unless they are about a text's tokens, or a passage through something.
 _COMMON = frozenset({"token", "pass"})
 #: What a key opens or signs: these keys are secret, those of a keyboard or a dictionary are not.
-_KEYS = frozenset(
-    "api access private secret shared preshared signing encryption wep auth account master service deploy ssh gpg "
-    "client license wpa app webhook consumer".split()  # noqa: SIM905 - a list
+_KEYS = _words(
+    "api access private secret shared preshared signing encryption wep auth account master service deploy "
+    "ssh gpg client license wpa app webhook consumer"
 )
-_NOT_A_LOGIN = frozenset(
-    "eos bos pad unk cls sep mask stop special start end image max min num n total input output prompt completion new "
-    "generated first second third low high band all single multi two one render forward backward by no per next last "
-    "test tests checks did does will prefill decode context count".split()  # noqa: SIM905 - a list
+_NOT_A_LOGIN = _words(
+    "eos bos pad unk cls sep mask stop special start end image max min num n total input output prompt "
+    "completion new generated first second third low high band all single multi two one render forward "
+    "backward by no per next last id test tests checks did does will prefill decode context count"
 )
 #: A name that ends in one of these tells of a secret, and is none: where it is kept, how long it is.
-_ABOUT = frozenset(
-    "file path env var variable name names field column label prompt count len length type types hint policy regex "
-    "pattern dir directory folder format min max limit rate size per expires expiry expiration ttl timeout manager "
-    "store provider usage id ids index budget times frequency throughput latency speed cost price ms s seconds "
-    "authentication required enabled check validator class parser generator loader source location url uri endpoint "
-    "attempts retries ratio percent through pos position error errors rule rules kind mode level".split()  # noqa: SIM905 - a list
+_ABOUT = _words(
+    "file path env var variable name names field column label prompt count len length type types hint policy "
+    "regex pattern dir directory folder format min max limit rate size per expires expiry expiration ttl "
+    "timeout manager store provider usage id ids index budget times frequency throughput latency speed cost "
+    "price ms s seconds authentication required enabled check validator class parser generator loader source "
+    "location url uri endpoint attempts retries ratio percent through pos position error errors rule rules "
+    "kind mode level"
 )
 
 
@@ -71,7 +78,7 @@ def is_secret_name(name: str) -> bool:
         words.pop()
     if not words or words[-1] in _ABOUT:
         return False
-    singular = [each.removesuffix("s") if each not in {"pass"} else each for each in words]
+    singular = [each.removesuffix("s") if each != "pass" else each for each in words]
     if _STRONG & {*words, *singular}:
         return True
     for place, each in enumerate(singular):
@@ -197,6 +204,17 @@ def shown_settings(settings: Mapping[str, object]) -> dict[str, str]:
         name: REDACTED if is_secret_name(name) and str(text) else _HIDDEN.sub(REDACTED, str(text))
         for name, text in settings.items()
     }
+
+
+def shown_assignments(assignments: Iterable[str]) -> list[str]:
+    """Return `name=value` assignments as words of a command to show; who repeats it writes the secret again.
+
+    Example:
+        >>> shown_assignments(["robot=simulated", "db_password=swordfish"])
+        ['robot=simulated', 'db_password=...']
+    """
+    named = (each.partition("=") for each in assignments)
+    return [f"{name}{equals}{'...' if is_secret_name(name) and text else text}" for name, equals, text in named]
 
 
 @lru_cache(maxsize=64)

@@ -21,9 +21,9 @@ from robot_runner.core.storage.guarded_files import (
     open_to_append,
     open_to_read,
     open_to_write,
+    read_blocks,
     read_bytes,
     read_json,
-    read_lines,
     read_text,
     remove,
     replace,
@@ -50,7 +50,7 @@ READERS: list[Opener] = [
     read_bytes,
     read_text,
     read_json,
-    lambda path, root: list(read_lines(path, root)),
+    lambda path, root: list(read_blocks(path, root)),
 ]
 WRITERS: list[Opener] = [_append, _replace, _lock]
 
@@ -164,10 +164,10 @@ def test_a_file_beyond_the_limit_is_refused_before_it_is_read(tmp_path: Path) ->
 def test_lines_come_as_they_stand_and_long_ones_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "journal.jsonl"
     path.write_bytes(b"one\ntwo\r\nthree")
-    assert list(read_lines(path, tmp_path)) == [b"one\n", b"two\r\n", b"three"]
-    assert list(read_lines(path, tmp_path, longest=5)) == [b"one\n", b"two\r\n", b"three"]
+    assert list(read_blocks(path, tmp_path)) == [b"one\ntwo\r\n", b"three"]
+    assert list(read_blocks(path, tmp_path, longest=5)) == [b"one\n", b"two\r\n", b"three"]
     with pytest.raises(StorageError, match="line of more than 4 B"):
-        list(read_lines(path, tmp_path, longest=4))
+        list(read_blocks(path, tmp_path, longest=4))
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.storage import guarded_files
 from robot_runner.core.storage.journal import Journal, read_journal, utc_now
 
 if TYPE_CHECKING:
@@ -57,13 +58,13 @@ def test_only_the_kinds_asked_for_are_read(tmp_path: Path) -> None:
     path = tmp_path / "journal.jsonl"
     with Journal(path) as journal:
         for kind in ("event", "finding", "event", "eventual"):
-            journal.append(kind)
+            journal.append(kind, event="start_run", owner="PsUtil", problem="a gap", fix="")
     assert [record["kind"] for record in read_journal(path, kinds={"event"})] == ["event", "event"]
 
 
 def test_a_line_that_is_no_record_is_refused_with_its_number(tmp_path: Path) -> None:
     path = tmp_path / "journal.jsonl"
-    path.write_text('{"kind":"a"}\nnonsense\n{"kind":"b"}\n')
+    path.write_text('{"kind":"a","at":"2026-01-31T12:00:00Z"}\nnonsense\n{"kind":"b"}\n')
     with pytest.raises(StorageError) as refused:
         list(read_journal(path))
     assert refused.value.where == f"{path}:2"
@@ -82,3 +83,38 @@ def test_a_journal_that_cannot_be_opened_is_an_error_with_a_fix(tmp_path: Path) 
 def test_moments_are_utc_with_milliseconds() -> None:
     assert len(utc_now()) == len("2026-01-31T12:00:00.250Z")
     assert utc_now().endswith("Z")
+
+
+@pytest.mark.parametrize("block", [7, 64, 1_000_000])
+def test_a_journal_is_read_alike_in_blocks_of_any_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: int
+) -> None:
+    """Lines that a block cuts, kinds that are the beginning of another, and text that looks like a record."""
+    monkeypatch.setattr(guarded_files, "_BLOCK", block)
+    path = tmp_path / "journal.jsonl"
+    kinds = ["said", "said_late", "other", "said", "third"]
+    with Journal(path) as journal:
+        for number, kind in enumerate(kinds * 20):
+            journal.append(kind, number=number, text='\n{"kind":"event"}\n' * (number % 3))
+    assert [record["number"] for record in read_journal(path)] == list(range(100))
+    chosen = [record["number"] for record in read_journal(path, kinds={"third", "said"})]
+    assert chosen == [number for number in range(100) if number % 5 in {0, 3, 4}]
+
+
+_LINE = b'{"kind":"other","at":"2026-01-31T12:00:00.250Z"}\n'
+
+
+@pytest.mark.parametrize("kinds", [None, {"other"}])
+@pytest.mark.parametrize(
+    "damage", [b'{"kind":"even\n', b"lost\n", b'{"kind":"event","a":1}\r\n', b'{"kind":"event"}{"kind":"event"\n']
+)
+def test_a_damaged_line_is_refused_after_those_before_it_whatever_kind_is_asked_for(
+    tmp_path: Path, damage: bytes, kinds: set[str] | None
+) -> None:
+    path = tmp_path / "journal.jsonl"
+    path.write_bytes(_LINE * 3 + damage + _LINE)
+    read = read_journal(path, kinds=kinds)
+    assert [next(read)["kind"] for _ in range(3)] == ["other"] * 3
+    with pytest.raises(StorageError) as refused:
+        next(read)
+    assert refused.value.findings[0].where == f"{path}:4"

@@ -290,10 +290,8 @@ def unplanned_additions(
     if not more:
         return ()
     less = any(
-        text not in own.texts
+        set(design["factors"].get(own.name, ())).difference(own.texts, _chosen(model).get(own.name, ()))
         for own in now.factors
-        for text in design["factors"].get(own.name, ())
-        if text not in _chosen(model).get(own.name, ())
     )
     problem = f"the config plans more than the run table has: {enumerated(more)}"
     accepting = f" {ACCEPT}" if has_other_changes else ""
@@ -304,11 +302,12 @@ def unplanned_additions(
 
 def _more(model: RunTableModel, design: Mapping[str, Any]) -> Iterator[str]:
     if model.repetitions > int(design.get("repetitions", 1)):
-        there = int(design.get("repetitions", 1))
-        yield f"{model.repetitions} repetitions of each combination instead of {there}"
+        before = int(design.get("repetitions", 1))
+        yield f"{model.repetitions} repetitions of each combination instead of {before}"
     for factor in model.factors:
         known = design["factors"].get(factor.name)
-        new = [text for text in factor.texts if text not in (known or ())]
+        there = frozenset(known or ())
+        new = [text for text in factor.texts if text not in there]
         if known is None:
             yield f"the factor {factor.name!r}"
         elif new:

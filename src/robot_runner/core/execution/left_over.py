@@ -20,7 +20,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robot_runner.core.errors import ExecutionError, Finding
+from robot_runner.core.errors import ExecutionError, Finding, StorageError
+from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, read_text, remove
+from robot_runner.core.storage.lock_files import open_to_lock, was_open_to_strangers
 from robot_runner.core.storage.outliving import ancestors, is_spared, outliving, process_stat, processes
 
 if TYPE_CHECKING:
@@ -28,11 +30,13 @@ if TYPE_CHECKING:
 
     from robot_runner.core.storage.layout import ExperimentFolder
 
-__all__ = ["RunMark", "await_left_over", "end_left_over", "left_over", "left_over_ended"]
+__all__ = ["RunMark", "await_left_over", "end_left_over", "has_locked", "left_over", "left_over_ended"]
 
 _VARIABLE = "ROBOT_RUNNER_RUN_OF"
 #: How often we look whether a process has ended, and how long those that were killed may take, s.
 _LOOK, _DYING = 0.05, 5.0
+#: Enough for any process's id.
+_DIGITS = 20
 
 
 class RunMark:
@@ -47,7 +51,7 @@ class RunMark:
 
     def __init__(self, folder: ExperimentFolder) -> None:
         self._folder = folder
-        self.descriptor = os.open(folder.alive, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        self.descriptor = open_to_lock(folder.alive, folder.root)
         # Unlike that of the experiment, this lock is held by every process that has the descriptor, inherited or not.
         fcntl.flock(self.descriptor, fcntl.LOCK_SH)
 
@@ -71,7 +75,7 @@ def left_over(folder: ExperimentFolder) -> list[int]:
     alive = folder.alive.resolve()
     spared = outliving(folder.outliving)
     own = set(ancestors(os.getpid()))
-    found = [pid for pid in processes() if pid not in own and (_has_locked(pid, alive) or _has_mark(pid, name))]
+    found = [pid for pid in processes() if pid not in own and (has_locked(pid, alive) or _has_mark(pid, name))]
     return [pid for pid in found if not is_spared(pid, spared)]
 
 
@@ -120,6 +124,9 @@ def await_left_over(folder: ExperimentFolder, grace: float) -> Finding | None:
             where=str(folder.root),
             fix="End it by hand: it has the file .alive in this folder open.",
         )
+    for slot in slots:
+        if was_open_to_strangers(slot.alive, folder.root):  # as earlier versions made it; one could lock it for ever
+            remove(slot.alive, folder.root)
     if not (was_alive or killed):
         return None
     runs = (
@@ -144,14 +151,16 @@ def _is_alive(folder: ExperimentFolder) -> bool:
     if not _is_locked(folder):
         return False
     alive, spared = folder.alive.resolve(), outliving(folder.outliving)
-    holders = [pid for pid in processes() if pid != os.getpid() and _has_locked(pid, alive)]
-    return not holders or not all(is_spared(pid, spared) for pid in holders)  # no holder is seen without /proc
+    holders = [pid for pid in processes() if pid != os.getpid() and has_locked(pid, alive)]
+    if not holders:  # seen: without /proc none is, and another user's is not
+        return not (sys.platform == "linux" and was_open_to_strangers(folder.alive, folder.root))
+    return not all(is_spared(pid, spared) for pid in holders)
 
 
 def _is_locked(folder: ExperimentFolder) -> bool:
     try:
-        descriptor = os.open(folder.alive, os.O_RDWR | os.O_CLOEXEC)
-    except FileNotFoundError:
+        descriptor = open_descriptor(folder.alive, folder.root, os.O_RDWR)
+    except MissingFileError:
         return False
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -167,14 +176,14 @@ def _ask_to_stop(folder: ExperimentFolder) -> None:
 
     On Linux the run got that when its keeper died, and the file is empty.
     """
-    with suppress(OSError, ValueError, OverflowError):
-        run = int(folder.alive.read_text(encoding="utf-8"))
+    with suppress(OSError, StorageError, ValueError, OverflowError):
+        run = int(read_text(folder.alive, folder.root, limit=_DIGITS))
         if run > 1 and os.getpgid(run) == run:
             os.kill(run, signal.SIGTERM)
 
 
-def _has_locked(pid: int, path: Path) -> bool:
-    """Whether a process holds the lock: a backup or an editor that merely has the file open is no run."""
+def has_locked(pid: int, path: Path) -> bool:
+    """Return whether a process holds the lock of a file (Linux); who merely has it open, as an editor, does not."""
     try:
         return any(_is_lock(entry, path) for entry in Path(f"/proc/{pid}/fd").iterdir())
     except OSError:  # it has ended, or is another user's

@@ -6,6 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.claims import worker_count
+from robot_runner.core.entry_points import named_entry_point
+from robot_runner.core.errors import PluginError
 from robot_runner.core.execution.executor import executor_for
 
 if TYPE_CHECKING:
@@ -67,6 +69,20 @@ class LocalPlaces:
 
 
 def places_of(experiment: Experiment, claims: Claims, combinations: Iterable[Mapping[str, Any]]) -> Places:
-    """Return the places of an experiment: one where all of these runs make the same claim, and none could overlap."""
+    """Return the places of an experiment: one where all of these runs make the same claim, and none could overlap.
+
+    Those of a cluster are brought by the room that speaks to it, in the group `robot_runner.places`.
+
+    Raises:
+        PluginError: nothing brings places of a cluster.
+        ExecutionError: the experiment cannot be executed there.
+    """
+    if (address := experiment.parameters.cluster) is not None:
+        point = named_entry_point("places", "cluster")
+        if point is None:
+            fix = "Install Robot Runner anew: pip install 'robot-runner[cluster]'."
+            raise PluginError("nothing that is installed speaks to a cluster", where=f"cluster {address}", fix=fix)
+        places: Places = point.load()(experiment, address)
+        return places
     count = worker_count(experiment.parameters)
     return LocalPlaces(experiment, 1 if count > 1 and claims.common(combinations) else count)

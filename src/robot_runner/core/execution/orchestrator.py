@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import logging
 import time
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -124,7 +124,7 @@ class _Orchestrator:
         claims = Claims(self._parameters, experiment.plugins, experiment.events)
         self._places = places_of(experiment, claims, progress.combinations_left)
         has_one_place = len(self._places.all) == 1
-        progress.expect_places(len(self._places.all))
+        progress.expect_places(max(1, len(self._places.all)))
         attempts = Attempts(
             experiment,
             progress,
@@ -158,8 +158,9 @@ class _Orchestrator:
 
     def _execute_between_events(self, findings: Sequence[Finding]) -> None:
         try:
-            returned = self._events.emit_to_experiment(RobotRunnerEvents.BEFORE_EXPERIMENT)
-            self._execute_runs(is_cleared=any(value is True for value in returned))
+            with closing(self._places):
+                returned = self._events.emit_to_experiment(RobotRunnerEvents.BEFORE_EXPERIMENT)
+                self._execute_runs(is_cleared=any(value is True for value in returned))
         except BaseException as error:
             self._end_after(error, findings)
             raise

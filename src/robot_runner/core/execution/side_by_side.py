@@ -74,6 +74,7 @@ class SideBySide:
         self._begun = 0
         self._may_begin = True
         self._left: Iterator[PendingRun] = iter(())
+        self._there: list[Place] = []
 
     def execute(self, *, is_cleared: bool) -> bool:
         """Execute the runs that are left; return whether all of them were, and the experiment may go on.
@@ -105,15 +106,15 @@ class SideBySide:
         """Return the first run that can begin now, where, and what it claims; None where none can."""
         busy = {each.place.name for each in self._busy}
         free = [each for each in self._places.all if not each.is_aside and each.name not in busy]
-        if not free:
-            return None
-        for place_in_queue in range(_AHEAD):
+        for place_in_queue in range(_AHEAD if free else 1):
             if place_in_queue == len(self._passed_over):
                 following = next(self._left, None)
                 if following is None:
                     return None
                 self._begun += 1
                 self._passed_over.append(following)
+            if not free:  # there is a run to do, but no place yet
+                return None
             run = self._passed_over[place_in_queue]
             task = self._progress.task_of(run)
             if any(each.is_warm_up is not task.is_warm_up for each in self._busy):
@@ -149,6 +150,8 @@ class SideBySide:
                 self._busy.remove(each)
                 self._may_begin = True
                 self._finished[each.place.name] = each.run
+                if self._attempts.is_to_do_elsewhere(each.run):
+                    self._passed_over.appendleft(each.run)
 
     def _await_place(self) -> None:
         """Wait for a place where nothing is in flight, and no place suits what is left.
@@ -166,9 +169,14 @@ class SideBySide:
         self._take_note_of_places()
 
     def _take_note_of_places(self) -> None:
-        for problem in self._places.advance() if self._places.descriptors or self._places.due is not None else ():
-            self._may_begin = True
-            self._progress.note("place", problem=problem)
+        if not (self._places.descriptors or self._places.due is not None):
+            return
+        for problem in self._places.advance():
+            self._attempts.tell_of_place(problem)
+        there = [each for each in self._places.all if not each.is_aside]
+        if there != self._there:
+            self._may_begin, self._there = True, there
+            self._progress.expect_places(max(1, len(there)))
 
     def _let_go(self) -> None:
         """End what is still in flight where the experiment cannot go on: all together, then one after another."""

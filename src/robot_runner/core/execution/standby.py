@@ -11,20 +11,24 @@ import fcntl
 import os
 import select
 import signal
+import sys
 import time
 from contextlib import ExitStack, closing, suppress
 from functools import partial
 from typing import TYPE_CHECKING, NoReturn
 
-from robot_runner.core.errors import Finding
+from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.resources import Resources
+from robot_runner.core.execution.left_over import has_locked
 from robot_runner.core.execution.processes import forked, settle_streams
 from robot_runner.core.execution.run_events import run_contexts
 from robot_runner.core.execution.systems_state import Care, SystemsState
 from robot_runner.core.links.connect import is_simulated, preload_robot
 from robot_runner.core.plugin import System
+from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, remove
 from robot_runner.core.storage.layout import print_to_log
+from robot_runner.core.storage.lock_files import open_to_lock, was_open_to_strangers
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
@@ -40,6 +44,10 @@ __all__ = ["Standby", "await_standby", "standby_of"]
 #: How long the standby may take from the run's death on, s: to find a robot's nodes takes tenths, and 5 s where one is
 #: switched off.
 _LONGEST = 15.0
+#: How long it may take to die once it was killed, s.
+_DYING = 5.0
+#: Enough for any process's id.
+_DIGITS = 20
 #: Where the system does not tell of a process's end, we look this often, s.
 _LOOK = 0.02
 
@@ -149,14 +157,13 @@ def await_standby(folder: ExperimentFolder) -> Finding | None:
 
     Returns:
         that it was waited for, and how long; None where nobody stood by.
+
+    Raises:
+        ExecutionError: it is still there afterwards; that takes another user's process.
     """
     began = time.monotonic()
     for slot in map(folder.at_slot, folder.used_slots()):
-        while (pid := _locked_by(slot)) is not None:
-            if time.monotonic() - began > _LONGEST:
-                with suppress(ProcessLookupError, PermissionError):
-                    os.kill(pid, signal.SIGKILL)
-            time.sleep(_LOOK)
+        _await_at(slot)
     waited = time.monotonic() - began
     if waited < _LOOK:
         return None
@@ -164,24 +171,49 @@ def await_standby(folder: ExperimentFolder) -> Finding | None:
     return Finding.warning(str(folder.root), problem, "Look where the robot stands.")
 
 
+def _await_at(slot: ExperimentFolder) -> None:
+    began = time.monotonic()
+    while (pid := _locked_by(slot)) is not None:
+        waited = time.monotonic() - began
+        if waited > _LONGEST:
+            _kill(pid, slot)
+        if waited > _LONGEST + _DYING:
+            problem = "systems of an earlier execution are still being made safe, and that cannot be ended from here"
+            raise ExecutionError(problem, where=str(slot.root), fix=f"End process {pid} by hand.")
+        time.sleep(_LOOK)
+    if was_open_to_strangers(slot.standing_by, slot.root):  # as earlier versions made it
+        remove(slot.standing_by, slot.root)
+
+
+def _kill(pid: int, folder: ExperimentFolder) -> None:
+    """Kill the process that stands by: only that one, whatever number stands in the file."""
+    if pid > 1 and (sys.platform != "linux" or has_locked(pid, folder.standing_by.resolve())):
+        with suppress(ProcessLookupError, PermissionError):
+            os.kill(pid, signal.SIGKILL)
+
+
 def _lock(folder: ExperimentFolder) -> None:
     """Hold the lock of `standing_by` until this process ends, as its descriptor stays open."""
-    descriptor = os.open(folder.standing_by, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    descriptor = open_to_lock(folder.standing_by, folder.root)
     os.ftruncate(descriptor, 0)
     os.pwrite(descriptor, str(os.getpid()).encode(), 0)
     fcntl.flock(descriptor, fcntl.LOCK_SH)
 
 
 def _locked_by(folder: ExperimentFolder) -> int | None:
-    """Return the process that stands by; None where nobody does."""
+    """Return the process that stands by; None where nobody does, or where only a stranger has locked the file."""
     try:
-        with folder.standing_by.open(encoding="ascii") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                return int(file.read())
-    except (OSError, ValueError):
+        descriptor = open_descriptor(folder.standing_by, folder.root, os.O_RDONLY)
+    except MissingFileError:
         return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        with suppress(ValueError):
+            pid, path = int(os.pread(descriptor, _DIGITS, 0)), folder.standing_by
+            return pid if not was_open_to_strangers(path, folder.root) or has_locked(pid, path.resolve()) else None
+    finally:
+        os.close(descriptor)
     return None
 
 

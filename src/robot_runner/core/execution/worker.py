@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from robot_runner.core.config.dialects import prepare_or_refuse
+from robot_runner.core.execution.called_programs import notice_programs
 from robot_runner.core.execution.interruption import STOP_SIGNALS, InterruptGate
 from robot_runner.core.execution.left_over import RunMark, end_left_over
 from robot_runner.core.execution.prepared_treatments import describe_revisions, restore_revisions
@@ -69,6 +70,7 @@ def _execute(experiment: Experiment, task: RunTask, systems: SystemsState | None
     gate = InterruptGate()
     gate.listen()
     keeper = os.getppid()
+    notice_programs(experiment, report)
     execute_run(experiment, task, report, gate, systems)
     report(FINISHED, {})
     if os.getppid() != keeper:  # it was killed, and cannot end what the run leaves behind

@@ -23,6 +23,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.declared_shapes import checked_json
 from robot_runner.core.storage.guarded_paths import (
     ONLY_FILES,
     MissingFileError,
@@ -49,9 +50,9 @@ __all__ = [
     "open_to_append",
     "open_to_read",
     "open_to_write",
+    "read_blocks",
     "read_bytes",
     "read_json",
-    "read_lines",
     "read_text",
     "remove",
     "replace",
@@ -64,6 +65,8 @@ JSON_DEPTH = 64
 #: Text that is read whole, and the longest line of what is read line by line.
 TEXT_LIMIT = 64_000_000
 LINE_LIMIT = 16_000_000
+#: How much of a file of many lines is read at once.
+_BLOCK = 1_000_000
 
 #: O_NONBLOCK has a meaning for pipes and devices only, which may have taken the file's place since we looked.
 _FILE = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
@@ -144,7 +147,7 @@ def read_json(path: Path, root: Path | None = None, *, limit: int = JSON_LIMIT, 
     """
     content = read_bytes(path, root, limit=limit)
     try:
-        value = json.loads(content.decode("utf-8-sig"))
+        value = json.loads(content.decode("utf-8-sig"), object_pairs_hook=checked_json)
     except RecursionError as error:
         raise _damaged(path, f"its JSON is nested deeper than {depth} levels") from error
     except ValueError as error:
@@ -154,20 +157,27 @@ def read_json(path: Path, root: Path | None = None, *, limit: int = JSON_LIMIT, 
     return value
 
 
-def read_lines(path: Path, root: Path | None = None, *, longest: int = LINE_LIMIT) -> Iterator[bytes]:
-    """Yield the lines of a file as they stand, with their ends.
+def read_blocks(path: Path, root: Path | None = None, *, longest: int = LINE_LIMIT) -> Iterator[bytes]:
+    """Yield a file in blocks of whole lines; the last line of all may lack its end.
 
     Raises:
         StorageError: as `open_to_read` says; or a line is longer than that many bytes.
     """
+    rest = b""
     with open_to_read(path, root) as file:
         try:
-            for line in iter(partial(file.readline, longest + 1), b""):
-                if len(line) > longest:
+            for piece in iter(partial(file.read, min(_BLOCK, longest)), b""):
+                block = rest + piece
+                end = block.rfind(b"\n") + 1
+                rest = block[end:]
+                if max(len(rest), block.find(b"\n") + 1) > longest:  # a later line lies within the piece
                     raise _too_large(path, f"the file has a line of more than {_in_words(longest)}", longest)
-                yield line
+                if end:
+                    yield block[:end]
         except OSError as error:
             raise storage_error(path, "read", error) from error
+    if rest:
+        yield rest
 
 
 def open_to_append(path: Path, root: Path | None = None) -> BinaryIO:

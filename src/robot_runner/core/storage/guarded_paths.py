@@ -113,8 +113,15 @@ def _parts(path: Path, root: Path) -> tuple[str, ...]:
 
 
 def rights_of(root: Path) -> int:
-    """Return the permissions of the experiment's folder, which those of its files and folders follow."""
-    return root.stat().st_mode & 0o777
+    """Return the permissions of the experiment's folder, which those of its files and folders follow.
+
+    Raises:
+        StorageError: there is no such folder.
+    """
+    try:
+        return root.stat().st_mode & 0o777
+    except OSError as error:
+        raise storage_error(root, "read", error) from error
 
 
 def _as_refusal(path: Path, root: Path, action: str, error: OSError) -> StorageError:

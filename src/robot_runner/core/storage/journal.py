@@ -7,10 +7,15 @@ import os
 import time
 from contextlib import suppress
 from functools import lru_cache
+from io import BytesIO
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, open_to_read, read_lines
+from robot_runner.core.secret_names import without_environment_secrets
+from robot_runner.core.storage.declared_shapes import checked_json, faults_of
+from robot_runner.core.storage.file_shapes import RECORDS, Record
+from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, open_to_read, read_blocks
 from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
@@ -22,9 +27,13 @@ __all__ = ["Journal", "journal_lines", "last_records", "parsed_record", "read_jo
 
 #: `Journal.append` writes the kind first, so that a line's kind is known without parsing it.
 _BEGINNING = '{"kind":"'
+_RECORD, _END = _BEGINNING.encode(), b"}\n"
+#: Fields in which what a program said may stand.
+_SENTENCES = frozenset({"problem", "traceback", "fix", "reason", "text", "note", "seen", "said"})
 #: How much of the end of a journal tells of the last runs: some thousand of them.
 _LAST_BYTES = 4_000_000
 
+_decode = json.JSONDecoder(object_pairs_hook=checked_json).decode
 _encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), default=str).encode
 
 
@@ -68,7 +77,7 @@ class Journal:
         Raises:
             StorageError: it cannot be written (a full disk, say); what stood before is intact.
         """
-        record = {"kind": kind, "at": at or utc_now(), **fields}
+        record = {"kind": kind, "at": at or utc_now(), **_without_secrets(fields)}
         try:
             self._write(f"{_encode(record)}\n".encode("utf-8", "backslashreplace"))
             if flush:
@@ -106,6 +115,12 @@ class Journal:
             os.ftruncate(self._descriptor, end)
 
 
+def _without_secrets(fields: dict[str, Any]) -> dict[str, Any]:
+    """Return fields whose sentences hold no secret of the environment; names and values stay as they are."""
+    sentences = {name: fields[name] for name in _SENTENCES & fields.keys() if isinstance(fields[name], str)}
+    return fields | {name: without_environment_secrets(text) for name, text in sentences.items()}
+
+
 def read_journal(path: Path, *, kinds: Collection[str] | None = None) -> Iterator[dict[str, Any]]:
     """Yield the records of a journal, oldest first; a torn last line is left out.
 
@@ -124,15 +139,47 @@ def journal_lines(path: Path, *, kinds: Collection[str] | None = None) -> Iterat
 
     Every line is looked at: one that was cut or overwritten, of whatever kind, is refused and not passed over.
     """
-    beginnings = tuple(f'{_BEGINNING}{kind}"'.encode() for kind in kinds) if kinds is not None else b""
-    beginning = _BEGINNING.encode()
+    beginnings = None if kinds is None else tuple(f'{_BEGINNING}{kind}"'.encode() for kind in kinds)
     with suppress(MissingFileError):
-        for line in read_lines(path):
-            if not (line.startswith(beginning) and line.endswith(b"}\n")):
-                if line.endswith(b"\n"):  # else it is the last one, torn when power failed
-                    raise _corrupt(path, line)
-            elif line.startswith(beginnings):
-                yield line
+        for block in read_blocks(path):
+            if not _is_whole(block):
+                yield from _lines_with_damage(path, block, beginnings)
+            elif beginnings is None:
+                yield from BytesIO(block)
+            else:
+                yield from _lines_of_kinds(block, beginnings)
+
+
+def _is_whole(block: bytes) -> bool:
+    """Return whether each line of a block begins and ends as a record; counted in C, as a journal has millions."""
+    lines = block.count(b"\n")
+    begun = block.startswith(_RECORD) + block.count(b"\n" + _RECORD)
+    return lines == begun == block.count(_END) and block.endswith(_END)
+
+
+def _lines_of_kinds(block: bytes, beginnings: Collection[bytes]) -> Iterator[bytes]:
+    starts = [0] if block.startswith(tuple(beginnings)) else []
+    for beginning in beginnings:
+        at = block.find(b"\n" + beginning)
+        while at >= 0:
+            starts.append(at + 1)
+            at = block.find(b"\n" + beginning, at + 1)
+    for start in sorted(starts):
+        yield block[start : block.index(b"\n", start) + 1]
+
+
+def _lines_with_damage(path: Path, block: bytes, beginnings: tuple[bytes, ...] | None) -> Iterator[bytes]:
+    """Yield the lines of a block up to one that is damaged; the last one of a journal may be torn, as power failed.
+
+    Raises:
+        StorageError: one is damaged.
+    """
+    for line in BytesIO(block):
+        if not (line.startswith(_RECORD) and line.endswith(_END)):
+            if line.endswith(b"\n"):
+                raise _corrupt(path, line)
+        elif beginnings is None or line.startswith(beginnings):
+            yield line
 
 
 def last_records(path: Path, *, kinds: Collection[str], within: int = _LAST_BYTES) -> Iterator[dict[str, Any]]:
@@ -161,22 +208,25 @@ def parsed_record(path: Path, line: bytes) -> dict[str, Any]:
     """Return the record that a line of the journal holds.
 
     Raises:
-        StorageError: it is no record.
+        StorageError: it is no record, or not as records of its kind are.
     """
     try:
-        record = json.loads(line)
-    except ValueError as error:
-        raise _corrupt(path, line) from error
-    if not isinstance(record, dict) or not isinstance(record.get("kind"), str):
-        raise _corrupt(path, line)
+        record: dict[str, Any] = _decode(line.decode())
+    except (ValueError, RecursionError) as error:
+        raise _corrupt(path, line, str(error)) from error
+    kind = record.get("kind") if isinstance(record, dict) else None
+    faults = faults_of(record, RECORDS.get(kind, Record) if isinstance(kind, str) else Record)
+    if faults:
+        raise _corrupt(path, line, "; ".join(faults))
     return record
 
 
-def _corrupt(path: Path, line: bytes) -> StorageError:
+def _corrupt(path: Path, line: bytes, reason: str = "") -> StorageError:
     # Lines are counted only where one is wrong.
-    number = next((number for number, each in enumerate(read_lines(path), start=1) if each == line), 0)
+    lines = chain.from_iterable(map(BytesIO, read_blocks(path)))
+    number = next((number for number, each in enumerate(lines, start=1) if each == line), 0)
     return StorageError(
-        "this line is no record of a journal",
+        f"this line is no record of a journal{f': {reason}' if reason else ''}",
         where=f"{path}:{number}",
         fix="Restore the file from a backup, or delete the line to go on without it.",
     )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import fcntl
 import json
 import os
 import socket
@@ -12,8 +10,11 @@ from enum import Enum
 from typing import TYPE_CHECKING, Self
 
 from robot_runner.core.errors import ExecutionError, StorageError
+from robot_runner.core.storage.declared_shapes import checked_json, faults_of
+from robot_runner.core.storage.file_shapes import HolderFile, RequestFile
+from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, read_bytes, remove, replace
 from robot_runner.core.storage.journal import utc_now
-from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
+from robot_runner.core.storage.lock_files import is_held_exclusively, lock_exclusively
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -51,7 +52,8 @@ class Holder:
 class ExperimentLock:
     """Keeps a second orchestrator out. The system lets go of it when the process dies, however it dies.
 
-    A POSIX record lock: unlike `flock` it is not inherited by the runs that are forked from the holder.
+    A POSIX record lock: unlike `flock` it is not inherited by the runs that are forked from the holder. Nobody but the
+    folder's owner, or the group that may write in it, can hold it, see `lock_files`.
     """
 
     def __init__(self, path: Path) -> None:
@@ -59,16 +61,10 @@ class ExperimentLock:
         self._descriptor = -1
 
     def __enter__(self) -> Self:
-        try:
-            self._descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        except OSError as error:
-            raise storage_error(self._path, "written", error) from error
-        try:
-            fcntl.lockf(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            holder = _read(self._descriptor)
-            os.close(self._descriptor)
-            raise _refusal(self._path, holder, error) from error
+        descriptor = lock_exclusively(self._path)
+        if descriptor is None:
+            raise _refusal(self._path, holder_of(self._path) or Holder(0, "unknown", ""))
+        self._descriptor = descriptor
         self._sign()
         return self
 
@@ -84,36 +80,30 @@ class ExperimentLock:
         os.pwrite(self._descriptor, json.dumps(asdict(holder)).encode(), 0)
 
 
+_SIGNED = tuple(HolderFile.__annotations__)
+
+
 def holder_of(path: Path) -> Holder | None:
     """Return who holds the lock at this moment, or None; nothing is changed by asking."""
     try:
-        descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
-    except OSError:
+        descriptor = open_descriptor(path, flags=os.O_RDONLY)
+    except StorageError:
         return None
     try:
-        fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return _read(descriptor)
-    else:
-        return None
+        return _read(descriptor) if is_held_exclusively(descriptor, path) else None
     finally:
         os.close(descriptor)
 
 
 def _read(descriptor: int) -> Holder:
     try:
-        return Holder(**json.loads(os.pread(descriptor, 4096, 0)))
-    except (ValueError, TypeError):  # locked and not yet signed
-        return Holder(0, "unknown", "")
+        said = json.loads(os.pread(descriptor, 4096, 0))
+    except (ValueError, RecursionError):  # locked and not yet signed
+        said = None
+    return Holder(0, "unknown", "") if faults_of(said, HolderFile) else Holder(**{name: said[name] for name in _SIGNED})
 
 
-def _refusal(path: Path, holder: Holder, error: OSError) -> ExecutionError | StorageError:
-    if error.errno not in {errno.EACCES, errno.EAGAIN}:
-        return StorageError(
-            f"the folder's file system offers no locks: {error.strerror}",
-            where=str(path),
-            fix="Keep the results on a local disk (results_output_path).",
-        )
+def _refusal(path: Path, holder: Holder) -> ExecutionError:
     return ExecutionError(
         f"the experiment is being executed by process {holder.pid} on {holder.host} since {holder.since}",
         where=str(path.parent),
@@ -146,7 +136,7 @@ def send_command(control: Path, command: Command, answers: Mapping[str, str] | N
         StorageError: the experiment's folder cannot be written.
     """
     request = json.dumps({"command": command.value, "answers": dict(answers or {})})
-    write_beside_and_rename(control, lambda file: file.write(request))
+    replace(control, request)
 
 
 def take_command(control: Path) -> Command | None:
@@ -158,22 +148,23 @@ def take_command(control: Path) -> Command | None:
 def take_request(control: Path) -> Request | None:
     """Return the request that was left, and remove it; None where there is none, or none that can be understood."""
     try:
-        with control.open("rb") as file:
-            text = file.read(_MOST_BYTES)
-    except OSError:
+        text = read_bytes(control, limit=_MOST_BYTES)
+    except MissingFileError:
+        return None
+    except StorageError:  # nothing that we wrote
+        forget_command(control)
         return None
     forget_command(control)
     try:
-        said = json.loads(text)
-        answers = {str(name): str(answer) for name, answer in said.get("answers", {}).items()}
-        return Request(Command(said["command"]), answers)
-    except (ValueError, KeyError, AttributeError, RecursionError):
+        said = json.loads(text, object_pairs_hook=checked_json)
+        return None if faults_of(said, RequestFile) else Request(Command(said["command"]), said.get("answers", {}))
+    except (ValueError, RecursionError):
         return None
 
 
 def forget_command(control: Path) -> None:
     """Remove a command that was left before anybody waited for it."""
-    control.unlink(missing_ok=True)
+    remove(control)
 
 
 # The request to pause: a file of its own, so that it lasts until it is taken back and no other command is lost.
@@ -185,14 +176,14 @@ def request_pause(path: Path) -> None:
     Raises:
         StorageError: the experiment's folder cannot be written.
     """
-    write_beside_and_rename(path, lambda file: file.write(f"{utc_now()}\n"))
+    replace(path, f"{utc_now()}\n")
 
 
 def pause_is_requested(path: Path) -> bool:
     """Return whether a pause is asked for, or lasts."""
-    return path.exists()
+    return path.is_file()
 
 
 def forget_pause(path: Path) -> None:
     """Take the request back: an experiment that is paused goes on."""
-    path.unlink(missing_ok=True)
+    remove(path)

@@ -70,6 +70,12 @@ def add_arguments(parser: Parser) -> None:
         help="ask the package index that pip is set up for, for the hashes of the packages needed: others' pip then "
         "demands them",
     )
+    parser.add_argument(
+        "--base-image",
+        metavar="IMAGE",
+        help="what the container image is based on, best with its digest (NAME:TAG@sha256:DIGITS), instead of the "
+        "official image of the experiment's Python or ROS",
+    )
     add_json(parser)
 
 
@@ -77,6 +83,7 @@ def execute(arguments: Namespace) -> int:
     """Write the package; say what is in it, what is not, and what others will miss."""
     folder = folder_of_target(arguments.target, arguments.set).root
     authors, licence = _authors(arguments.author), _licence(arguments.licence)
+    from robot_runner.replication.container import as_base  # noqa: PLC0415 - only where a package is made
     from robot_runner.replication.packing import Packing, pack  # noqa: PLC0415 - takes a while to import
 
     packing = Packing(
@@ -87,6 +94,7 @@ def execute(arguments: Namespace) -> int:
         citation=arguments.citation,
         with_wheels=not arguments.no_wheels,
         with_hashes=arguments.hashes,
+        base_image=None if arguments.base_image is None else as_base(arguments.base_image),
     )
     target = Path(arguments.to).expanduser() if arguments.to else Path.cwd() / f"{folder.name}.zip"
     if arguments.hashes:

@@ -1,0 +1,138 @@
+"""Files that processes of an experiment lock, so that nobody else can: another local user must not block its owner.
+
+Whoever can open a file can lock it. So these files are their owner's alone, or a group's that may write in the
+experiment's folder. Earlier versions made them readable for everybody, and a stranger may have one open since then:
+such a file is replaced, not narrowed.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import stat
+import time
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.guarded_files import open_descriptor
+from robot_runner.core.storage.guarded_paths import rights_of
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+__all__ = ["is_held_exclusively", "lock_exclusively", "open_to_lock", "was_open_to_strangers"]
+
+_OWNER, _GROUP = 0o600, 0o060
+#: How often a lock is tried that somebody else replaces at the same moment, and how long to wait between, s.
+_TRIES, _BETWEEN = 50, 0.01
+
+
+def open_to_lock(path: Path, root: Path) -> int:
+    """Return a descriptor of a file to lock, which is made where it is missing; nobody else can open it.
+
+    Raises:
+        StorageError: it is no regular file, or cannot be written.
+    """
+    wanted = _wanted(root)
+    descriptor = open_descriptor(path, root, mode=wanted)
+    found = os.fstat(descriptor)
+    if found.st_uid == os.geteuid() and wanted & ~found.st_mode:  # the umask took the group's rights
+        os.fchmod(descriptor, stat.S_IMODE(found.st_mode) | wanted)
+    return descriptor
+
+
+def was_open_to_strangers(path: Path, root: Path) -> bool:
+    """Return whether others than those who may write in the experiment's folder can open the file, and so lock it."""
+    try:
+        return bool(stat.S_IMODE(path.lstat().st_mode) & 0o077 & ~_wanted(root))
+    except FileNotFoundError:
+        return False
+
+
+def lock_exclusively(path: Path) -> int | None:
+    """Lock a file with a POSIX record lock, and return its descriptor; None where another process of ours holds it.
+
+    Only exclusive locks count, since they take the right to write. Whoever may merely read the file can hold a shared
+    one: then the file is replaced by one that strangers cannot open.
+
+    Raises:
+        StorageError: the file cannot be opened, or its file system offers no locks.
+    """
+    for _ in range(_TRIES):
+        descriptor = open_to_lock(path, path.parent)
+        if _strangers_may_write(descriptor, path):
+            taken = _put_in_place(path, descriptor)
+        elif _try(descriptor, fcntl.LOCK_EX, path):
+            taken = _narrowed(descriptor, path)
+        elif _try(descriptor, fcntl.LOCK_SH, path):
+            taken = _put_in_place(path, descriptor)
+        else:
+            os.close(descriptor)
+            return None
+        if taken != descriptor:
+            os.close(descriptor)
+        if taken is not None and _is_at(taken, path):
+            return taken
+        if taken is not None:
+            os.close(taken)
+        time.sleep(_BETWEEN)  # it was replaced by another process of ours meanwhile: look again
+    return None
+
+
+def is_held_exclusively(descriptor: int, path: Path) -> bool:
+    """Return whether another process of ours holds the lock of a file that is open for reading."""
+    return not _strangers_may_write(descriptor, path) and not _try(descriptor, fcntl.LOCK_SH, path)
+
+
+def _put_in_place(path: Path, old: int) -> int | None:
+    """Put a new, locked file in place of one that a stranger can lock, and return its descriptor.
+
+    Nobody of ours can lock the old file exclusively meanwhile: the caller holds a shared lock, or it is not used at
+    all. Of several who do this at once, the one that locks the new file goes on; the others get None.
+    """
+    new = path.with_name(f"{path.name}.new")
+    descriptor = open_to_lock(new, path.parent)
+    if _try(descriptor, fcntl.LOCK_EX, new) and _is_at(descriptor, new):
+        if _is_at(old, path):
+            new.replace(path)
+            return _narrowed(descriptor, path)
+        new.unlink()  # another process was faster
+    os.close(descriptor)
+    return None
+
+
+def _narrowed(descriptor: int, path: Path) -> int:
+    if os.fstat(descriptor).st_uid == os.geteuid():
+        os.fchmod(descriptor, _wanted(path.parent))
+    return descriptor
+
+
+def _strangers_may_write(descriptor: int, path: Path) -> bool:
+    return bool(os.fstat(descriptor).st_mode & 0o022 & ~_wanted(path.parent))
+
+
+def _try(descriptor: int, kind: int, path: Path) -> bool:
+    try:
+        fcntl.lockf(descriptor, kind | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in {errno.EACCES, errno.EAGAIN}:
+            return False
+        os.close(descriptor)
+        raise StorageError(
+            f"the folder's file system offers no locks: {error.strerror}",
+            where=str(path),
+            fix="Keep the results on a local disk (results_output_path).",
+        ) from error
+    return True
+
+
+def _is_at(descriptor: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.lstat())
+    except FileNotFoundError:
+        return False
+
+
+def _wanted(root: Path) -> int:
+    return _OWNER | (_GROUP if rights_of(root) & stat.S_IWGRP else 0)
