@@ -24,7 +24,7 @@ _ALNUM = string.ascii_letters + string.digits
 
 def marker(kind: str, length: int = 12, alphabet: str = _ALNUM) -> str:
     """Return what stands for the secret of a kind: always the same, and nothing that is written anywhere else."""
-    source = random.Random(kind)
+    source = random.Random(kind)  # noqa: S311 - the same each time
     text = "".join(source.choice(alphabet) for _ in range(length))
     return text if alphabet is not _ALNUM else text[:-2] + "k7"  # a digit and a letter, as most passwords have
 
@@ -111,7 +111,7 @@ def _python() -> Iterator[Planted]:
         ("default argument", 'def connect(user="ada", pw="§"): ...', "word"),
         ("MQTT client", 'def mqtt(client): client.username_pw_set("lab", "§")', "word"),
         ("paramiko", 'def log_in(ssh): ssh.connect("robot", username="pi", password="§")', "word"),
-        ("basic authentication", 'def ask(get, HTTPBasicAuth): get("http://plug", auth=HTTPBasicAuth("ada", "§"))', "word"),
+        ("basic authentication", 'def ask(get, HTTPBasicAuth): get("http://plug", HTTPBasicAuth("ada", "§"))', "word"),
         ("pexpect", 'def type_it(child):\n    child.expect("assword:")\n    child.sendline("§")', "word"),
         ("sudo -S", 'RESTART = "echo § | sudo -S systemctl restart bringup"', "word"),
         ("launch argument's default", 'def launch(Declare): return Declare("password", default_value="§")', "word"),
@@ -164,7 +164,9 @@ def _settings() -> Iterator[Planted]:
         ("ODBC", "dsn = Driver=PG;Uid=lab;Pwd=§;Port=5432", "word"),
         ("rosbridge secret", "rosauth_secret=§", "word"),
     )
-    yield from _of("config/lab.toml", ("TOML", 'api-key = "§"'), ("TOML login", 'login = {user = "a", pw = "§"}', "word"))
+    yield from _of(
+        "config/lab.toml", ("TOML", 'api-key = "§"'), ("TOML login", 'login = {user = "a", pw = "§"}', "word")
+    )
     yield from _of(
         "config/bringup.launch",
         ("launch param", '<launch><param name="password" value="§"/></launch>', "word"),
@@ -205,7 +207,7 @@ def _log() -> Iterator[Planted]:
         "SendGrid": "S" + "G." + marker("SendGrid", 22) + "." + marker("SendGrid b", 43),
         "Stripe": "sk_" + "live_" + marker("Stripe", 24),
         "Telegram": "612345678" + ":AA" + marker("Telegram", 33),
-        "JWT": "ey" + "JhbGciOiJIUzI1NiJ9.ey" + marker("JWT", 40) + "." + marker("JWT b", 43),
+        "JWT": "ey" + "JhbGciOiJIUzI1NiJ9.eyJ" + marker("JWT", 40) + "." + marker("JWT b", 43),
         "age": "AGE-SECRET-" + "KEY-1" + marker("age", 58, string.ascii_uppercase),
     }
     for kind, token in tokens.items():

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from robot_runner.replication.redaction import Redactor, is_binary, secrets_in_code
+from robot_runner.replication.redaction import Hits, Redactor, is_binary, secrets_in_code
 
 
 def _clean(text, *, loose=True, secrets=(), home=None):
@@ -90,7 +90,7 @@ def test_a_secret_across_two_blocks_is_found(tmp_path):
     line = "x" * 99 + "\n"
     path.write_text(line * 10485 + "token=abcdefgh\n" + line * 20000, encoding="utf-8")  # at the end of the first MiB
     found: Counter[str] = Counter()
-    cleaned = b"".join(Redactor.knowing((), home=None).blocks(path, found))
+    cleaned = b"".join(Redactor.knowing((), home=None).blocks(path, Hits(replaced=found)))
     assert b"abcdefgh" not in cleaned
     assert found == {"password": 1}
     assert len(cleaned) == path.stat().st_size
@@ -100,7 +100,7 @@ def test_a_key_across_two_blocks_is_found(tmp_path):
     path = tmp_path / "log.txt"
     begin, end = "-----BEGIN RSA PRIVATE KEY-----\n", "-----END RSA PRIVATE KEY-----\n"
     path.write_text("x" * 99 + "\n" + ("y" * 99 + "\n") * 10484 + begin + "MIIE\n" * 30 + end, encoding="utf-8")
-    assert b"MIIE" not in b"".join(Redactor.knowing((), home=None).blocks(path, Counter()))
+    assert b"MIIE" not in b"".join(Redactor.knowing((), home=None).blocks(path, Hits()))
 
 
 def test_bytes_that_are_no_text_are_told_from_text(tmp_path):

@@ -9,10 +9,10 @@ import re
 import secrets
 import time
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
 __all__ = [
     "REDACTED",
@@ -23,6 +23,8 @@ __all__ = [
     "is_same_setting",
     "is_secret_name",
     "secrets_of_environment",
+    "sentences_without_secrets",
+    "shown_assignments",
     "shown_settings",
     "without_environment_secrets",
 ]
@@ -30,31 +32,37 @@ __all__ = [
 #: What stands in a secret's place.
 REDACTED = "REDACTED"
 
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+|[^\W\d_]+")
 #: Words that name a secret wherever they stand in a name, in the languages of labs that we know of.
-_STRONG = frozenset(
-    "password passwd passphrase passcode pwd pw psk secret credential apikey authtoken accesskey privatekey secretkey "
-    "presharedkey passwort kennwort wachtwoord contrasena contraseña senha motdepasse mdp".split()  # noqa: SIM905 - a list
+_STRONG = _words(
+    "password passwd passphrase passcode pwd pw psk secret credential apikey authtoken accesskey privatekey "
+    "secretkey presharedkey passwort kennwort wachtwoord contrasena contraseña senha motdepasse mdp"
 )
 #: Words that do, unless they are about a text's tokens, or a passage through something.
 _COMMON = frozenset({"token", "pass"})
 #: What a key opens or signs: these keys are secret, those of a keyboard or a dictionary are not.
-_KEYS = frozenset(
-    "api access private secret shared preshared signing encryption wep auth account master service deploy ssh gpg "
-    "client license wpa app webhook consumer".split()  # noqa: SIM905 - a list
+_KEYS = _words(
+    "api access private secret shared preshared signing encryption wep auth account master service deploy "
+    "ssh gpg client license wpa app webhook consumer"
 )
-_NOT_A_LOGIN = frozenset(
-    "eos bos pad unk cls sep mask stop special start end image max min num n total input output prompt completion new "
-    "generated first second third low high band all single multi two one render forward backward by no per next last "
-    "test tests checks did does will prefill decode context count".split()  # noqa: SIM905 - a list
+_NOT_A_LOGIN = _words(
+    "eos bos pad unk cls sep mask stop special start end image max min num n total input output prompt "
+    "completion new generated first second third low high band all single multi two one render forward "
+    "backward by no per next last id test tests checks did does will prefill decode context count"
 )
 #: A name that ends in one of these tells of a secret, and is none: where it is kept, how long it is.
-_ABOUT = frozenset(
-    "file path env var variable name names field column label prompt count len length type types hint policy regex "
-    "pattern dir directory folder format min max limit rate size per expires expiry expiration ttl timeout manager "
-    "store provider usage id ids index budget times frequency throughput latency speed cost price ms s seconds "
-    "authentication required enabled check validator class parser generator loader source location url uri endpoint "
-    "attempts retries ratio percent through pos position error errors rule rules kind mode level".split()  # noqa: SIM905 - a list
+_ABOUT = _words(
+    "file path env var variable name names field column label prompt count len length type types hint policy "
+    "regex pattern dir directory folder format min max limit rate size per expires expiry expiration ttl "
+    "timeout manager store provider usage id ids index budget times frequency throughput latency speed cost "
+    "price ms s seconds authentication required enabled check validator class parser generator loader source "
+    "location url uri endpoint attempts retries ratio percent through pos position error errors rule rules "
+    "kind mode level"
 )
 
 
@@ -71,7 +79,7 @@ def is_secret_name(name: str) -> bool:
         words.pop()
     if not words or words[-1] in _ABOUT:
         return False
-    singular = [each.removesuffix("s") if each not in {"pass"} else each for each in words]
+    singular = [each.removesuffix("s") if each != "pass" else each for each in words]
     if _STRONG & {*words, *singular}:
         return True
     for place, each in enumerate(singular):
@@ -154,6 +162,18 @@ def without_environment_secrets(text: str) -> str:
     return text
 
 
+#: Fields of a record in which what a program said may stand.
+_SENTENCES = frozenset({"problem", "traceback", "fix", "failure", "reason", "text", "note", "seen", "said"})
+
+
+def sentences_without_secrets(fields: dict[str, Any]) -> dict[str, Any]:
+    """Return a record's fields with no secret of the environment in a sentence; names and values stay as they are."""
+    if not secrets_of_environment():
+        return fields
+    sentences = {name: fields[name] for name in _SENTENCES & fields.keys() if isinstance(fields[name], str)}
+    return fields | {name: without_environment_secrets(text) for name, text in sentences.items()}
+
+
 def forms_of(secret: str) -> set[str]:
     """Return how a secret may be written: as it is, and as JSON has it, with and without letters beyond ASCII."""
     return {secret, json.dumps(secret)[1:-1], json.dumps(secret, ensure_ascii=False)[1:-1]}
@@ -194,9 +214,25 @@ def shown_settings(settings: Mapping[str, object]) -> dict[str, str]:
         {'robot': 'simulated', 'db_password': 'REDACTED'}
     """
     return {
-        name: REDACTED if is_secret_name(name) and str(text) else _HIDDEN.sub(REDACTED, str(text))
-        for name, text in settings.items()
+        name: REDACTED
+        if is_secret_name(name) and str(text)
+        else without_environment_secrets(_HIDDEN.sub(REDACTED, text))
+        for name, text in ((name, str(value)) for name, value in settings.items())
     }
+
+
+def shown_assignments(assignments: Iterable[str]) -> list[str]:
+    """Return `name=value` assignments as words of a command to show; who repeats it writes the secret again.
+
+    Example:
+        >>> shown_assignments(["robot=simulated", "db_password=swordfish"])
+        ['robot=simulated', 'db_password=...']
+    """
+    named = (each.partition("=") for each in assignments)
+    return [
+        f"{name}{equals}{'...' if is_secret_name(name) and text else without_environment_secrets(text)}"
+        for name, equals, text in named
+    ]
 
 
 @lru_cache(maxsize=64)

@@ -18,11 +18,13 @@ if TYPE_CHECKING:
 __all__ = ["found_in_code", "secrets_in_code"]
 
 _SHORTEST = 5
-#: What half of the robots of the world have for a login, and what a default says: no secret anywhere else in the folder.
-_COMMON = frozenset(
-    "admin change changeme default guest password postgres public raspberry robot secret simulated student test token "
-    "turtlebot turtlebot3 ubuntu video".split()  # noqa: SIM905 - a list
+#: Logins of half of the robots, and words of a default: where they stand elsewhere in the folder, they are no secret.
+_COMMON_TEXT = (
+    "admin change changeme default guest password postgres public raspberry robot secret simulated student "
+    "test token turtlebot turtlebot3 ubuntu video"
 )
+_COMMON = frozenset(_COMMON_TEXT.split())
+_COMMON = frozenset(_COMMON_TEXT.split())
 _WITH_DEFAULT = frozenset({"getenv", "get", "setdefault", "setenv", "putenv", "pop"})
 _Pair = tuple[ast.AST | None, ast.AST | None]
 
@@ -92,25 +94,30 @@ def _text_of(value: ast.expr) -> str:
 
 def _pairs(node: ast.AST) -> Iterable[_Pair]:
     """Return what a node names, with what it gives to each name."""
+    pairs: Iterable[_Pair] = ()
     match node:
         case ast.Assign(targets=targets, value=value):
-            return [pair for target in targets for pair in _assigned(target, value)]
+            pairs = [pair for target in targets for pair in _assigned(target, value)]
         case ast.AnnAssign(target=target, value=value) | ast.NamedExpr(target=target, value=value):
-            return [(target, value)]
+            pairs = [(target, value)]
         case ast.keyword(arg=str(name), value=value):
-            return [(ast.Name(name), each) for each in _last_of_pair(name, value)]
+            pairs = [(ast.Name(name), each) for each in _last_of_pair(name, value)]
         case ast.Dict(keys=keys, values=values):
-            return zip(keys, values, strict=True)
+            pairs = zip(keys, values, strict=True)
         case ast.arguments():
             positional = [*node.posonlyargs, *node.args]
             with_default = [*positional[len(positional) - len(node.defaults) :], *node.kwonlyargs]
             names = [ast.Name(argument.arg) for argument in with_default]
-            return zip(names, [*node.defaults, *node.kw_defaults], strict=True)
-        case ast.Call(func=ast.Attribute(attr=called) | ast.Name(id=called), args=[name, value]) if called in _WITH_DEFAULT:
-            return [(name, value)]
-        case ast.Call(args=[ast.Constant(value=str()) as name], keywords=keywords):
-            return [(name, each.value) for each in keywords if each.arg in {"default_value", "default", "value"}]
-    return ()
+            pairs = zip(names, [*node.defaults, *node.kw_defaults], strict=True)
+        case ast.Call(args=[ast.Constant(value=str()) as name, *others], keywords=keywords):
+            given = [each.value for each in keywords if each.arg in {"default_value", "default", "value"}]
+            is_of_name = isinstance(node.func, ast.Attribute | ast.Name) and _called(node.func) in _WITH_DEFAULT
+            pairs = [(name, each) for each in [*given, *(others if is_of_name else ())]]
+    return pairs
+
+
+def _called(function: ast.Attribute | ast.Name) -> str:
+    return function.attr if isinstance(function, ast.Attribute) else function.id
 
 
 def _assigned(target: ast.expr, value: ast.expr) -> Iterator[_Pair]:

@@ -31,12 +31,13 @@ NAME_HINTS = (
 )
 _HINT = re.compile(b"|".join(NAME_HINTS))
 _LONGEST_NAME = 64
+_LONGEST_LINE = 400
 _NAME_BEFORE = re.compile(rb"[\w.-]*\Z", re.ASCII)
 _NAME_AFTER = re.compile(rb"[\w.-]{0,64}", re.ASCII)
 
 _QUOTE = rb"\\?[\"']"
 _TEXT = rb"(?P<quote>[rbfuRBFU]{0,2}(?P<mark>\\?[\"']))(?P<quoted>(?:\\[^\n]|(?!(?P=mark))[^\\\n])*)(?P=mark)"
-_BARE = rb"(?P<bare>[^\s\"',;<>\\)}\]]+)"
+_BARE = rb"(?P<bare>[^\s\"'`,;<>\\)}\]]+)"
 _NUMBER = rb"(?P<number>\d{4,})(?![\w.])"
 
 
@@ -47,7 +48,7 @@ def _form(expression: bytes) -> re.Pattern[bytes]:
 #: What may follow a name, and ends in a text in quotes, whatever the file's grammar.
 _QUOTED = (
     # password = "X", "password": "X", password: str = "X", ["DB_PASSWORD"] = "X"
-    _form(rb"(?:" + _QUOTE + rb"\s*\]?)?[ \t]*(?::[ \t]*[\w\[\]. |]+=|:=|=>|<-|[:=])\s*(?:\\\n\s*|\(\s*)?" + _TEXT),
+    _form(rb"(?:" + _QUOTE + rb"\s*\]?)?[ \t]*(?::[ \t]*[\w\[\]. |]+=|:=|=>|<-|[:=])[ \t]*(?:\\\n\s*|\(\s*)?" + _TEXT),
     # name="password" value="X", ("password", default_value="X"), {"name": "password", "value": "X"}
     _form(_QUOTE + rb"[\s,]+" + _QUOTE + rb"?(?:default_value|default|value)" + _QUOTE + rb"?\s*[:=]\s*" + _TEXT),
 )
@@ -60,13 +61,17 @@ _PAIR = _form(_QUOTE + rb"?\s*[:=]\s*\(\s*[\"'][^\"'\n]*[\"']\s*,\s*" + _TEXT + 
 _VALUE_BEFORE = re.compile(rb"(?:value|default)\s*=\s*([\"'])(?P<quoted>[^\"'\n<>]+)\1\s+name\s*=\s*[\"']\Z")
 _ELEMENT = _form(rb">(?P<bare>[^<>\n]+)</")
 _NUMERIC = _form(rb"(?:" + _QUOTE + rb")?[ \t]*(?::[ \t]*int[ \t]*=|:=|[:=])[ \t]*" + _NUMBER)
+#: Of a URL: ?token=X&next=...
+_PARAMETER = _form(rb"=(?P<bare>[^\s\"'&#\\<>{}]+)")
 #: A line of a settings file or a log: password: X
 _LOOSE = _form(rb"[ \t]*(?::=|[:=])[ \t]*(?:!!str[ \t]+)?" + _BARE)
-_OF_SOMEBODY = _form(rb"[ \t]+(?:for|of|von|van|voor|f\xc3\xbcr)[ \t]+[\w@.-]+:[ \t]+" + _BARE)
+_OF_SOMEBODY = _form(rb"[ \t]+(?:for|of|von|van|voor|f\xc3\xbcr)[ \t]+(?:[\w@.'-]+[ \t]+){0,3}[\w@.'-]+:[ \t]+" + _BARE)
 _BLOCK_SCALAR = _form(rb"[ \t]*:[ \t]*[|>][-+0-9]*[ \t]*\n(?P<indent>[ \t]+)(?P<bare>[^\n]+(?:\n(?P=indent)[^\n]+)*)")
 _FLAG = _form(_QUOTE + rb"?(?:[ \t]+)(?!-)" + _BARE)
 #: The robot's password is X; pw - X
-_PROSE = _form(rb"[ \t]+(?:is|was|war|ist|lautet|=|->|\xe2\x80\x93|-)[ \t]+(?P<bare>[^\s\"',;<>\\)}\]]+)(?P<rest>[^\n]*)")
+_PROSE = _form(
+    rb"[ \t]+(?:is|was|war|ist|lautet|=|->|\xe2\x80\x93|-)[ \t]+(?P<bare>[^\s\"',;<>\\)}\]]+)(?P<rest>[^\n]*)"
+)
 _SPACED = _form(rb"[ \t]+(?P<bare>[^\s\"',;<>\\)}\]:=]+)[ \t]*(?=\r?\n|\Z|\\n|[\"'])")
 
 #: In a line with one of these, what follows the word password is one, without any sign between.
@@ -98,44 +103,57 @@ def named_secrets(block: bytes, grammar: Grammar) -> Iterator[Found]:
         after = _NAME_AFTER.match(block, hint.end())
         end = after.end() if after else hint.end()
         done = end
-        name = block[start:end].decode("ascii", "replace").rstrip(".-")
-        if end - start <= _LONGEST_NAME and is_secret_name(name):
-            yield from _after(block, (start, start + len(name)), name, grammar)
+        written = block[start:end].rstrip(b".-")
+        name = written.lstrip(b".-")
+        start += len(written) - len(name)
+        if end - start <= _LONGEST_NAME and is_secret_name(name.decode("ascii", "replace")):
+            yield from _after(block, (start, start + len(name)), name.decode("ascii", "replace"), grammar)
 
 
 def _after(block: bytes, place: tuple[int, int], name: str, grammar: Grammar) -> Iterator[Found]:
     """Yield the secret that belongs to a name at a place of a block; at most one."""
     start, end = place
-    before = block[max(0, start - 80) : start].rsplit(b"\n", 1)[-1]
-    is_flag = before.endswith(b"-") or name.startswith("-")
-    for form in _QUOTED:
-        if match := form.match(block, end):
-            yield from _judged(match, "quoted", name, start)
-            return
-    if (match := _NEXT.match(block, end)) and (is_flag or _BEFORE_NEXT.search(before)):
-        if not match["quoted"].startswith(b"-"):
-            yield from _judged(match, "quoted", name, start)
-        return
-    if match := _PAIR.match(block, end):
+    before = block[max(0, start - _LONGEST_LINE) : start].rsplit(b"\n", 1)[-1]
+    if match := _quoted(block, end, before):
         yield from _judged(match, "quoted", name, start)
-        return
-    if match := _NUMERIC.match(block, end):
+    elif match := _VALUE_BEFORE.search(block[max(0, start - _LONGEST_LINE) : start]):
+        offset = max(0, start - _LONGEST_LINE)
+        if _is_secret(match["quoted"], name):
+            value = match.span("quoted")
+            yield Found(offset + value[0], offset + value[1], _WHAT, offset + match.start())
+    elif match := _bare(block, end, before):
+        yield from _judged(match, "bare", name, start)
+    elif match := _NUMERIC.match(block, end):
         yield from _judged_number(match, name, start, grammar)
-        return
-    if match := _VALUE_BEFORE.search(block[max(0, start - 200) : start]):
-        offset = max(0, start - 200)
-        value = match["quoted"]
-        if _is_secret(value, name):
-            yield Found(offset + match.start("quoted"), offset + match.end("quoted"), _WHAT, offset + match.start())
-        return
-    if (match := _ELEMENT.match(block, end)) and before.endswith(b"<"):
-        yield from _judged(match, "bare", name, start)
-        return
-    if is_flag and (match := _FLAG.match(block, end)):
-        yield from _judged(match, "bare", name, start)
-        return
-    if grammar in {Grammar.TEXT, Grammar.DATA}:
+    elif grammar in {Grammar.TEXT, Grammar.DATA}:
         yield from _loosely(block, place, name, before)
+
+
+def _quoted(block: bytes, end: int, before: bytes) -> re.Match[bytes] | None:
+    """Return the text in quotes that belongs to a name which ends here, in whatever grammar."""
+    for form in _QUOTED:
+        if (match := form.match(block, end)) and not _is_closing(match, before):
+            return match
+    match = _NEXT.match(block, end)
+    if match and _BEFORE_NEXT.search(before) and not match["quoted"].startswith(b"-"):
+        return match
+    return _PAIR.match(block, end)
+
+
+def _bare(block: bytes, end: int, before: bytes) -> re.Match[bytes] | None:
+    """Return the value without quotes that can be nothing else: of a URL, an XML element, an option."""
+    if before.endswith((b"?", b"&")):
+        return _PARAMETER.match(block, end)
+    if before.endswith(b"<"):
+        return _ELEMENT.match(block, end)
+    return _FLAG.match(block, end) if before.endswith(b"-") else None
+
+
+def _is_closing(match: re.Match[bytes], before: bytes) -> bool:
+    """Whether a quotation mark ends the text in which the name stands, as in `ask("Password: ")`."""
+    mark = match["mark"]
+    is_in_quotes = before.endswith(mark) and match[0].startswith(mark)
+    return before.count(mark) % 2 == 1 and not is_in_quotes
 
 
 def _loosely(block: bytes, place: tuple[int, int], name: str, before: bytes) -> Iterator[Found]:
@@ -144,11 +162,7 @@ def _loosely(block: bytes, place: tuple[int, int], name: str, before: bytes) -> 
     if match := _BLOCK_SCALAR.match(block, end):
         yield from _judged(match, "bare", name, start)
     elif (match := _LOOSE.match(block, end)) or (match := _OF_SOMEBODY.match(block, end)):
-        if before[-1:] in b"?&" and before:  # of a URL: the next parameter is another matter
-            cut = match["bare"].split(b"&")[0].split(b"#")[0]
-            if _is_secret(cut, name):
-                yield Found(match.start("bare"), match.start("bare") + len(cut), _WHAT, start)
-        elif not _is_code(match["bare"]) and block[match.end() : match.end() + 1] not in {b"("}:
+        if not _is_code(match["bare"]) and not block.startswith(b"(", match.end()):
             yield from _judged(match, "bare", name, start)
     elif match := _PROSE.match(block, end):
         yield from _told(match, name, start)
@@ -198,4 +212,3 @@ _CALL = re.compile(rb"[A-Za-z_][\w.]*[(\[]|[A-Za-z_]\w*\.[A-Za-z_]\w*(?:\.\w+)*\
 def _is_code(value: bytes) -> bool:
     """Whether a value without quotes is an expression: a call, an attribute."""
     return _CALL.match(value) is not None
-

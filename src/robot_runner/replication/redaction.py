@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections import Counter
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import TYPE_CHECKING, BinaryIO
+from functools import cached_property, partial
+from typing import TYPE_CHECKING
 
 from robot_runner.core.secret_names import REDACTED
 from robot_runner.replication.code_secrets import found_in_code, secrets_in_code
@@ -40,9 +39,8 @@ _KEPT_BACK = 8192
 #: More lines of one kind in one file are counted, not told.
 _MOST_LINES = 20
 _SNIFFED = 8192
-_BINARY = frozenset(
-    ".bag .bz2 .db3 .gz .mcap .npz .parquet .pdf .png .tar .tgz .whl .woff2 .xz .zip .zst".split()  # noqa: SIM905 - a list
-)
+_BINARY_TEXT = ".bag .bz2 .db3 .gz .mcap .npz .parquet .pdf .png .tar .tgz .whl .woff2 .xz .zip .zst"
+_BINARY = frozenset(_BINARY_TEXT.split())
 _GRAMMARS = {
     **dict.fromkeys((".csv", ".json", ".jsonl", ".ipynb"), Grammar.DATA),
     **dict.fromkeys((".html", ".svg"), Grammar.MARKUP),
@@ -109,9 +107,7 @@ class Redactor:
     replaces_doubtful: bool = False
 
     @classmethod
-    def knowing(
-        cls, secrets: Iterable[str], *, home: Path | None, replaces_doubtful: bool = False
-    ) -> Redactor:
+    def knowing(cls, secrets: Iterable[str], *, home: Path | None, replaces_doubtful: bool = False) -> Redactor:
         """Return one that also replaces these very texts, and the home folder of the user who packs."""
         texts = sorted(secrets, key=lambda text: (-len(text), text))
         known = [literal("password", text, REDACTED, is_whole=text.isalnum()) for text in texts]
@@ -155,24 +151,18 @@ class Redactor:
             found += named_secrets(block, grammar)
         return _without_overlap(found)
 
-    def blocks(self, file: Path | BinaryIO, hits: Hits | Counter[str], grammar: Grammar | None = None) -> Iterator[bytes]:
-        """Yield a text in blocks, secrets replaced.
+    def blocks(self, path: Path, hits: Hits) -> Iterator[bytes]:
+        """Yield a text file in blocks, secrets replaced.
 
         Args:
-            file: the file, or a stream of UTF-8.
+            path: the file; its name tells what it is written in.
             hits: takes what was found.
-            grammar: what it is written in; a file's name tells, if left out.
 
         Raises:
             OSError: it cannot be read.
         """
-        if not isinstance(hits, Hits):
-            hits = Hits(replaced=hits)
-        if isinstance(file, os.PathLike):
-            with file.open("rb") as stream:
-                yield from self._streamed(stream, hits, grammar or grammar_of(file))
-        else:
-            yield from self._streamed(file, hits, grammar or Grammar.TEXT)
+        with path.open("rb") as file:
+            yield from self.cleaned(iter(partial(file.read, _BLOCK), b""), hits, grammar_of(path))
 
     def secrets_in(self, path: Path) -> Counter[str]:
         """Return how many secrets of each kind are in a file, which stays as it is.
@@ -181,8 +171,9 @@ class Redactor:
             OSError: it cannot be read.
         """
         hits = Hits()
-        for _ in self.blocks(path, hits, Grammar.MARKUP):
-            pass
+        with path.open("rb") as file:
+            for _ in self.cleaned(iter(partial(file.read, _BLOCK), b""), hits, Grammar.MARKUP):
+                pass
         return hits.replaced
 
     def redacted(self, block: bytes, found: Counter[str], *, loose: bool) -> bytes:
@@ -190,16 +181,18 @@ class Redactor:
         hits = Hits(replaced=found)
         return self._replaced(block, self.find(block, Grammar.TEXT if loose else Grammar.MARKUP), hits, 1)
 
-    def _streamed(self, file: BinaryIO, hits: Hits, grammar: Grammar) -> Iterator[bytes]:
-        kept, line, is_first = file.read(_WHOLE), 1, True
-        while kept:
-            more = file.read(_BLOCK)
-            found = self.find(kept, grammar, is_file=is_first and not more)
-            cut = _cut_of(kept, found) if more else len(kept)
-            if cut:
-                yield self._replaced(kept[:cut], [each for each in found if each.end <= cut], hits, line)
-                line += kept.count(b"\n", 0, cut)
-            kept, is_first = kept[cut:] + more, False
+    def cleaned(self, chunks: Iterable[bytes], hits: Hits, grammar: Grammar) -> Iterator[bytes]:
+        """Yield a text that comes in chunks of UTF-8 in blocks of another size, secrets replaced."""
+        kept, line, is_whole = b"", 1, True
+        for chunk, is_last in _with_last(chunks):
+            kept += chunk
+            if not is_last and is_whole and len(kept) < _WHOLE:
+                continue
+            found = self.find(kept, grammar, is_file=is_whole and is_last)
+            cut = len(kept) if is_last else _cut_of(kept, found)
+            yield self._replaced(kept[:cut], [each for each in found if each.end <= cut], hits, line)
+            line += kept.count(b"\n", 0, cut)
+            kept, is_whole = kept[cut:], False
 
     def _replaced(self, block: bytes, found: list[Found], hits: Hits, line: int) -> bytes:
         if not found:
@@ -213,6 +206,17 @@ class Redactor:
             line += block.count(b"\n", each.start, each.end)
             end = each.end
         return b"".join([*parts, block[end:]])
+
+
+def _with_last(chunks: Iterable[bytes]) -> Iterator[tuple[bytes, bool]]:
+    """Yield each chunk, and whether it is the last one."""
+    before: bytes | None = None
+    for chunk in chunks:
+        if before is not None:
+            yield before, False
+        before = chunk
+    if before is not None:
+        yield before, True
 
 
 def _without_overlap(found: list[Found]) -> list[Found]:

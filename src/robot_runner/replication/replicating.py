@@ -13,6 +13,7 @@ from robot_runner.core.config.treatment_makers import known_treatments
 from robot_runner.core.design.batches import EXTENDED, REPEATED, records_of
 from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.recovery import table_differences
+from robot_runner.core.secret_names import REDACTED, hidden_settings, is_same_setting, shown_settings
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
@@ -25,7 +26,6 @@ from robot_runner.replication.contents import DESCRIPTION, SUMS
 from robot_runner.replication.differences import missing_modules
 from robot_runner.replication.distributions import canonical
 from robot_runner.replication.opening import open_package, unpack
-from robot_runner.replication.redaction import REDACTED
 from robot_runner.replication.verification import refuse_faults, verify_package
 
 if TYPE_CHECKING:
@@ -130,8 +130,8 @@ def _environment(manifest: Mapping[str, Any]) -> dict[str, Any]:
         canonical(name): {"name": name, "version": release, "is_needed": True}
         for name, release in (software.get("packages") or {}).items()
     }
-    known = {name: manifest.get(name) for name in ("robot", "ros", "host")}
-    return {"python": software.get("python"), "packages": packages, **known}
+    known = {name: manifest.get(name) for name in ("robot", "ros", "host", "programs")}
+    return {"python": software.get("python"), "packages": packages, "system": software.get("system"), **known}
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +188,7 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
     experiment = replace(preparation.experiment, replication=facts, overrides=overrides)
     findings = list(preparation.findings)
     if experiment.folder.manifest.exists():
-        _refuse_other(experiment, facts)
+        _refuse_other(experiment, facts, deviations)
     else:
         experiment.model.take_seed(int(manifest["seed"]))
         experiment = _with_batches(experiment, files)
@@ -231,7 +231,7 @@ def _facts(files: ExperimentFolder, manifest: Mapping[str, Any], deviations: Map
         "identified_by": name,
         "sha256": digest,
         "seed": manifest.get("seed"),
-        "deviations": dict(deviations),
+        "deviations": hidden_settings(deviations),
         "treatments": known_treatments(files),  # a branch may mean another commit by now
     }
 
@@ -246,13 +246,16 @@ def _identity(files: ExperimentFolder) -> tuple[str, str]:
         raise storage_error(identity, "read", error) from error
 
 
-def _refuse_other(experiment: Experiment, facts: Mapping[str, Any]) -> None:
+def _refuse_other(experiment: Experiment, facts: Mapping[str, Any], deviations: Mapping[str, str]) -> None:
     recorded = read_manifest(experiment.folder.manifest).get("replication") or {}
     if recorded.get("sha256") != facts["sha256"]:
         problem = "another experiment is in this folder"
         raise PackageError(problem, where=str(experiment.folder.root), fix="Name another folder with --to.")
-    if recorded.get("deviations") != facts["deviations"]:
-        was = " ".join(f"--set {name}={text}" for name, text in recorded.get("deviations", {}).items()) or "no --set"
+    before = recorded.get("deviations") or {}
+    if before.keys() != deviations.keys() or not all(
+        is_same_setting(before[name], deviations[name]) for name in before
+    ):
+        was = " ".join(f"--set {name}={text}" for name, text in shown_settings(before).items()) or "no --set"
         problem = f"this replication was begun with {was}"
         raise PackageError(problem, where=str(experiment.folder.root), fix="Go on with the same, or name another --to.")
 

@@ -13,9 +13,11 @@ import zlib
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import IO, TYPE_CHECKING, BinaryIO
+from functools import partial
+from typing import IO, TYPE_CHECKING, BinaryIO, cast
 
 from robot_runner.replication.named_secrets import Grammar
+from robot_runner.replication.redaction import Hits
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -37,11 +39,25 @@ _MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16-le"),
     (codecs.BOM_UTF16_BE, "utf-16-be"),
 )
+
+
+def _gunzipped(file: BinaryIO) -> IO[bytes]:
+    return cast("IO[bytes]", gzip.GzipFile(fileobj=file))
+
+
+def _bunzipped(file: BinaryIO) -> IO[bytes]:
+    return bz2.BZ2File(file)
+
+
+def _unxzipped(file: BinaryIO) -> IO[bytes]:
+    return lzma.LZMAFile(file)
+
+
 _Opener = Callable[[BinaryIO], IO[bytes]]
 _PRESSED: tuple[tuple[bytes, _Opener], ...] = (
-    (b"\x1f\x8b", lambda file: gzip.GzipFile(fileobj=file)),
-    (b"BZh", lambda file: bz2.BZ2File(file)),
-    (b"\xfd7zXZ\0", lambda file: lzma.LZMAFile(file)),
+    (b"\x1f\x8b", _gunzipped),
+    (b"BZh", _bunzipped),
+    (b"\xfd7zXZ\0", _unxzipped),
 )
 _UNKNOWN = {b"7z\xbc\xaf": "7z", b"Rar!": "RAR", b"PAR1": "Parquet", b"\x28\xb5\x2f\xfd": "Zstandard"}
 _DAMAGED = (OSError, EOFError, ValueError, RuntimeError, NotImplementedError, zipfile.BadZipFile, tarfile.TarError,
@@ -87,7 +103,7 @@ def recoded(file: BinaryIO, encoding: str) -> Iterator[bytes]:
         OSError: it cannot be read.
     """
     decoder = codecs.getincrementaldecoder(encoding)("strict")
-    while block := file.read(_BLOCK):
+    for block in _chunks(file):
         yield decoder.decode(block).encode()
     yield decoder.decode(b"", final=True).encode()
 
@@ -181,14 +197,15 @@ class _Search:
 
     def _look_through(self, file: BinaryIO, start: bytes) -> None:
         is_text = b"\0" not in start
-        hits: Counter[str] = Counter()
-        for _ in self._redactor.blocks(file, hits, Grammar.TEXT if is_text else Grammar.MARKUP):
+        hits = Hits()
+        for _ in self._redactor.cleaned(_chunks(file), hits, Grammar.TEXT if is_text else Grammar.MARKUP):
             pass
-        if not is_text:
+        if not is_text:  # texts of two bytes a letter are texts without their zeros
             file.seek(0)
-            for _ in self._redactor.blocks(_WithoutZeros(file), hits, Grammar.MARKUP):
+            without_zeros = (chunk.replace(b"\0", b"") for chunk in _chunks(file))
+            for _ in self._redactor.cleaned(without_zeros, hits, Grammar.MARKUP):
                 pass
-        self._searched.found += hits
+        self._searched.found += hits.replaced
 
 
 class _Bounded(io.RawIOBase):
@@ -217,14 +234,5 @@ class _Bounded(io.RawIOBase):
         return len(block)
 
 
-class _WithoutZeros(io.RawIOBase):
-    """A binary file without its zero bytes: texts of two bytes a letter are texts then."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-
-    def read(self, size: int = -1) -> bytes:
-        while block := self._file.read(size):
-            if cleaned := block.replace(b"\0", b""):
-                return cleaned
-        return b""
+def _chunks(file: BinaryIO) -> Iterator[bytes]:
+    return iter(partial(file.read, _BLOCK), b"")

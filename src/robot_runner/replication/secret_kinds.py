@@ -97,7 +97,7 @@ _MARKS = rb"PRIVATE KEY|OpenVPN Static key"
 #: Between two words of a command: blanks, or what stands between two texts of a list.
 _GAP = rb"(?:[ \t]+|\\?[\"'][ \t]*,\s*\\?[\"'])"
 _VALUE = rb"[\"']?([^\s\"',;\\<>|&]+)"
-_CALLS = rb"username_pw_set|HTTP(?:Basic|Digest|Proxy)Auth|BasicAuth|DigestAuth|set_password|chpasswd"
+_CALLS = rb"username_pw_set|HTTP(?:Basic|Digest|Proxy)Auth|BasicAuth|DigestAuth|set_password"
 
 
 @cache
@@ -112,7 +112,9 @@ def _keys() -> Iterator[Kind]:
     line = rb"(?:\\[nr]|[ \t>#*\"'+]|\r?\n)*[A-Za-z0-9+/=]{16,}"
     cut_off = begin + rb"((?:" + line + rb")+)"
     yield _kind("private key", cut_off, b"-----begin")
-    yield _kind("private key", rb"---- BEGIN SSH2 ENCRYPTED PRIVATE KEY ----(.{0,65536}?)---- END SSH2", b"----begin")
+    yield _kind(
+        "private key", rb"---- BEGIN SSH2 ENCRYPTED PRIVATE KEY ----((?:\s|\\n).{0,65536}?)---- END SSH2", b"----begin"
+    )
     yield _kind("private key", rb"Private-Lines: *\d+\r?\n((?:[A-Za-z0-9+/=]+\r?\n?)+)", b"private-lines:")
     yield _kind("private key", rb"\bAGE-SECRET-KEY-1[A-Z0-9]{50,}", b"age-secret-key-")
     yield _kind("SSH key", rb"\b(?:sk-)?(?:ssh-(?:rsa|dss|ed25519)|ecdsa-sha2-nistp\d+)(?:@openssh\.com)?\s+"
@@ -125,7 +127,9 @@ def _keys() -> Iterator[Kind]:
 def _addresses() -> Iterator[Kind]:
     scheme = rb"\b[A-Za-z][A-Za-z0-9+.-]{1,20}://"
     yield _kind("password in a URL", scheme + rb"[^\s/:@\"'\\<>]*:(?!REDACTED@|\$|\{|<|%\()([^\s/@\"'\\<>]+)@", b"://")
-    yield _kind("token in a URL", rb"\bhttps?://(?!REDACTED@)(?=[^\s/:@\"'\\<>]*[0-9])([^\s/:@\"'\\<>{}$]{16,})@", b"://")
+    yield _kind(
+        "token in a URL", rb"\bhttps?://(?!REDACTED@)(?=[^\s/:@\"'\\<>]*[0-9])([^\s/:@\"'\\<>{}$]{16,})@", b"://"
+    )
     yield _kind("what may be a token in a URL", rb"\bhttps?://(?!REDACTED@|git@)([^\s/:@\"'\\<>{}$]{10,})@", b"://",
                 is_sure=False)  # fmt: skip
     yield _kind("token in a URL", rb"[?&](?:sig|signature|key|code|auth|session|sid|hmac|pw|pass)="
@@ -133,7 +137,7 @@ def _addresses() -> Iterator[Kind]:
     yield _kind("token in a URL", rb"\bhooks\.slack\.com/services/([\w/]{20,})", b"hooksslackcom/")
     yield _kind("token in a URL", rb"\bdiscord(?:app)?\.com/api/webhooks/\d+/([\w-]{20,})", b"discord")
     yield _kind("password", rb"(?m)^[\w.*-]*[A-Za-z*][\w.*-]*:(?:\d{4,5}|\*):[\w*-]+:[\w*.-]+:([^\s:\"',]+)$",
-                b":::", b":*:")  # fmt: skip
+                b"::", b":*:")  # fmt: skip
 
 
 def _headers() -> Iterator[Kind]:
@@ -141,6 +145,9 @@ def _headers() -> Iterator[Kind]:
     methods = rb"(?:basic|bearer|token|digest|apikey|negotiate|key)\s+"
     yield _kind("authorisation", before + methods + rb"(?!\$|\{|<|%)([^\s\"'\\,]{6,})", b"authorization")
     yield _kind("authorisation", rb"(?i)\bbearer\s+([A-Za-z0-9._~+/=-]{12,})", b"bearer")
+    yield _kind(
+        "authorisation", rb"[\"']op[\"']\s*:\s*[\"']auth[\"'][^{}]{0,400}?[\"']mac[\"']\s*:\s*[\"']([^\"'\n]+)", b"auth"
+    )
     yield _kind("cookie", rb"(?i)\b(?:set-)?cookie:[ \t]*([\w.-]+=[^\r\n\"']{8,})", b"cookie:")
 
 
@@ -166,25 +173,35 @@ def _tokens() -> Iterator[Kind]:
 
 def _commands() -> Iterator[Kind]:
     near = rb"[^\n|;]{0,200}?"
-    yield _kind("password", rb"\bsshpass" + near + rb"-p" + _GAP + rb"?" + _VALUE, b"sshpass")
-    yield _kind("password", rb"\b(?:curl|wget)\b" + near + rb"(?:-[a-zA-Z]*u|--user|-U|--proxy-user)(?:" + _GAP + rb"|=)?[\"']?"
-                rb"[^\s:\"'/-][^\s:\"'/]*:([^\s\"',\\/$]+)", b"curl", b"wget")  # fmt: skip
-    upper = rb"\b(?:mosquitto_(?:pub|sub|rr)|zip|unzip)\b" + near + _GAP + rb"-P" + _GAP + rb"?" + _VALUE
-    yield _kind("password", upper, b"mosquitto_", b"zip")
-    yield _kind("password", rb"\b(?:mysql(?:dump|admin)?|mariadb)\b" + near + _GAP + rb"-p" + _VALUE, b"mysql", b"mariadb")
-    short = rb"\b(?:docker|podman|buildah|skopeo)" + _GAP + rb"login\b" + near + _GAP + rb"-p" + _GAP + _VALUE
-    yield _kind("password", short, b"login")
-    yield _kind("password", rb"\bredis-cli\b" + near + _GAP + rb"-a" + _GAP + _VALUE, b"redis-cli")
-    yield _kind("password", rb"\bssh-keygen\b" + near + _GAP + rb"-[NP]" + _GAP + _VALUE, b"ssh-keygen")
-    yield _kind("password", rb"\b(?:echo|printf)\s+(?:-\w+\s+)?\\?[\"']?(?!\$)([^\s\"'\\|]+)[^|\n]{0,6}\|\s*sudo\s+(?:-\w+\s+)*-S",
-                b"|sudo")  # fmt: skip
-    yield _kind("password", rb"\b(?:echo|printf)\s+\\?[\"']?[\w-]+:([^\s\"'\\|]+)[^|\n]{0,6}\|\s*(?:sudo\s+)?chpasswd", b"chpasswd")
-    yield _kind("password", rb"\biw(?:config|list)?\b" + near + rb"\bkey\s+(?:s:)?([^\s\"']{5,})", b"iwconfig")
-    yield _kind("password", rb"\bwpa_passphrase" + _GAP + rb"[^\s\"',]+" + _GAP + _VALUE, b"wpa_passphrase")
-    yield _kind("password", rb"\b(?:" + _CALLS + rb")\([^()\n]{0,80}?,\s*(?:password\s*=\s*)?[rbf]?[\"']([^\"'\n]+)[\"']\s*\)",
-                b"username_pw_set", b"auth(", b"set_password")  # fmt: skip
-    asked = rb"(?i)expect(?:_exact)?\([^\n]{0,60}?ass(?:word|phrase|wd)[^\n]{0,40}\)\s*;?\s*(?:\w+\s*=\s*)?[\w.]+\.sendline\("
-    yield _kind("password", asked + rb"\s*[rbf]?[\"']([^\"'\n]+)[\"']", b"sendline(")
+    option = near + _GAP + rb"-"
+    logins = (
+        rb"(?:-[a-zA-Z]*u|--user|-U|--proxy-user)(?:" + _GAP + rb"|=)?[\"']?[^\s:\"'/-][^\s:\"'/]*:([^\s\"',\\/$]+)"
+    )
+    echoed = rb"\b(?:echo|printf)\s+(?:-\w+\s+)?\\?[\"']?"
+    piped = rb"([^\s\"'\\|]+)[^|\n]{0,6}\|\s*"
+    given = rb"\([^()\n]{0,80}?,\s*(?:password\s*=\s*)?[rbf]?[\"']([^\"'\n]+)[\"']\s*\)"
+    asked = rb"(?i)expect(?:_exact)?\([^\n]{0,60}?ass(?:word|phrase|wd)[^\n]{0,40}\)\s*;?\s*(?:\w+\s*=\s*)?[\w.]+"
+    written = (
+        (rb"\bsshpass" + option + rb"p" + _GAP + rb"?" + _VALUE, b"sshpass"),
+        (rb"\b(?:curl|wget)\b" + near + logins, b"curl", b"wget"),
+        (
+            rb"\b(?:mosquitto_(?:pub|sub|rr)|zip|unzip)\b" + option + rb"P" + _GAP + rb"?" + _VALUE,
+            b"mosquitto_",
+            b"zip",
+        ),
+        (rb"\b(?:mysql(?:dump|admin)?|mariadb)\b" + option + rb"p" + _VALUE, b"mysql", b"mariadb"),
+        (rb"\b(?:docker|podman|buildah|skopeo)" + _GAP + rb"login\b" + option + rb"p" + _GAP + _VALUE, b"login"),
+        (rb"\bredis-cli\b" + option + rb"a" + _GAP + _VALUE, b"redis-cli"),
+        (rb"\bssh-keygen\b" + option + rb"[NP]" + _GAP + _VALUE, b"ssh-keygen"),
+        (echoed + rb"(?!\$)" + piped + rb"sudo\s+(?:-\w+\s+)*-S", b"|sudo"),
+        (echoed + rb"[\w-]+:" + piped + rb"(?:sudo\s+)?chpasswd", b"chpasswd"),
+        (rb"\biw(?:config|list)?\b" + near + rb"\bkey\s+(?:s:)?([^\s\"']{5,})", b"iwconfig"),
+        (rb"\bwpa_passphrase" + _GAP + rb"[^\s\"',]+" + _GAP + _VALUE, b"wpa_passphrase"),
+        (rb"\b(?:" + _CALLS + rb")" + given, b"username_pw_set", b"auth(", b"set_password"),
+        (asked + rb"\.sendline\(\s*[rbf]?[\"']([^\"'\n]+)[\"']", b"sendline("),
+    )
+    for expression, *hints in written:
+        yield _kind("password", expression, *hints)
 
 
 def _homes() -> Iterator[Kind]:

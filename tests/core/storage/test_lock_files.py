@@ -147,9 +147,7 @@ def test_the_group_that_may_write_in_the_folder_may_lock_in_it(
     assert rights(tmp_path / ".alive") == rights(tmp_path / ".lock") == of_lock
 
 
-@pytest.mark.parametrize(
-    "plant", [os.mkfifo, lambda path: path.symlink_to("/dev/zero"), lambda path: path.mkdir()]
-)
+@pytest.mark.parametrize("plant", [os.mkfifo, lambda path: path.symlink_to("/dev/zero"), lambda path: path.mkdir()])
 def test_what_is_no_file_is_no_lock(tmp_path: Path, plant: Callable[[Path], None]) -> None:
     plant(tmp_path / ".lock")
     assert holder_of(tmp_path / ".lock") is None

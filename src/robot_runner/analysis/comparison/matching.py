@@ -11,6 +11,7 @@ import pandas as pd
 from robot_runner.analysis.importing.units import unit_of
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import AnalysisError, did_you_mean
+from robot_runner.core.secret_names import shown_settings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -182,11 +183,12 @@ def _numbers(values: pd.Series) -> NDArray[np.float64]:
     return numbers
 
 
+_SET_BY_HAND = ("deviations",)
 _ASPECTS = (
     ("Robot", ("robot",)),
     ("Config", ("config", "file")),
     ("Seed of the order", ("seed",)),
-    ("Set by hand", ("deviations",)),
+    ("Set by hand", _SET_BY_HAND),
     ("Robot Runner", ("software", "robot_runner")),
     ("Python", ("software", "python")),
     ("System", ("host", "system")),
@@ -225,7 +227,7 @@ def _within(manifest: Mapping[str, Any], keys: tuple[str, ...]) -> Any:
     found: Any = manifest
     for key in keys:
         found = found.get(key) if hasattr(found, "get") else None
-    return found
+    return shown_settings(found) if keys == _SET_BY_HAND and found else found
 
 
 def _shown(value: Any) -> str:

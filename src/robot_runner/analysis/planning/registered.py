@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import StorageError
+from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.storage.executed_runs import executed_order, moved_in_words, moved_runs
 from robot_runner.core.storage.guarded_files import read_bytes
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -137,8 +138,8 @@ def _of_config(config: Mapping[str, Any], results: Results) -> Iterator[str]:
     settings = config.get("settings") or {}
     for execution in results.manifest.get("executions") or ():
         set_now = {name: text for name, text in (execution.get("deviations") or {}).items() if name != _PATH}
-        if set_now != settings:
-            shown = listed(f"{name} = {text}" for name, text in set_now.items()) or "nothing"
+        if shown_settings(set_now) != shown_settings(settings):
+            shown = listed(f"{name} = {text}" for name, text in shown_settings(set_now).items()) or "nothing"
             yield f"set from outside on {str(execution.get('started_at'))[:10]}: {shown}"
             return
 

@@ -12,6 +12,7 @@ from robot_runner.analysis.report.tables import build_table, field, interval, nu
 from robot_runner.analysis.statistics.known_precision import repeated_interval
 from robot_runner.analysis.wording import ALPHA, MINUS, listed, sentence, with_unit
 from robot_runner.core.design.repeated_intervals import METHOD
+from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.storage.executed_runs import moved_in_words
 from robot_runner.core.words import counted, shown_commit, shown_duration
 
@@ -61,7 +62,8 @@ def _facts(material: Material) -> Iterator[tuple[str, str]]:
     yield "Robot", str(material.manifest("robot", default="not recorded"))
     deviations = material.manifest("deviations", default={})
     if deviations:
-        yield "Set by hand", listed((f"{name} = {value}" for name, value in deviations.items()), shown=20)
+        settings = (f"{name} = {value}" for name, value in shown_settings(deviations).items())
+        yield "Set by hand", listed(settings, shown=20)
     executions = material.manifest("executions", default=[])
     if executions:
         yield "Executed", _executions(executions)

@@ -20,6 +20,7 @@ from robot_runner.analysis.report.summary_section import replication_section, su
 from robot_runner.analysis.report.tests_section import tests_section
 from robot_runner.analysis.report.threats_section import threats_of, threats_section
 from robot_runner.analysis.wording import listed
+from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def json_of_report(material: Material, *, made: str) -> str:
             "order": order_in_words(material),
             "seed": results.seed,
             "robot": material.manifest("robot"),
-            "deviations": material.manifest("deviations", default={}),
+            "deviations": shown_settings(material.manifest("deviations", default={})),
             "batches": material.manifest("design", "batches", default=[]),
             "warm_ups": results.warm_ups,
         },

@@ -15,6 +15,7 @@ from robot_runner.analysis.statistics.experiment_statistics import planned_warni
 from robot_runner.analysis.wording import NUMBER, listed, sentence, shown_number
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID
 from robot_runner.core.events.measure import Quality
+from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import moved_in_words
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -267,7 +268,7 @@ def _circumstances(material: Material) -> Threats:
         text = f"Cells of runs that were executed were changed in run_table.csv: {listed(cells, shown=20)}."
         yield "Results were changed by hand", text, Tone.BAD
     if deviations:
-        shown = listed((f"{name} = {value}" for name, value in deviations.items()), shown=20)
+        shown = listed((f"{name} = {value}" for name, value in shown_settings(deviations).items()), shown=20)
         text = f"Set on the command line, against what the config says: {shown}."
         yield "Parameters were set by hand", text, Tone.NOTE
 

@@ -26,6 +26,7 @@ from robot_runner.core.config.preparation import Preparation
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.precision import rule_in_words
 from robot_runner.core.execution.probe import probe_experiment
+from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.words import shown_value
 
 if TYPE_CHECKING:
@@ -89,11 +90,11 @@ def _print(console: UserConsole, config: str, preparation: Preparation, probe: P
             ("Plugins", ", ".join(plugin.name for plugin in experiment.plugins) or "none"),
             ("Measures", measures_in_words(experiment.columns)),
             *_seen(probe),
-            ("Robot", experiment.parameters.robot or "none"),
+            ("Robot", ", ".join(experiment.parameters.robots) or experiment.parameters.robot or "none"),
             ("Mode", experiment.parameters.operation_type.name),
             ("Registered", _registered(experiment)),
             ("Results", shown_path(experiment.folder.root)),
-            ("Set", ", ".join(f"{name}={value}" for name, value in experiment.overrides.items())),
+            ("Set", ", ".join(f"{name}={value}" for name, value in shown_settings(experiment.overrides).items())),
         ],
     )
 
@@ -140,7 +141,7 @@ def _experiment_as_json(experiment: Experiment) -> dict[str, Any]:
         "operation_type": experiment.parameters.operation_type.value,
         "plugins": [{"name": plugin.name, "class": type(plugin).__name__} for plugin in experiment.plugins],
         "measures": columns_as_json(experiment.columns),
-        "set": dict(experiment.overrides),
+        "set": shown_settings(experiment.overrides),
         "repeat_until": _repeated(experiment) or None,
         **design_as_json(experiment.model),
     }

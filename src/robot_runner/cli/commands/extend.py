@@ -24,6 +24,7 @@ from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.design.growing import Additions, NewFactor
 from robot_runner.core.execution.extension import ExtensionRequest, extend_experiment
+from robot_runner.core.secret_names import shown_assignments
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
@@ -141,7 +142,7 @@ def _print(extension: Extension, arguments: Namespace) -> None:
     console, batch, model = output(), extension.batch, extension.model
     print_runs(console, model, extension.runs)
     console.print()
-    config = [arguments.config, *(word for each in arguments.set for word in ("--set", each))]
+    config = [arguments.config, *(word for each in shown_assignments(arguments.set) for word in ("--set", each))]
     command = shlex.join(["robot-runner", *config])
     count = sum(len(each.run_ids) for each in model.batches)
     facts = [

@@ -22,6 +22,7 @@ from robot_runner.cli.screens.plain import terminal_input
 from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.execution.recovery import Resumption, TableChoice, TableDisagreementError, config_changes
+from robot_runner.core.secret_names import shown_assignments
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -69,11 +70,19 @@ def add_arguments(parser: Parser) -> None:
         help="how many runs this machine executes at the same time, or auto for as many as it has cores; the same as "
         "--set workers=N",
     )
+    parser.add_argument(
+        "--cluster",
+        metavar="ADDRESS",
+        help="execute the runs on the workers of a Dask cluster: the address of its scheduler, such as "
+        "tcp://scheduler:8786 or tls://scheduler:8786; the same as --set cluster=ADDRESS",
+    )
     parser.add_argument("--plain", action="store_true", help="print plain lines on a terminal, too")
 
 
 def execute(arguments: Namespace) -> int:
     """Execute every run that is not done."""
+    if arguments.cluster is not None:
+        arguments.set = [*arguments.set, f"cluster={arguments.cluster}"]
     if arguments.workers is not None:
         arguments.set = [*arguments.set, f"workers={arguments.workers}"]
     with no_byte_code():
@@ -99,7 +108,7 @@ def execute(arguments: Namespace) -> int:
         if chosen is None:
             raise
         execution = executed(replace(resumption, table=chosen))
-    settings = [word for each in arguments.set for word in ("--set", each)]
+    settings = [word for each in shown_assignments(arguments.set) for word in ("--set", each)]
     command = shlex.join(["robot-runner", arguments.config, *settings])
     with read_or_not():
         if execution.finished:

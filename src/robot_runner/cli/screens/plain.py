@@ -37,6 +37,7 @@ from robot_runner.core.execution.notices import (
     WaitingForUser,
 )
 from robot_runner.core.execution.task import AttemptStatus
+from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.words import counted, enumerated, one_line, shown_duration, shown_treatment, shown_value
 
 if TYPE_CHECKING:
@@ -185,7 +186,7 @@ def opening(started: ExperimentStarted) -> list[str]:
     if started.left is not None and started.left.others >= _WORTH_TELLING:
         lines.append(started.left.in_words())
     if started.overrides:
-        parts = ", ".join(f"{name}={value}" for name, value in started.overrides.items())
+        parts = ", ".join(f"{name}={value}" for name, value in shown_settings(started.overrides).items())
         lines.append(f"set by hand, and recorded as a deviation from the config: {parts}")
     return lines
 
@@ -388,4 +389,5 @@ class PlainScreen:
 
 def _named(task: RunTask) -> str:
     attempt = f", attempt {task.attempt}" if task.attempt > 1 else ""
-    return f"run {task.run_number} of {task.run_count} ({task.run_id}{attempt})"
+    place = f", {task.place}" if task.place else ""
+    return f"run {task.run_number} of {task.run_count} ({task.run_id}{attempt}{place})"

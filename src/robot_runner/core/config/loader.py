@@ -16,6 +16,7 @@ from robot_runner.core.config.parameters import PARAMETERS
 from robot_runner.core.config.source import ConfigSource, activating_imports, read_source
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, did_you_mean, nearest
 from robot_runner.core.events.manager import RequestedSubscription, recorded_subscriptions
+from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.storage.table_columns import OWN_SPELLING, TableSpelling
 from robot_runner.core.treatments import CONFIG_MODULE, is_waiting, parameters_guarded
 
@@ -100,7 +101,7 @@ def own_parameters(config_class: type) -> dict[str, Any]:
 
 def _read(config_class: type, name: str, text: str) -> Any:
     own = own_parameters(config_class)
-    where = f"--set {name}={text}"
+    where = f"--set {name}={shown_settings({name: text})[name]}"
     if name in PARAMETERS:
         parameter = PARAMETERS[name]
         read, expected = parameter.kind.from_text, parameter.kind.expected
@@ -114,7 +115,8 @@ def _read(config_class: type, name: str, text: str) -> Any:
     try:
         return read(text)
     except (ValueError, KeyError) as error:
-        raise ConfigError(f"{text!r} cannot be read", where=where, fix=f"It must be {expected}.") from error
+        shown = shown_settings({name: text})[name]
+        raise ConfigError(f"{shown!r} cannot be read", where=where, fix=f"It must be {expected}.") from error
 
 
 def _reader(kind: type) -> Any:

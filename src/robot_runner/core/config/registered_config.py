@@ -12,6 +12,7 @@ from robot_runner.core.design.design_facts import described_design
 from robot_runner.core.design.factor import full_factorial
 from robot_runner.core.design.precision import rules_as_mapping
 from robot_runner.core.errors import Finding, StorageError
+from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.storage.registration import Registration, differences, read_registration
 from robot_runner.core.words import listed
 
@@ -73,7 +74,7 @@ def registration_content(
     kept = set(map(_texts, own.combinations_of(own.factors)))
     left_out = [list(texts) for each in full_factorial(own.factors) if (texts := _texts(each)) not in kept]
     path = loaded.source.path
-    settings = {name: text for name, text in loaded.overrides.items() if name not in _UNREGISTERED}
+    settings = {name: text for name, text in shown_settings(loaded.overrides).items() if name not in _UNREGISTERED}
     return {
         "experiment": str(getattr(loaded.config, "experiment_name", "")),
         "robot_runner": version("robot-runner"),

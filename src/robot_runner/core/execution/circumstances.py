@@ -13,6 +13,7 @@ from robot_runner.core.design.precision import rules_as_mapping
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.execution.recovery import config_files
 from robot_runner.core.plugin import described_circumstances, installed_plugins
+from robot_runner.core.secret_names import hidden_settings
 from robot_runner.core.storage.git_repository import LARGEST_DIFF, repository_state, uncommitted_changes
 from robot_runner.core.storage.guarded_files import MissingFileError, make_folder, read_bytes, replace
 from robot_runner.core.storage.journal import read_journal, utc_now
@@ -55,8 +56,9 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
             **({} if experiment.kept == "file" else {"kept": experiment.kept}),
         },
         # What was set from outside the config file: a replication has to know.
-        "deviations": dict(experiment.overrides),
+        "deviations": hidden_settings(experiment.overrides),
         "robot": experiment.parameters.robot,
+        **({"robots": dict(robots)} if (robots := experiment.parameters.robots) else {}),
         "design": {"source": "run_table.csv" if by_hand else "config", **described_design(model)},
         "seed": model.seed,
         "seed_is_given": model.seed_is_given,
@@ -76,13 +78,18 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
     }
 
 
+#: What an experiment that goes on is compared with.
+_NEEDED = {"design", "executions", "experiment_name", "seed"}
+_NEEDED_OF_DESIGN = {"factors", "repetitions", "source"}
+
+
 def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[str, Any]:
     """Return the manifest of an experiment that goes on.
 
     Raises:
         ExecutionError: the folder holds another experiment.
     """
-    if "executions" not in manifest or "seed" not in manifest:
+    if not (manifest.keys() >= _NEEDED and manifest["design"].keys() >= _NEEDED_OF_DESIGN and manifest["executions"]):
         raise ExecutionError(
             "the folder's manifest is none of Robot Runner's",
             where=str(experiment.folder.manifest),
@@ -221,7 +228,7 @@ def _repeat_until(experiment: Experiment) -> dict[str, Any] | None:
 
 
 def _execution(experiment: Experiment) -> dict[str, Any]:
-    execution = {"started_at": utc_now(), "pid": os.getpid(), "deviations": dict(experiment.overrides)}
+    execution = {"started_at": utc_now(), "pid": os.getpid(), "deviations": hidden_settings(experiment.overrides)}
     state = repository_state(experiment.config_path.parent)
     return execution if state is None else execution | {"repository": state.facts()}
 

@@ -11,10 +11,11 @@ import time
 import warnings
 from contextlib import suppress
 from io import TextIOWrapper
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, NoReturn, TextIO
 
 from robot_runner.core.execution.run_ending import failure_fields
 from robot_runner.core.execution.task import FINISHED
+from robot_runner.core.storage.masked_log import MaskedText
 from robot_runner.core.storage.outliving import is_spared, process_stat, processes
 
 if TYPE_CHECKING:
@@ -95,11 +96,20 @@ def leave_after(work: Callable[[], None], report: Report) -> NoReturn:
 
 
 def settle_streams() -> None:
-    """Print line by line, in UTF-8, and not on the orchestrator's screen, which may stand in for the streams."""
-    sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(encoding="utf-8", errors="backslashreplace", line_buffering=True)
+    """Print line by line, in UTF-8, and not on the orchestrator's screen, which may stand in for the streams.
+
+    What the environment keeps secret is not printed.
+    """
+    # Both names: the stream beneath is closed with the last of them.
+    sys.stdout = sys.__stdout__ = _settled(sys.__stdout__)  # type: ignore[assignment, misc]
+    sys.stderr = sys.__stderr__ = _settled(sys.__stderr__)  # type: ignore[assignment, misc]
+
+
+def _settled(stream: TextIO | None) -> TextIO | None:
+    if not isinstance(stream, TextIOWrapper):
+        return stream
+    stream.flush()
+    return MaskedText(stream.detach(), encoding="utf-8", errors="backslashreplace", line_buffering=True)
 
 
 def use_no_streams() -> None:

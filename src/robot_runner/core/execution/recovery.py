@@ -14,6 +14,7 @@ from robot_runner.core.design.columns import BATCH, EXCLUDED, REPETITION, STATUS
 from robot_runner.core.design.selection import Chosen, RunChooser
 from robot_runner.core.design.warm_up import with_warm_ups_again
 from robot_runner.core.errors import ExecutionError, Finding
+from robot_runner.core.secret_names import is_same_setting, shown_settings
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.guarded_files import read_text
 from robot_runner.core.storage.manifest import is_damaged, read_manifest
@@ -267,13 +268,13 @@ _OF_NO_CONSEQUENCE = {"results_output_path", "workers"}
 def _changed_settings(before: Mapping[str, str], now: Mapping[str, str]) -> Iterator[Finding]:
     for name in sorted({*before, *now} - _OF_NO_CONSEQUENCE):
         was, is_now = before.get(name), now.get(name)
-        if was != is_now:
+        if not is_same_setting(was, is_now):
             problem = f"the parameter was {_setting(name, was)} and is {_setting(name, is_now)}"
             yield Finding.error(f"--set {name}", problem, _CONFIG_FIX)
 
 
 def _setting(name: str, value: str | None) -> str:
-    return "not set" if value is None else f"set by --set {name}={value}"
+    return "not set" if value is None else f"set by --set {name}={shown_settings({name: value})[name]}"
 
 
 #: More differences than people read are counted, not listed.

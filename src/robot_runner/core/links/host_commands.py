@@ -14,6 +14,7 @@ from robot_runner.core.events.host_access import CommandResult
 from robot_runner.core.links.archived_files import TAR_MARGIN, Unpacked, pack, unpack
 from robot_runner.core.links.host_program import Program, last_lines, shell_path, shortened
 from robot_runner.core.links.kept_connection import KeptConnection
+from robot_runner.core.secret_names import without_environment_secrets
 from robot_runner.core.storage.guarded_files import make_folder, open_to_append
 from robot_runner.core.words import shown_duration
 
@@ -200,7 +201,8 @@ class HostCommands:
         how = f"exit status {result.exit_status}" if is_in_time else "it did not end in time, and was ended"
         text = f"$ {result.command}\n{_whole_lines(result.output)}{_whole_lines(result.errors)}"
         with open_to_append(self._folder / "commands.log", self._context.experiment_folder) as file:
-            file.write(f"{text}[{how}, {shown_duration(result.seconds)}]\n".encode("utf-8", "backslashreplace"))
+            said = f"{without_environment_secrets(text)}[{how}, {shown_duration(result.seconds)}]\n"
+            file.write(said.encode("utf-8", "backslashreplace"))
 
     def _refuse_lost(self, ended: Ended, meanwhile: str) -> None:
         if ended.exit_status == _SSH_FAILED and not self.shell.is_alive:

@@ -24,6 +24,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.declared_shapes import parsed_json
 from robot_runner.core.storage.guarded_paths import (
     ONLY_FILES,
     MissingFileError,
@@ -173,7 +174,7 @@ def read_json(path: Path, root: Path | None = None, *, limit: int = JSON_LIMIT, 
     """
     content = read_bytes(path, root, limit=limit)
     try:
-        value = json.loads(content.decode("utf-8-sig"))
+        value = parsed_json(content.decode("utf-8-sig"))
     except RecursionError as error:
         raise _damaged(path, f"its JSON is nested deeper than {depth} levels") from error
     except ValueError as error:

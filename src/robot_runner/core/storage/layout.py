@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.storage.guarded_files import make_folder, open_descriptor, open_to_append
+from robot_runner.core.storage.masked_log import MaskedText, mask_log
 from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
@@ -260,12 +261,13 @@ class LazyLog(io.TextIOBase):
         if self.closed:
             raise ValueError("I/O operation on closed file.")
         if self._file is None:
-            self._file = os.fdopen(_open_log(self._folder), "a", encoding="utf-8", errors="backslashreplace")
+            binary = os.fdopen(_open_log(self._folder), "ab")
+            self._file = MaskedText(binary, encoding="utf-8", errors="backslashreplace")
         return self._file
 
 
 def keep_log(folder: ExperimentFolder, run_id: str) -> None:
-    """Move what a run printed into its folder; a run that printed nothing has no log.
+    """Move what a run printed into its folder, without secrets of the environment; one that printed nothing has no log.
 
     Raises:
         StorageError: it cannot be moved.
@@ -273,6 +275,7 @@ def keep_log(folder: ExperimentFolder, run_id: str) -> None:
     try:
         if _size(folder.current_log) > 0:
             make_folder(folder.run(run_id), folder.root)
+            mask_log(folder.current_log, folder.root)
             folder.current_log.replace(folder.log(run_id))
     except OSError as error:
         raise storage_error(folder.log(run_id), "written", error) from error

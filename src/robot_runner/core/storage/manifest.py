@@ -12,15 +12,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.secret_names import without_environment_secrets
+from robot_runner.core.storage.declared_shapes import shape_findings
+from robot_runner.core.storage.file_shapes import Manifest
 from robot_runner.core.storage.guarded_files import DamagedFileError, MissingFileError, read_json, replace
+from robot_runner.core.storage.system_packages import describe_system, installed_system_packages
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 __all__ = ["FORMAT", "describe_host", "describe_software", "is_damaged", "read_manifest", "write_manifest"]
 
+#: What is compared with the config, or reproduces it: a treatment may be called as a password is.
+_COMPARED = frozenset(
+    {"experiment_name", "config", "design", "seed", "analysis", "registration", "repeat_until", "plugins"}
+)
 #: Version of the experiment folder's format; a newer one is refused by readers.
 FORMAT = 1
+_RESTORE = "Restore it from a backup."
 
 
 def describe_host() -> dict[str, Any]:
@@ -37,23 +46,37 @@ def describe_host() -> dict[str, Any]:
 
 
 def describe_software() -> dict[str, Any]:
-    """Return the versions of Python, of Robot Runner, and of every installed package."""
+    """Return the versions of Python, Robot Runner and the system, and of every package of Python and of the system."""
     return {
         "python": platform.python_version(),
         "implementation": sys.implementation.name,
         "robot_runner": version("robot-runner"),
         "packages": _packages(),
+        "system": describe_system(),
+        "system_packages": installed_system_packages(),
     }
 
 
 def write_manifest(path: Path, manifest: Mapping[str, Any]) -> None:
-    """Write the manifest, whole or not at all.
+    """Write the manifest, whole or not at all; secrets of the environment are hidden, but for what resuming compares.
 
     Raises:
         StorageError: the folder cannot be written.
     """
-    text = json.dumps({"format": FORMAT, **manifest}, indent=2, ensure_ascii=False, default=str) + "\n"
+    hidden = {name: value if name in _COMPARED else _without_secrets(value) for name, value in manifest.items()}
+    text = json.dumps({"format": FORMAT, **hidden}, indent=2, ensure_ascii=False, default=str) + "\n"
     replace(path, text)
+
+
+def _without_secrets(value: Any) -> Any:
+    match value:
+        case str():
+            return without_environment_secrets(value)
+        case dict():
+            return {name: _without_secrets(each) for name, each in value.items()}
+        case list() | tuple():
+            return [_without_secrets(each) for each in value]
+    return value
 
 
 def is_damaged(path: Path) -> bool:
@@ -71,7 +94,8 @@ def read_manifest(path: Path) -> dict[str, Any]:
     """Return the manifest of an experiment folder.
 
     Raises:
-        StorageError: there is none, it does not parse, or its format is newer than this version knows.
+        StorageError: there is none, it does not parse, its format is newer than this version knows, or it is not as a
+            manifest is.
     """
     try:
         manifest = read_json(path)
@@ -82,13 +106,15 @@ def read_manifest(path: Path) -> dict[str, Any]:
     except DamagedFileError as error:
         raise StorageError(f"the manifest cannot be read: {error.problem}", where=error.where, fix=error.fix) from error
     if not isinstance(manifest, dict) or not isinstance(manifest.get("format"), int):
-        raise StorageError("the file is no manifest of an experiment", where=str(path), fix="Restore it from a backup.")
+        raise StorageError("the file is no manifest of an experiment", where=str(path), fix=_RESTORE)
     if manifest["format"] > FORMAT:
         raise StorageError(
             f"the manifest has format {manifest['format']}, newer than {FORMAT}, which this version knows",
             where=str(path),
             fix="Update robot-runner.",
         )
+    if findings := shape_findings(str(path), "manifest of an experiment", manifest, Manifest, _RESTORE):
+        raise StorageError.of_findings(findings)
     return manifest
 
 

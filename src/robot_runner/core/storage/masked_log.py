@@ -7,10 +7,10 @@ is hidden when the run has ended, before the log gets its name.
 from __future__ import annotations
 
 import io
-import os
 from typing import TYPE_CHECKING
 
 from robot_runner.core.secret_names import REDACTED, forms_of, secrets_of_environment, without_environment_secrets
+from robot_runner.core.storage.guarded_files import open_to_read, open_to_write
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,7 +23,7 @@ _BLOCK = 1 << 20
 
 
 class MaskedText(io.TextIOWrapper):
-    """A text stream into which no value of a variable such as `LAB_TOKEN` is written.
+    r"""A text stream into which no value of a variable such as `LAB_TOKEN` is written.
 
     Example:
         >>> import io, os
@@ -41,30 +41,28 @@ class MaskedText(io.TextIOWrapper):
         return len(text)
 
 
-def mask_log(path: Path) -> None:
+def mask_log(path: Path, root: Path) -> None:
     """Replace in a file what the environment keeps secret; a file without any stays as it is.
 
+    Args:
+        path: the file.
+        root: the experiment's folder.
+
     Raises:
-        OSError: it cannot be read or written.
+        StorageError: it cannot be read or written.
     """
     forms = [form.encode("utf-8", "surrogateescape") for each in secrets_of_environment() for form in forms_of(each)]
-    if not forms or not _holds(path, forms):
+    if not forms or not _holds(path, root, forms):
         return
-    beside = path.with_name(f".{path.name}.tmp")
-    try:
-        with path.open("rb") as source, beside.open("xb") as target:
-            os.fchmod(target.fileno(), os.fstat(source.fileno()).st_mode & 0o777)
-            for block in _lines(source):
-                for form in forms:
-                    block = block.replace(form, REDACTED.encode())  # noqa: PLW2901 - one after the other
-                target.write(block)
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
+    with open_to_read(path, root) as source, open_to_write(path, root) as target:
+        for block in _lines(source):
+            for form in forms:
+                block = block.replace(form, REDACTED.encode())  # noqa: PLW2901 - one after the other
+            target.write(block)
 
 
-def _holds(path: Path, forms: list[bytes]) -> bool:
-    with path.open("rb") as file:
+def _holds(path: Path, root: Path, forms: list[bytes]) -> bool:
+    with open_to_read(path, root) as file:
         return any(form in block for block in _lines(file) for form in forms)
 
 

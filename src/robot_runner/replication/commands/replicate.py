@@ -32,6 +32,7 @@ from robot_runner.cli.screens.byte_progress import byte_progress
 from robot_runner.cli.screens.ending import print_verdict
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.errors import did_you_mean
+from robot_runner.core.secret_names import shown_assignments
 from robot_runner.replication.commands.replication_plan import (
     make_sure,
     print_container,
@@ -130,7 +131,7 @@ def _replicate(arguments: Namespace) -> Ending:
     print_plan(output(), source, differing, deviations, target, has_all=arguments.all_differences)
     facts = facts_of(arguments.package, source, differing, deviations)
     if arguments.environment == _CONTAINER:
-        print_container(output(), source.experiment, _unpacked(source, target))
+        print_container(output(), source, _unpacked(source, target))
         return Ending(0, facts)
     make_sure(is_agreed=arguments.yes)
     own = arguments.environment or _offered(arguments, source, differing)
@@ -217,7 +218,7 @@ def _ended(arguments: Namespace, comparing: Comparing, ending: Ending) -> Ending
         ending = comparing.end(folder, ending)
     if ending.exit_code == SOME_FAILED:
         words = ["robot-runner", "replicate", arguments.package, "--to", shown_path(comparing.target)]
-        words += [word for each in arguments.set for word in ("--set", each)]
+        words += [word for each in shown_assignments(arguments.set) for word in ("--set", each)]
         words += ["--environment", arguments.environment] if arguments.environment else []
         verdict = "" if is_complete else "The verdict comes once every run was executed. "
         output().print(f"{verdict}Go on with what is left: {shlex.join(words)}", soft_wrap=True)

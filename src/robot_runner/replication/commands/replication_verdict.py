@@ -12,6 +12,7 @@ from robot_runner.analysis.libraries import MissingLibraryError, require_librari
 from robot_runner.cli.console import UserConsole, output, print_facts, print_folded, shown_path
 from robot_runner.cli.findings import show_error
 from robot_runner.core.errors import PackageError, RobotRunnerError, did_you_mean
+from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.safe_write import write_beside_and_rename
@@ -62,7 +63,7 @@ def facts_of(
         "package": package,
         "experiment": source.experiment,
         "is_sealed": source.is_sealed,
-        "deviations": dict(deviations),
+        "deviations": shown_settings(deviations),
         "differences": [asdict(each) for each in differing],
         "environment": None,
         "exit_code": 0,
