@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, PackageError
+from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.replication.contents import DESCRIPTION, SUMS, fault_of_name
 
@@ -156,7 +157,7 @@ def _unpacked(root: Path) -> OpenPackage:
 
 def _blocks_of_file(root: Path, name: str) -> Iterator[bytes]:
     try:
-        with (root / name).open("rb") as file:
+        with open_to_read(root / name, root) as file:
             while block := file.read(_BLOCK):
                 yield block
     except OSError as error:
