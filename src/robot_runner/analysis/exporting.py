@@ -66,7 +66,12 @@ def export_results(content: ExportContent, folder: Path | None = None) -> tuple[
         StorageError: a file cannot be written.
     """
     target = content.folder / "export" if folder is None else folder.expanduser()
-    make_folder(target / "samples", content.folder if folder is None else target.parent)
+    try:
+        if folder is not None:
+            target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise storage_error(target, "made", error) from error
+    make_folder(target / "samples", content.folder if folder is None else target)
     written = list(_copied_table(content, target))
     for name, frame in content.tables.items():
         _write_parquet(target / name, [arrow_table(frame, _units(content, frame))])

@@ -19,7 +19,7 @@ from robot_runner.analysis.results import Results, load_results
 from robot_runner.analysis.statistics.experiment_statistics import analyse
 from robot_runner.core.storage.guarded_files import make_folder, replace
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.safe_write import write_beside_and_rename
+from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -103,10 +103,17 @@ def report_folder(experiment: Path, output: Path | None) -> tuple[Path, Path]:
 
     Args:
         experiment: its folder.
-        output: where the user wants the report; None for `report/` in the experiment's folder.
+        output: where the user wants the report, which is made; None for `report/` in the experiment's folder.
+
+    Raises:
+        StorageError: the folder cannot be made.
     """
     if output is not None:
-        return output.parent, output
+        try:
+            output.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise storage_error(output, "made", error) from error
+        return output, output
     return experiment, ExperimentFolder(experiment).report
 
 

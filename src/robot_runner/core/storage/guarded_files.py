@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import errno
 import io
-import json
 import os
 import stat
 from contextlib import contextmanager, suppress
