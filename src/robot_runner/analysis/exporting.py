@@ -20,6 +20,7 @@ from pyarrow import parquet
 from robot_runner.analysis.sample_files import split_unit
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.storage.guarded_files import make_folder, open_to_read, open_to_write, replace
+from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.storage.table_schema import data_package, file_resource, table_resource
 
 if TYPE_CHECKING:
