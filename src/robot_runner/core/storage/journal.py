@@ -105,7 +105,8 @@ class Journal:
         end = size
         while end > 0:
             if size - end > LINE_LIMIT:
-                raise _corrupt(self._path, b"", f"its last {size - end:,} bytes have no end of a line")
+                problem = f"this is no journal: its last {size - end:,} bytes have no end of a line"
+                raise StorageError(problem, where=str(self._path), fix="Restore the file from a backup.")
             start = max(0, end - 65536)
             newline = os.pread(self._descriptor, end - start, start).rfind(b"\n")
             if newline >= 0:
