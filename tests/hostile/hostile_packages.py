@@ -14,7 +14,16 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from tests.hostile.hostile_folders import Hostile
-from tests.hostile.malformed_json import ESCAPES, ODD_VALUES, damaged, in_every_text, keys_of, with_value, without, written
+from tests.hostile.malformed_json import (
+    ESCAPES,
+    ODD_VALUES,
+    damaged,
+    in_every_text,
+    keys_of,
+    with_value,
+    without,
+    written,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -67,7 +76,9 @@ def _cut(whole: bytes) -> Iterator[Hostile]:
     yield Hostile("something behind", partial(_bytes, whole + b"more"))
     yield Hostile("twice", partial(_bytes, whole + whole))
     yield Hostile("no zip", partial(_bytes, b"not a zip" * 999))
-    yield Hostile("a long comment", partial(_bytes, whole[: end + 20] + struct.pack("<H", 65535) + ESCAPES.encode() * 999))
+    yield Hostile(
+        "a long comment", partial(_bytes, whole[: end + 20] + struct.pack("<H", 65535) + ESCAPES.encode() * 999)
+    )
     for kind in ("fifo", "zero", "sparse", "loop"):
         yield Hostile(f"{kind} in its place", partial(_special, kind))
 
@@ -117,7 +128,7 @@ _NAMES = (
     "../planted",
     "../../outside/planted",
     "/etc/planted",
-    "/tmp/planted",
+    "/var/planted",
     "runs/../../planted",
     "./planted",
     "a//b",
@@ -156,7 +167,9 @@ _NAMES = (
 
 def _bombs(entries: Entries) -> Iterator[Hostile]:
     yield Hostile("one file of zeros", partial(_zipped, entries, odd={"runs/bomb": (bytes(200 << 20), _REGULAR)}))
-    yield Hostile("a description of zeros", partial(_zipped, {**entries, "package.json": b"[" + b" " * (60 << 20) + b"]"}))
+    yield Hostile(
+        "a description of zeros", partial(_zipped, {**entries, "package.json": b"[" + b" " * (60 << 20) + b"]"})
+    )
     yield Hostile("sums of zeros", partial(_zipped, {**entries, _SUMS: bytes(60 << 20)}))
     yield Hostile("sums of line ends", partial(_zipped, {**entries, _SUMS: b"\n" * (60 << 20)}))
     for name in _DOCUMENTS:
@@ -164,12 +177,16 @@ def _bombs(entries: Entries) -> Iterator[Hostile]:
         yield Hostile(f"{name} of empty objects", partial(_zipped, _with_sums({**entries, name: content})))
     many = {f"runs/{number}": b"" for number in range(70_000)}
     yield Hostile("many entries", partial(_zipped, {**entries, **many}))
-    yield Hostile("many entries in folders", partial(_zipped, {**entries, **{f"{'a/' * 200}{n}": b"" for n in range(2000)}}))
+    yield Hostile(
+        "many entries in folders", partial(_zipped, {**entries, **{f"{'a/' * 200}{n}": b"" for n in range(2000)}})
+    )
     yield Hostile("directory of a million entries", partial(_large_directory, entries, 1_000_000))
     yield Hostile("entries that share bytes", partial(_sharing, entries))
     yield Hostile("larger than it says", partial(_said_sizes, entries, 10))
     yield Hostile("much larger than it says", partial(_said_sizes, entries, 1 << 31))
-    yield Hostile("many names of 60 kB", partial(_zipped, {**entries, **{f"runs/{n}{'b' * 60_000}": b"" for n in range(999)}}))
+    yield Hostile(
+        "many names of 60 kB", partial(_zipped, {**entries, **{f"runs/{n}{'b' * 60_000}": b"" for n in range(999)}})
+    )
 
 
 def _large_directory(entries: Entries, count: int, path: Path, outside: Path) -> None:
@@ -218,7 +235,9 @@ def _documents(entries: Entries) -> Iterator[Hostile]:
             yield Hostile(f"{kind} {name}", partial(_zipped, _with_sums({**entries, name: content})))
         for kind, text in {
             "escapes in": json.dumps(in_every_text(document, lambda each: ESCAPES + each)),
-            "raw escapes in": json.dumps(in_every_text(document, lambda each: "\x9b2J\u202e" + each), ensure_ascii=False),
+            "raw escapes in": json.dumps(
+                in_every_text(document, lambda each: "\x9b2J\u202e" + each), ensure_ascii=False
+            ),
         }.items():
             yield Hostile(f"{kind} {name}", partial(_zipped, _with_sums({**entries, name: text.encode()})))
         for way, (kind, value) in zip(keys_of(document, 2), values, strict=False):
