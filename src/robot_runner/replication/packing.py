@@ -19,7 +19,6 @@ from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.replication.about import About
-from robot_runner.replication.cleaning import Replaced
 from robot_runner.replication.contents import DESCRIPTION, LeftOut, choose_contents
 from robot_runner.replication.crate import require_rocrate
 from robot_runner.replication.environment import record_environment
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from robot_runner.core.storage.run_table_rows import RunTableRows
+    from robot_runner.replication.cleaning import Replaced
 
 __all__ = ["Packed", "Packing", "file_sha256", "pack"]
 
@@ -170,7 +170,7 @@ def _rows(files: ExperimentFolder) -> RunTableRows:
 
 
 def _known_secrets(files: ExperimentFolder, manifest: Mapping[str, Any]) -> set[str]:
-    """Return the secrets of the environment, of the configs and of what was set by hand, to find them elsewhere, too."""
+    """Return the secrets of the environment, of the configs and of settings, to find them elsewhere, too."""
     found = set(secrets_of_environment())
     for folder in (files.config, files.earlier_configs):
         for path in sorted(folder.rglob("*.py")):
